@@ -1,0 +1,1 @@
+"""Dynamic resistive force theory for rover wheels on sand, on JAX."""
