@@ -1,0 +1,1 @@
+"""The `drft` command: the root in `main`, one module for each subcommand."""

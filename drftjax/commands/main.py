@@ -1,0 +1,163 @@
+"""The root command `drft`.
+
+Its subcommands are the entry points of the group `drft.commands`, so an installed package adds
+its own beside those that ship here:
+
+    [project.entry-points."drft.commands"]
+    sweep = "my_package.sweep:app"      # a typer.Typer
+
+An app with one command and no callback becomes `drft sweep` itself; one with several becomes a
+group. `drft --help` imports every app to show its first line, so an app imports JAX and other
+slow packages inside its functions.
+"""
+
+import os
+import sys
+from collections import defaultdict
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
+
+import drftjax
+from drftjax.errors import InputError
+
+GROUP = "drft.commands"
+INTERRUPTED = 128 + 2  # how a shell numbers a program that Ctrl-C ended
+
+
+class PluginGroup(TyperGroup):
+    """A group whose subcommands are found among the installed packages, and loaded when named."""
+
+    def __init__(self, **attributes: Any):
+        super().__init__(**attributes)
+        # The names alone; typer suggests from them, and `get_command` loads what is asked for.
+        self.commands = dict.fromkeys(sorted(_plugins()))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def get_command(self, ctx, cmd_name):
+        points = _plugins().get(cmd_name)
+        return points and _load(cmd_name, points)
+
+
+@cache
+def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
+    found = defaultdict(list)
+    for point in entry_points(group=GROUP):
+        found[point.name].append(point)
+    return {name: tuple(points) for name, points in found.items()}
+
+
+@cache
+def _load(name: str, points: tuple[EntryPoint, ...]):
+    """The command that an entry point gives, or one that says why there is none."""
+    try:
+        if len(points) > 1:
+            raise TypeError("several packages give it: " + ", ".join(sorted(map(_origin, points))))
+        app = points[0].load()
+        if not isinstance(app, typer.Typer):
+            raise TypeError(f"it must be a typer.Typer, not {type(app).__name__}")
+        command = get_command(app)
+    except (Exception, SystemExit) as error:
+        return _broken(name, points[0], error)
+    command.name = name
+    # Shell completion belongs to the root alone.
+    command.params = [
+        parameter
+        for parameter in command.params
+        if parameter.name not in ("install_completion", "show_completion")
+    ]
+    return command
+
+
+def _origin(point: EntryPoint) -> str:
+    package = f"{point.dist.name} {point.dist.version}: " if point.dist else ""
+    return f"{package}{point.value}"
+
+
+def _broken(name: str, point: EntryPoint, error: BaseException) -> TyperCommand:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
+
+    def refuse():
+        raise InputError(f"the subcommand {name!r} ({_origin(point)}) does not load: {reason}")
+
+    return TyperCommand(
+        name,
+        callback=refuse,
+        short_help=f"[does not load] {point.value}: {reason}",
+        add_help_option=False,
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
+    )
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"drft {drftjax.__version__}")
+        raise typer.Exit
+
+
+app = typer.Typer(
+    name="drft",
+    cls=PluginGroup,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and leave."
+        ),
+    ] = False,
+) -> None:
+    """Rover wheels on sand by dynamic resistive force theory."""
+
+
+def main() -> None:
+    """Run `drft`; what a user can mend is one sentence on stderr and exit code 2."""
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader (`| head`) has left; what is still buffered has nowhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 1
+    sys.exit(code)
+
+
+def _run() -> int | str | None:
+    try:
+        get_command(app)(prog_name="drft")
+    except SystemExit as end:  # typer ends every command so, Ctrl-C with 130
+        if end.code == INTERRUPTED:
+            print("drft: interrupted", file=sys.stderr)
+        return end.code
+    except InputError as error:
+        return _refuse(str(error))
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a full disk, a folder without permission, a missing file
+        return _refuse(_os_sentence(error))
+    return 0
+
+
+def _refuse(sentence: str) -> int:
+    print(f"drft: {sentence}", file=sys.stderr)
+    return 2
+
+
+def _os_sentence(error: OSError) -> str:
+    if error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return error.strerror or str(error)
+
+
+if __name__ == "__main__":
+    main()
