@@ -112,9 +112,7 @@ app = typer.Typer(
 def root(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_show_version, is_eager=True, help="Show the version and leave."
-        ),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     """Rover wheels on sand by dynamic resistive force theory."""
