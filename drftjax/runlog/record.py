@@ -1,0 +1,269 @@
+"""One run as values: what was set up, commanded, measured, and what happened online.
+
+Frame: x forward, z up, z = 0 where the rim just touches the undisturbed surface, so the
+sinkage is H = -z. omega > 0 drives forward. fx, fz are the sand's force on the wheel. SI units.
+
+Arrays are copied to float64 (or the integer type named), made read-only, and checked when a
+record is built, so a record that exists is a valid one.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from itertools import chain
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drftjax.errors import InputError
+from drftjax.runlog import rules
+
+Reals = NDArray[np.float64]
+
+_FORCES: Final = ("x", "z", "fx", "fz", "torque")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What the operator believes about the rig; None where it is not known.
+
+    Attributes:
+        wheel_radius: Rim radius, without grousers [m].
+        wheel_width: Width across the track [m].
+        grouser_count: Grousers around the rim [-].
+        grouser_height: From the rim to the tip [m].
+        grouser_thickness: Along the circumference [m].
+        mass_x: Mass that moves forward with the wheel [kg].
+        mass_z: Mass that rests on the wheel [kg].
+        gravity: Free-fall acceleration [m/s^2].
+        bulk_density: Of the sand [kg/m^3].
+        sinkage_static: H at rest before the run [m].
+        scaling_factor_initial: zeta before any tuning [-].
+    """
+
+    wheel_radius: float | None = None
+    wheel_width: float | None = None
+    grouser_count: int | None = None
+    grouser_height: float | None = None
+    grouser_thickness: float | None = None
+    mass_x: float | None = None
+    mass_z: float | None = None
+    gravity: float | None = None
+    bulk_density: float | None = None
+    sinkage_static: float | None = None
+    scaling_factor_initial: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.known().items():
+            _require(rules.setup_problems(name, value))
+            plain = int(value) if name == "grouser_count" else float(value)
+            object.__setattr__(self, name, plain)
+
+    def known(self) -> dict[str, float | int]:
+        """The numbers that are known, by name, in the format's order."""
+        pairs = ((each.name, getattr(self, each.name)) for each in fields(self))
+        return {name: value for name, value in pairs if value is not None}
+
+    def require(self, *names: str) -> tuple[float, ...]:
+        """The named numbers; an InputError names the first one that is not known."""
+        for name in names:
+            if getattr(self, name) is None:
+                raise InputError(f"the set-up does not give {name}, which is needed here")
+        return tuple(getattr(self, name) for name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """What was asked of the rig.
+
+    Attributes:
+        time: From the run's start, increasing [s].
+        omega: Wheel speed, positive driving forward [rad/s].
+        vx: Carriage speed [m/s] where it was driven; None where the carriage ran free.
+    """
+
+    time: Reals
+    omega: Reals
+    vx: Reals | None = None
+
+    def __post_init__(self) -> None:
+        _settle(self, "time", ("omega", "vx"))
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the rig answered; a channel that was not measured is None.
+
+    Attributes:
+        time: The data logger's clock, from the run's start, increasing [s].
+        x: Forward travel [m].
+        z: Height of the rim datum, minus the sinkage [m].
+        fx: Forward force of the sand on the wheel [N].
+        fz: Upward force of the sand on the wheel [N].
+        torque: Of the drive on the wheel, positive driving forward [N m].
+    """
+
+    time: Reals
+    x: Reals | None = None
+    z: Reals | None = None
+    fx: Reals | None = None
+    fz: Reals | None = None
+    torque: Reals | None = None
+
+    def __post_init__(self) -> None:
+        _settle(self, "time", _FORCES)
+        if not self.channels():
+            raise InputError(f"nothing was measured: give at least one of {', '.join(_FORCES)}")
+
+    def channels(self) -> dict[str, Reals]:
+        """The channels that were measured, by name."""
+        pairs = ((name, getattr(self, name)) for name in _FORCES)
+        return {name: values for name, values in pairs if values is not None}
+
+    @property
+    def sinkage(self) -> Reals:
+        """H = -z [m]."""
+        if self.z is None:
+            raise InputError("the run has no /measured/z, so its sinkage is not known")
+        return -self.z
+
+
+@dataclass(frozen=True, eq=False)
+class Online:
+    """What a hardware-in-the-loop run adds, one row for each control tick.
+
+    Attributes:
+        time: The controller's clock, from the run's start, increasing [s].
+        zeta: Scaling factor in use [-].
+        x_sim, z_sim: Simulated position [m].
+        vx_sim: Simulated speed, which drives the carriage [m/s].
+        fx_sim: Simulated forward force [N].
+        tuned: 1 where zeta was changed on this tick.
+        late: Time over the deadline, 0 where it was met [s].
+        age: Age of the measurement that was used [s].
+        flags: Bits of what happened on this tick.
+        seq_sent, seq_received: Sequence numbers on the wire.
+        rig_time: The rig's own clock [s].
+        tick: Control period [s].
+        zeta_step: Change of zeta in one tuning step [-].
+        tolerance: Sinkage error that is left alone [m].
+    """
+
+    time: Reals
+    zeta: Reals
+    x_sim: Reals
+    z_sim: Reals
+    vx_sim: Reals
+    fx_sim: Reals
+    tuned: NDArray[np.uint8]
+    late: Reals
+    age: Reals
+    flags: NDArray[np.uint32]
+    seq_sent: NDArray[np.uint32]
+    seq_received: NDArray[np.uint32]
+    rig_time: Reals
+    tick: float
+    zeta_step: float
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        names = tuple(each.name for each in fields(self)[1:-3])
+        _settle(self, "time", names, ONLINE_INTEGERS)
+        for name in ("tick", "zeta_step", "tolerance"):
+            value = float(getattr(self, name))
+            if not np.isfinite(value) or value < 0 or (name == "tick" and value == 0):
+                raise InputError(f"{name} is {value}, it must be finite and not negative")
+            object.__setattr__(self, name, value)
+
+
+ONLINE_INTEGERS: Final[Mapping[str, type[np.unsignedinteger[Any]]]] = {
+    "tuned": np.uint8,
+    "flags": np.uint32,
+    "seq_sent": np.uint32,
+    "seq_received": np.uint32,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """What happened beside the ticks, in order; several may share one time.
+
+    Attributes:
+        event_time: From the run's start, never decreasing [s].
+        code: Which event, a number of `meanings`.
+        arg: A number that goes with it.
+        meanings: The code table: a word or a few for each code.
+    """
+
+    event_time: Reals
+    code: NDArray[np.int32]
+    arg: Reals
+    meanings: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _settle(self, "event_time", ("code", "arg"), {"code": np.int32}, repeats=True)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """One run: the set-up as believed, the command, the measurement, and where it came from."""
+
+    setup: Setup
+    command: Command
+    measured: Measured
+    source: str
+    title: str
+    online: Online | None = None
+    events: Events | None = None
+    created: str | None = None
+    run_id: str | None = None
+    notes: str | None = None
+    software: str | None = None
+    software_version: str | None = None
+
+    def __post_init__(self) -> None:
+        _require(rules.source_problems(self.source))
+
+
+def _settle(
+    record: object,
+    axis: str,
+    channels: Iterable[str],
+    integers: Mapping[str, type[np.integer[Any]]] | None = None,
+    repeats: bool = False,
+) -> None:
+    """Copy a record's columns to read-only arrays and require the rules of them."""
+    integers = integers or {}
+    time = _column(axis, getattr(record, axis), np.float64)
+    object.__setattr__(record, axis, time)
+    if time.size == 0 and not repeats:
+        raise InputError(f"{axis} has no rows; a run has at least one")
+    problems = [rules.axis_problems(axis, time, repeats)]
+    for name in channels:
+        given = getattr(record, name)
+        if given is None:
+            continue
+        values = _column(name, given, integers.get(name, np.float64))
+        object.__setattr__(record, name, values)
+        problems.append(rules.channel_problems(name, values, time.size, axis))
+    _require(chain(*problems))
+
+
+def _column(name: str, given: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    if given is None:
+        raise InputError(f"{name} is missing; it must be given")
+    raw = np.asarray(given)
+    if raw.dtype.kind not in "biuf":
+        raise InputError(f"{name} holds {raw.dtype}, it must hold real numbers")
+    if raw.ndim != 1:
+        raise InputError(f"{name} has shape {raw.shape}, it must be one column of numbers")
+    values = np.array(raw, dtype=kind)
+    if np.issubdtype(kind, np.integer) and not np.array_equal(values, raw):
+        raise InputError(f"{name} holds numbers that {np.dtype(kind).name} cannot hold")
+    values.setflags(write=False)
+    return values
+
+
+def _require(problems: Iterable[str]) -> None:
+    for sentence in problems:
+        raise InputError(sentence)
