@@ -34,12 +34,12 @@ class PluginGroup(TyperGroup):
 
     def __init__(self, **attributes: Any):
         super().__init__(**attributes)
-        # The names alone; typer suggests from them, and `get_command` loads what is asked for.
+        # The names alone, to list and to suggest from.
         self.commands = dict.fromkeys(sorted(_plugins()))  # pyright: ignore[reportAttributeAccessIssue]
 
-    def get_command(self, ctx, cmd_name):
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
         points = _plugins().get(cmd_name)
-        return points and _load(cmd_name, points)
+        return _load(cmd_name, points) if points else None
 
 
 @cache
@@ -51,17 +51,17 @@ def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
 
 
 @cache
-def _load(name: str, points: tuple[EntryPoint, ...]):
+def _load(name: str, points: tuple[EntryPoint, ...]) -> Any:
     """The command that an entry point gives, or one that says why there is none."""
     try:
         if len(points) > 1:
-            raise TypeError("several packages give it: " + ", ".join(sorted(map(_origin, points))))
+            raise TypeError("several packages give it")
         app = points[0].load()
         if not isinstance(app, typer.Typer):
             raise TypeError(f"it must be a typer.Typer, not {type(app).__name__}")
         command = get_command(app)
     except (Exception, SystemExit) as error:
-        return _broken(name, points[0], error)
+        return _broken(name, points, error)
     command.name = name
     # Shell completion belongs to the root alone.
     command.params = [
@@ -72,24 +72,25 @@ def _load(name: str, points: tuple[EntryPoint, ...]):
     return command
 
 
-def _origin(point: EntryPoint) -> str:
-    package = f"{point.dist.name} {point.dist.version}: " if point.dist else ""
-    return f"{package}{point.value}"
-
-
-def _broken(name: str, point: EntryPoint, error: BaseException) -> TyperCommand:
+def _broken(name: str, points: tuple[EntryPoint, ...], error: BaseException) -> TyperCommand:
+    origin = ", ".join(map(_origin, points))
     reason = " ".join(f"{type(error).__name__}: {error}".split())
 
     def refuse():
-        raise InputError(f"the subcommand {name!r} ({_origin(point)}) does not load: {reason}")
+        raise InputError(f"the subcommand {name!r} ({origin}) does not load: {reason}")
 
     return TyperCommand(
         name,
         callback=refuse,
-        short_help=f"[does not load] {point.value}: {reason}",
+        short_help=f"[does not load] {origin}: {reason}",
         add_help_option=False,
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
     )
+
+
+def _origin(point: EntryPoint) -> str:
+    package = f"{point.dist.name} {point.dist.version}: " if point.dist else ""
+    return f"{package}{point.value}"
 
 
 def _show_version(wanted: bool) -> None:
