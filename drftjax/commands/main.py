@@ -54,7 +54,7 @@ def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
 def _load(name: str, points: tuple[EntryPoint, ...]) -> Any:
     """The command that an entry point gives, or one that says why there is none."""
     try:
-        if len(points) > 1:
+        if len(points) != 1:
             raise TypeError("several packages give it")
         app = points[0].load()
         if not isinstance(app, typer.Typer):
@@ -82,7 +82,7 @@ def _broken(name: str, points: tuple[EntryPoint, ...], error: BaseException) -> 
     return TyperCommand(
         name,
         callback=refuse,
-        short_help=f"[does not load] {origin}: {reason}",
+        short_help=f"Does not load ({type(error).__name__}): run it to see why.",
         add_help_option=False,
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
     )

@@ -1,0 +1,33 @@
+"""How the tests set JAX up, and where the reference data lie.
+
+JAX reads these variables when it is first imported, and so do the programs that tests start; this
+file itself does not import it.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+os.environ |= {
+    "JAX_ENABLE_X64": "1",
+    "JAX_NUMPY_DTYPE_PROMOTION": "strict",
+    "JAX_NUM_CPU_DEVICES": "2",
+    # Compiled programs outlive the run: the second run of the tests takes a fraction of the first.
+    "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "jax"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    "MPLBACKEND": "agg",
+}
+# A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The reference runs and measurements, in a folder `shared` beside the repository."""
+    folder = ROOT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("there is no folder ../shared with the reference runs beside the repository")
+    return folder
