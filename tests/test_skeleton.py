@@ -1,5 +1,6 @@
 """The package, its root command and its lock, seen from outside as a user sees them."""
 
+import ast
 import os
 import re
 import subprocess
@@ -110,6 +111,15 @@ def test_every_public_name_is_there():
     assert set(drftjax.__all__) <= set(dir(drftjax))
     with pytest.raises(AttributeError, match="no attribute 'Wheeel'"):
         drftjax.Wheeel  # noqa: B018
+
+
+def test_type_checkers_see_the_same_public_names():
+    tree = ast.parse(Path(drftjax.__file__).read_text())
+    (guarded,) = (node for node in tree.body if isinstance(node, ast.If))
+    imported = {
+        alias.asname: statement.module for statement in guarded.body for alias in statement.names
+    }
+    assert imported == drftjax._HOMES
 
 
 def test_subcommands_that_ship_all_load(drft):
