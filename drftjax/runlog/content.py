@@ -1,19 +1,14 @@
 """A file's contents as plain values, between the HDF5 library and the meaning of a run log."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Final
-from zlib import crc32
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Attribute = str | int | float | list[str] | list[int] | list[float]
-
-
-TEXT_CHECKSUM: Final = "text_crc32"
-"""Root attribute with the checksum of a file's text."""
 
 
 class Level(StrEnum):
@@ -78,42 +73,7 @@ class Content:
     groups: Mapping[str, Group] = field(default_factory=dict)
     datasets: Mapping[str, Dataset] = field(default_factory=dict)
 
-    def texts(self) -> Iterator[tuple[str, Attribute]]:
-        """Every attribute that is text, with the place it stands at."""
-        for name, value in _texts(self.attributes):
-            yield f"/@{name}", value
-        for title, group in sorted(self.groups.items()):
-            for name, value in _texts(group.attributes):
-                yield f"/{title}@{name}", value
-            for key, dataset in sorted(group.datasets.items()):
-                for name, value in _texts(dataset.attributes):
-                    yield f"/{title}/{key}@{name}", value
-
-
-def text_checksum(texts: Iterator[tuple[str, Attribute]]) -> int:
-    """CRC-32 over attribute text.
-
-    HDF5 keeps text of variable length in a heap without checksums, so a flipped bit in a title
-    would pass unseen; numbers stand in object headers, which carry their own.
-    """
-    lines = (f"{where}={_one_line(value)}" for where, value in texts)
-    return crc32("\0".join(lines).encode("utf-8", "surrogateescape"))
-
 
 def real_column(values: NDArray[Any] | None) -> NDArray[np.float64] | None:
     """Values as float64, None where there are none."""
     return None if values is None else np.asarray(values, dtype=np.float64)
-
-
-def _texts(attributes: Mapping[str, Attribute]) -> Iterator[tuple[str, Attribute]]:
-    for name, value in sorted(attributes.items()):
-        if isinstance(value, str) or (isinstance(value, list) and value and _is_text(value[0])):
-            yield name, value
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _one_line(value: Attribute) -> str:
-    return "\n".join(map(str, value)) if isinstance(value, list) else str(value)

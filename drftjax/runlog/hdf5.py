@@ -29,7 +29,8 @@ from drftjax.runlog.content import (
 )
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.replace import replace_file
-from drftjax.runlog.result import Columns, Result, examine_result, result_content, result_from
+from drftjax.runlog.result import Columns, Result, result_content, result_from
+from drftjax.runlog.seal import seal_holds, sealed
 
 SIZE_LIMIT: Final = 512 * 2**20
 """Most bytes that a file's datasets may declare together."""
@@ -65,7 +66,7 @@ def survey_run(path: Name) -> tuple[Content | None, list[Violation]]:
 
 def write_run(path: Name, run: RunLog) -> None:
     """Write a run log whole or not at all; a file of that name is replaced."""
-    replace_file(Path(path), _image(layout.to_content(run), layout.AXES))
+    replace_file(Path(path), sealed(_image(layout.to_content(run), layout.AXES)))
 
 
 def write_result(
@@ -86,12 +87,12 @@ def write_result(
         version: Version of that schema.
     """
     content = result_content(schema, version, attributes, groups)
-    replace_file(Path(path), _image(content, {}))
+    replace_file(Path(path), sealed(_image(content, {})))
 
 
 def read_result(path: Name, schema: str, version: int = 1) -> Result:
     """Read a result file of this schema; an InputError names the file and the reason."""
-    content, violations = _survey(path, schema, version, examine_result)
+    content, violations = _survey(path, schema, version, lambda _: ())
     return result_from(_accepted(content, violations))
 
 
@@ -189,6 +190,8 @@ def _not_openable(path: Path) -> str | None:
     if path.name.endswith(".part"):
         return "is still being recorded, or its recording was cut off; close or repair it first"
     try:
+        if seal_holds(path) is False:
+            return "is damaged: the checksum of the whole file does not hold"
         if not h5py.is_hdf5(str(path)):
             with path.open("rb"):
                 return "is not an HDF5 file"

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drftjax.runlog import rules
 from drftjax.runlog.content import (
-    TEXT_CHECKSUM,
     Attribute,
     Content,
     Dataset,
@@ -20,7 +19,6 @@ from drftjax.runlog.content import (
     Group,
     Level,
     real_column,
-    text_checksum,
 )
 from drftjax.runlog.record import Command, Events, Measured, Online, RunLog, Setup
 
@@ -140,7 +138,7 @@ def from_content(content: Content) -> RunLog:
 
 
 def to_content(run: RunLog) -> Content:
-    """The file's contents for a record, stamped with the checksum of its text."""
+    """The file's contents for a record."""
     groups = {
         "setup": Group(attributes=run.setup.known()),
         "command": _columns("command", run.command),
@@ -167,9 +165,7 @@ def to_content(run: RunLog) -> Content:
         "title": run.title,
     }
     attributes |= {name: text for name in TEXTS if (text := getattr(run, name)) is not None}
-    content = Content(attributes, groups)
-    attributes[TEXT_CHECKSUM] = _own_text_checksum(content)
-    return content
+    return Content(attributes, groups)
 
 
 def same_unit(given: Attribute | None, wanted: str) -> bool:
@@ -197,14 +193,6 @@ def _examine_root(content: Content) -> Iterator[Found]:
     for name in TEXTS:
         if not isinstance(attributes.get(name, ""), str):
             yield "/", f"has {name} = {attributes[name]!r}, it must be text", Level.FORMAT
-    stamped = attributes.get(TEXT_CHECKSUM)
-    if stamped is not None and stamped != _own_text_checksum(content):
-        yield (
-            "/",
-            f"has text (title, notes, ...) that does not match its {TEXT_CHECKSUM}: damaged, or "
-            "edited by hand (then delete that attribute)",
-            Level.REFUSED,
-        )
 
 
 def _examine_setup(content: Content) -> Iterator[Found]:
@@ -325,13 +313,6 @@ def _meanings(attributes: Mapping[str, Attribute]) -> dict[int, str]:
     words = words.split() if isinstance(words, str) else words
     words = words if isinstance(words, list) else [words]
     return {int(code): str(word) for code, word in zip(codes, words, strict=False)}
-
-
-def _own_text_checksum(content: Content) -> int:
-    """Over the texts of the format; a foreign attribute may be added without breaking it."""
-    own = {f"/@{name}" for name in ("schema", "source", "title", *TEXTS)}
-    own |= {"/events/code@flag_meanings"}
-    return text_checksum((where, text) for where, text in content.texts() if where in own)
 
 
 def _text(value: Attribute | None) -> str | None:

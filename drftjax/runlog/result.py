@@ -1,6 +1,6 @@
 """A result file's contents: what a program found, beside the run logs it was found from."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -8,16 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drftjax.errors import InputError
-from drftjax.runlog.content import (
-    TEXT_CHECKSUM,
-    Attribute,
-    Content,
-    Dataset,
-    Found,
-    Group,
-    Level,
-    text_checksum,
-)
+from drftjax.runlog.content import Attribute, Content, Dataset, Group
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +40,9 @@ Columns = ResultGroup | Mapping[str, tuple[ArrayLike, str]]
 def result_content(
     schema: str, version: int, attributes: Mapping[str, Attribute], groups: Mapping[str, Columns]
 ) -> Content:
-    """The file's contents for a result, stamped with the checksum of its text."""
-    stamped: dict[str, Attribute] = {**attributes, "schema": schema, "schema_version": version}
-    content = Content(stamped, {title: _group(title, each) for title, each in groups.items()})
-    stamped[TEXT_CHECKSUM] = text_checksum(content.texts())
-    return content
+    """The file's contents for a result."""
+    stamped = {**attributes, "schema": schema, "schema_version": version}
+    return Content(stamped, {title: _group(title, each) for title, each in groups.items()})
 
 
 def result_from(content: Content) -> Result:
@@ -69,13 +58,6 @@ def result_from(content: Content) -> Result:
         for title, group in content.groups.items()
     }
     return Result(content.attributes, groups)
-
-
-def examine_result(content: Content) -> Iterator[Found]:
-    """What speaks against a result file beyond what speaks against any file."""
-    if content.attributes.get(TEXT_CHECKSUM) != text_checksum(content.texts()):
-        reason = f"has text that does not match its {TEXT_CHECKSUM}: damaged, or edited by hand"
-        yield "/", reason, Level.REFUSED
 
 
 def _group(title: str, columns: Columns) -> Group:
