@@ -1,0 +1,29 @@
+"""How numbers enter the simulator: as floating arrays that JAX can trace and differentiate."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from drftjax.errors import InputError
+
+
+def as_real(value: ArrayLike) -> Float[Array, "..."]:
+    """A floating array in JAX's current default precision; tracers and floating arrays pass."""
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
+        return value
+    return jnp.asarray(value, dtype=float)
+
+
+def require_between(name: str, value: ArrayLike, low: float, high: float, hint: str = "") -> None:
+    """Refuse a concrete number outside [low, high] or not finite; a traced one passes.
+
+    Raises:
+        InputError: names the quantity, what was given and what must hold.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return
+    given = np.asarray(value)
+    if not np.all(np.isfinite(given)) or np.any(given < low) or np.any(given > high):
+        shown = f"{float(given):g}" if given.ndim == 0 else f"{given.tolist()}"
+        raise InputError(f"{name} is {shown}, must lie between {low:g} and {high:g}{hint}")

@@ -1,0 +1,70 @@
+"""How a step linearises the sand's force in the velocity: the choice that makes rest stable.
+
+A step solves (m - dt A) dv = dt F(v) for the change of velocity dv. Any A gives a first-order
+scheme; A decides what happens where the force turns over, within `REST_SPEED` of rest.
+`docs/integrator.md` has the study that the default step was chosen from.
+"""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+DEFAULT_STEP = 5e-4
+
+Wrench = Callable[[Float[Array, "2"], Float[Array, "2"]], Float[Array, "3"]]
+
+
+class AbstractIntegrator(eqx.Module):
+    """Linearises the wrench (fx, fz, torque) of the sand in the axle's velocity."""
+
+    @abc.abstractmethod
+    def linearise(
+        self, wrench: Wrench, velocity: Float[Array, "2"]
+    ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
+        """Value at `velocity` [m/s] and the matrix A by velocity.
+
+        Args:
+            wrench: Function of velocity and pace (see `plate_motion`).
+            velocity: Where to linearise.
+        """
+
+
+def _value_and_jacobian(function, at: Float[Array, "2"]):
+    value, along = jax.linearize(function, at)
+    return value, jax.vmap(along, out_axes=1)(jnp.eye(2, dtype=at.dtype))
+
+
+class Rosenbrock(AbstractIntegrator):
+    """The exact derivative: linearly implicit Euler. It follows smooth motion most closely."""
+
+    def linearise(
+        self, wrench: Wrench, velocity: Float[Array, "2"]
+    ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
+        return _value_and_jacobian(lambda v: wrench(v, v), velocity)
+
+
+class HeldPace(AbstractIntegrator):
+    """The derivative at held plate speeds: it comes to rest without chatter at long steps.
+
+    Directions are p / |p|; only p is moved along, the denominator stays. Where a plate stops, the
+    exact derivative does not see the force turn over and overshoots; this one cannot.
+    """
+
+    def linearise(
+        self, wrench: Wrench, velocity: Float[Array, "2"]
+    ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
+        return _value_and_jacobian(lambda v: wrench(v, velocity), velocity)
+
+
+class Explicit(AbstractIntegrator):
+    """No derivative: semi-implicit Euler, for comparison. It chatters at rest."""
+
+    def linearise(
+        self, wrench: Wrench, velocity: Float[Array, "2"]
+    ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
+        value = wrench(velocity, velocity)
+        return value, jnp.zeros((3, 2), velocity.dtype)
