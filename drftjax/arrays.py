@@ -15,14 +15,17 @@ def as_real(value: ArrayLike) -> Float[Array, "..."]:
     return jnp.asarray(value, dtype=float)
 
 
-def require_between(name: str, value: ArrayLike, low: float, high: float, hint: str = "") -> None:
-    """Refuse a concrete number outside [low, high] or not finite; a traced one passes.
+def require_between(
+    name: str, value: ArrayLike, low: float, high: ArrayLike, hint: str = ""
+) -> None:
+    """Refuse a concrete number outside [low, high] or not finite; traced ones pass.
 
     Raises:
         InputError: names the quantity, what was given and what must hold.
     """
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, jax.core.Tracer) or isinstance(high, jax.core.Tracer):
         return
+    high = float(high)
     given = np.asarray(value)
     if not np.all(np.isfinite(given)) or np.any(given < low) or np.any(given > high):
         shown = f"{float(given):g}" if given.ndim == 0 else f"{given.tolist()}"

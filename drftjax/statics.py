@@ -1,0 +1,116 @@
+"""Statics: the sinkage that carries a load, and the scaling factor that a sinkage tells.
+
+Two wheels stand at the same load. One that is pushed straight down settles where its leading
+plates carry the load (`INTRUSION`): this is the H_static that a test bed measures on touch-down,
+and the zeta(0) of Table 3 of Fuke, Ishikawa & Ishigami 2024. One that no longer moves at all
+(`REST`) carries less at the same depth, as the stress has no direction to follow.
+"""
+
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Float
+
+from drftjax.arrays import as_real, require_between
+from drftjax.simulator import Simulator
+
+# Descent [m/s]: far over the regulariser at rest, far below where the momentum flux counts.
+INTRUSION = 1e-2
+REST = 0.0
+
+# Depth tolerance of the root [m]: a thousandth of a micrometre.
+SINKAGE_TOLERANCE = 1e-9
+
+
+def vertical_support(
+    simulator: Simulator,
+    sinkage: ArrayLike,
+    zeta: ArrayLike,
+    angle: ArrayLike = 0.0,
+    descent: float = INTRUSION,
+) -> Float[Array, ""]:
+    """Vertical force of the sand on a wheel that does not turn [N].
+
+    Args:
+        simulator: Wheel and terrain.
+        sinkage: H = -z [m].
+        zeta: Scaling factor [-].
+        angle: Wheel angle [rad].
+        descent: Speed straight down [m/s]: `INTRUSION` or `REST`.
+    """
+    depth = as_real(sinkage)
+    nought = jnp.zeros_like(depth)
+    return simulator.wrench(
+        jnp.stack([nought, -depth]),
+        jnp.stack([nought, nought - descent]),
+        as_real(angle),
+        nought,
+        as_real(zeta),
+    )[1]
+
+
+def zeta_from_sinkage(
+    simulator: Simulator,
+    sinkage: ArrayLike,
+    load: ArrayLike | None = None,
+    angle: ArrayLike = 0.0,
+    descent: float = INTRUSION,
+) -> Float[Array, ""]:
+    """Scaling factor at which the sand carries `load` at this sinkage [-]; differentiable.
+
+    Args:
+        simulator: Wheel, terrain and rig.
+        sinkage: H = -z [m].
+        load: Vertical load [N]; the rig's weight m_z g where none is given.
+        angle: Wheel angle [rad].
+        descent: As in `vertical_support`.
+
+    Raises:
+        InputError: where the sinkage is not positive or beyond what the wheel's plates cover.
+    """
+    limit = simulator.wheel.cut().sinkage_limit
+    require_between("sinkage", sinkage, 1e-6, limit, " m, all that the wheel's plates cover")
+    load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
+    # The support is linear in zeta.
+    without = vertical_support(simulator, sinkage, 0.0, angle, descent)
+    with_one = vertical_support(simulator, sinkage, 1.0, angle, descent)
+    return (load - without) / (with_one - without)
+
+
+def sinkage_under_load(
+    simulator: Simulator,
+    zeta: ArrayLike,
+    load: ArrayLike | None = None,
+    angle: ArrayLike = 0.0,
+    descent: float = INTRUSION,
+) -> Float[Array, ""]:
+    """Sinkage at which the sand carries `load` [m]; differentiable by the implicit function.
+
+    Args:
+        simulator: Wheel, terrain and rig.
+        zeta: Scaling factor [-].
+        load: Vertical load [N]; the rig's weight m_z g where none is given.
+        angle: Wheel angle [rad].
+        descent: As in `vertical_support`.
+
+    Raises:
+        RuntimeError: where the load sinks the wheel deeper than its plates cover.
+    """
+    load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
+    simulator = simulator.prepared()
+
+    def missing(sinkage: Float[Array, ""], given) -> Float[Array, ""]:
+        simulator, zeta, load, angle = given
+        return vertical_support(simulator, sinkage, zeta, angle, descent) / load - 1
+
+    given = (simulator, as_real(zeta), load, as_real(angle))
+    limit = simulator.wheel.cut().sinkage_limit
+    deepest = optx.root_find(
+        missing,
+        optx.Bisection(rtol=SINKAGE_TOLERANCE, atol=SINKAGE_TOLERANCE),
+        limit / 10,
+        given,
+        # A negative sinkage, with the grousers in the air, carries nothing.
+        options={"lower": -limit / 2, "upper": limit},
+        max_steps=64,
+    )
+    return deepest.value
