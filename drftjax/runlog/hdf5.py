@@ -16,7 +16,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.errors import InputError
 from drftjax.runlog import layout
 from drftjax.runlog.content import (
     Attribute,
@@ -51,12 +50,7 @@ def read_run(path: Name) -> RunLog:
     `drftjax.runlog.check.read_run_guarded`.
     """
     content, violations = survey_run(path)
-    return run_from(content, violations)
-
-
-def run_from(content: Content | None, violations: list[Violation]) -> RunLog:
-    """The record of a surveyed file, or an InputError with the first reason against it."""
-    return layout.from_content(_accepted(content, violations))
+    return layout.run_from(content, violations)
 
 
 def survey_run(path: Name) -> tuple[Content | None, list[Violation]]:
@@ -93,16 +87,7 @@ def write_result(
 def read_result(path: Name, schema: str, version: int = 1) -> Result:
     """Read a result file of this schema; an InputError names the file and the reason."""
     content, violations = _survey(path, schema, version, lambda _: ())
-    return result_from(_accepted(content, violations))
-
-
-def _accepted(content: Content | None, violations: list[Violation]) -> Content:
-    """The contents, or an InputError with the first reason against them."""
-    for each in violations:
-        if each.level is Level.REFUSED:
-            raise InputError(str(each))
-    assert content is not None
-    return content
+    return result_from(layout.accepted(content, violations))
 
 
 # Writing ----------------------------------------------------------------------------------------
@@ -202,6 +187,8 @@ def _not_openable(path: Path) -> str | None:
 
 def _open_failure(error: Exception) -> str:
     text = str(error)
+    if isinstance(error, MemoryError):
+        return "is damaged: it asks for more memory than a reader is given"
     if "SWMR" in text or "already open for write" in text:
         return "is still being recorded, or its recording was cut off; close or repair it first"
     if "unable to lock" in text:

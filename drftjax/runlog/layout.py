@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.errors import InputError
 from drftjax.runlog import rules
 from drftjax.runlog.content import (
     Attribute,
@@ -18,6 +19,7 @@ from drftjax.runlog.content import (
     Found,
     Group,
     Level,
+    Violation,
     real_column,
 )
 from drftjax.runlog.record import Command, Events, Measured, Online, RunLog, Setup
@@ -100,6 +102,20 @@ def examine(content: Content) -> Iterator[Found]:
     for title in sorted(content.groups.keys() - {*UNITS, "setup"}):
         hint = rules.nearest(title, (*UNITS, "setup"))
         yield f"/{title}", f"is no group of a run log and is not read; {hint}", Level.NOTE
+
+
+def accepted(content: Content | None, violations: list[Violation]) -> Content:
+    """The contents, or an InputError with the first reason to refuse them."""
+    for each in violations:
+        if each.level is Level.REFUSED:
+            raise InputError(str(each))
+    assert content is not None
+    return content
+
+
+def run_from(content: Content | None, violations: list[Violation]) -> RunLog:
+    """The record of a surveyed file, or an InputError with the first reason against it."""
+    return from_content(accepted(content, violations))
 
 
 def from_content(content: Content) -> RunLog:

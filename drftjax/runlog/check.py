@@ -1,0 +1,38 @@
+"""Everything that is wrong with a file, and reading files that nobody vouches for."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from drftjax.runlog.content import Violation
+from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
+from drftjax.runlog.layout import run_from
+from drftjax.runlog.record import RunLog
+
+
+def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violation]:
+    """Every violation of the run-log format by one file; empty for a good one.
+
+    Args:
+        path: The file.
+        time_limit: For reading it, in a child process [s].
+    """
+    return check_files([path], time_limit)[0]
+
+
+def check_files(
+    paths: Iterable[str | Path], time_limit: float = TIME_LIMIT
+) -> list[list[Violation]]:
+    """`check_file` for many files with one child process."""
+    with GuardedReader(time_limit, values=False) as reader:
+        return [violations for _, violations in reader.surveys(paths)]
+
+
+def read_run_guarded(path: str | Path, time_limit: float = TIME_LIMIT) -> RunLog:
+    """`read_run` for a file of unknown origin: damage to it cannot hang or crash the caller."""
+    return read_runs_guarded([path], time_limit)[0]
+
+
+def read_runs_guarded(paths: Iterable[str | Path], time_limit: float = TIME_LIMIT) -> list[RunLog]:
+    """`read_run_guarded` for many files with one child process."""
+    with GuardedReader(time_limit) as reader:
+        return [run_from(*surveyed) for surveyed in reader.surveys(paths)]
