@@ -40,6 +40,8 @@ BUILT_IN_FILTERS: Final = 255
 """HDF5 numbers its own filters up to here; others need a plug-in, which is code."""
 
 Name = str | Path
+# What h5py raises when the library finds damage, from place to place.
+_LIBRARY_ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 
 
@@ -154,7 +156,7 @@ def _survey(
     try:
         with h5py.File(path, "r") as file:
             content, found = _Survey(file).content(schema, version)
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
+    except _LIBRARY_ERRORS as error:
         return None, [Violation(where, "/", _open_failure(error))]
     identity = list(layout.identify(content, schema, version))
     found = identity or [*found, *examine(content)]
@@ -204,7 +206,8 @@ class _Survey:
     def __init__(self, file: h5py.File):
         self.file = file
         self.found: list[Found] = []
-        self.seen: set[Any] = set()
+        self.seen: set[Any] = {_address(file)}
+        self.members = 0
         self.declared = 0
         self.readable: dict[str, h5py.Dataset] = {}
 
@@ -217,7 +220,7 @@ class _Survey:
         if self.declared > SIZE_LIMIT:
             reason = f"declares {self.declared} bytes of data, more than {SIZE_LIMIT} are not read"
             self._refuse("/", reason)
-        if not any(level is Level.REFUSED for _, _, level in self.found):
+        else:
             groups = {title: self._filled(title, group) for title, group in groups.items()}
         return Content(root.attributes, groups, datasets), self.found
 
@@ -229,15 +232,35 @@ class _Survey:
         datasets: dict[str, Dataset] = {}
         for name in map(str, node):
             place = f"{where.rstrip('/')}/{name}"
-            member = self._member(place, node, name)
-            if isinstance(member, h5py.Group):
-                title = place[1:]
-                attributes = self._attributes(place, member)
-                groups[title] = Group({}, attributes)
-                groups[title] = Group(self._group(place, member, groups), attributes)
-            elif isinstance(member, h5py.Dataset):
-                datasets[name] = self._dataset(place, member)
+            self.members += 1
+            if self.members == OBJECT_LIMIT:
+                self._refuse(
+                    "/", f"has more than {OBJECT_LIMIT} objects; the rest is not looked at"
+                )
+            if self.members >= OBJECT_LIMIT:
+                break
+            try:
+                self._place(place, node, name, groups, datasets)
+            except _LIBRARY_ERRORS as error:
+                self._refuse(place, _open_failure(error))
         return datasets
+
+    def _place(
+        self,
+        place: str,
+        node: h5py.Group,
+        name: str,
+        groups: dict[str, Group],
+        datasets: dict[str, Dataset],
+    ) -> None:
+        member = self._member(place, node, name)
+        if isinstance(member, h5py.Group):
+            title = place[1:]
+            attributes = self._attributes(place, member)
+            groups[title] = Group({}, attributes)
+            groups[title] = Group(self._group(place, member, groups), attributes)
+        elif isinstance(member, h5py.Dataset):
+            datasets[name] = self._dataset(place, member)
 
     def _member(self, place: str, node: h5py.Group, name: str) -> Any:
         """The object behind a plain link, seen for the first time; None with a finding else."""
@@ -251,12 +274,10 @@ class _Survey:
         if isinstance(link, h5py.SoftLink):
             return self._refuse(place, f"is a soft link to {link.path}; a run log has no links")
         member = node[name]
-        token = cast(Any, h5py).h5o.get_info(cast(Any, member).id).addr
-        if token in self.seen:
+        address = _address(member)
+        if address in self.seen:
             return self._refuse(place, "is a second link to an object; a run log has no links")
-        self.seen.add(token)
-        if len(self.seen) > OBJECT_LIMIT:
-            raise ValueError(f"more than {OBJECT_LIMIT} objects in it")
+        self.seen.add(address)
         if not isinstance(member, h5py.Group | h5py.Dataset):
             return self._refuse(place, "is neither a group nor a dataset")
         return member
@@ -287,7 +308,9 @@ class _Survey:
         return Group(datasets, group.attributes)
 
     def _values(self, where: str) -> NDArray[Any] | None:
-        node = self.readable[where]
+        node = self.readable.get(where)
+        if node is None:
+            return None
         try:
             if node.chunks is not None and not _all_chunks_stored(node):
                 return self._refuse(where, "has rows that were never written")
@@ -317,6 +340,11 @@ class _Survey:
             else:
                 attributes[name] = _plain(node.attrs[name])
         return attributes
+
+
+def _address(node: Any) -> Any:
+    """Where an object stands in the file: two links to it lead to one address."""
+    return cast(Any, h5py).h5o.get_info(node.id).addr
 
 
 def _hazards(node: h5py.Dataset, created: Any, filters: list[int]) -> Iterator[str]:

@@ -99,6 +99,8 @@ def examine(content: Content) -> Iterator[Found]:
         elif title in MANDATORY_GROUPS:
             for name in sorted(UNITS[title].keys() - OPTIONAL[title]):
                 yield f"/{title}/{name}", "is missing; a run log must have it", Level.REFUSED
+    for name in sorted(content.datasets.keys() - BOOKKEEPING):
+        yield f"/{name}", "is a dataset outside the groups of a run log and is not read", Level.NOTE
     for title in sorted(content.groups.keys() - {*UNITS, "setup"}):
         hint = rules.nearest(title, (*UNITS, "setup"))
         yield f"/{title}", f"is no group of a run log and is not read; {hint}", Level.NOTE

@@ -1,0 +1,134 @@
+"""`drft log`: look at run logs, check them, draw them, and make them from tables."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+app = typer.Typer(
+    name="log",
+    help="Check, show, draw and import run logs.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE...", show_default=False)]
+TimeLimit = Annotated[float, typer.Option(help="For reading one file [s].", min=0.1)]
+
+
+@app.command()
+def check(files: Files, time_limit: TimeLimit = 20.0) -> None:
+    """Say everything that is wrong with run logs; exit code 2 where there is anything."""
+    from drftjax.runlog.check import check_files
+    from drftjax.runlog.content import Level
+
+    broken = False
+    for path, violations in zip(files, check_files(files, time_limit), strict=True):
+        notes = [each for each in violations if each.level is Level.NOTE]
+        for each in violations:
+            typer.echo(f"note: {each}" if each in notes else str(each))
+        if len(notes) == len(violations):
+            typer.echo(f"{path}: ok")
+        else:
+            broken = True
+    if broken:
+        raise typer.Exit(2)
+
+
+@app.command()
+def show(files: Files) -> None:
+    """Print a run's set-up and the rows, rates, ranges and last values of its channels."""
+    from rich.console import Console
+
+    from drftjax.runlog.check import read_runs_guarded
+    from drftjax.runlog.summary import show as summary
+
+    console = Console(soft_wrap=True, highlight=False)
+    for path, run in zip(files, read_runs_guarded(files), strict=True):
+        console.print(summary(str(path), run), markup=False)
+
+
+@app.command()
+def plot(
+    file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Figure to write: .png, .svg or .pdf.")
+    ],
+) -> None:
+    """Draw a run."""
+    from io import BytesIO
+
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.replace import replace_file
+
+    kinds = (".png", ".svg", ".pdf")
+    if output.suffix.lower() not in kinds:
+        raise InputError(f"{output}: a figure's name must end in {', '.join(kinds)}")
+    run = read_run_guarded(file)
+
+    from drftjax.runlog.figure import plot_run
+
+    image = BytesIO()
+    plot_run(run).savefig(image, format=output.suffix.lower()[1:], dpi=150)
+    replace_file(output, image.getvalue())
+    typer.echo(f"wrote {output}")
+
+
+@app.command(name="import")
+def import_(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", show_default=False)],
+    mapping: Annotated[
+        str, typer.Option(help="A TOML file, or the name of a mapping that ships with drft.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="A .h5 file for one run, or a folder.")
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+) -> None:
+    """Make run logs from a CSV or TSV table, as a mapping says what its columns mean."""
+    from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.table import import_named
+
+    imported = import_named(table, _mapping(mapping))
+    targets = _targets(output, [each.name for each in imported])
+    taken = [path for path in targets if path.exists()]
+    if taken and not force:
+        more = f" and {len(taken) - 1} more" if len(taken) > 1 else ""
+        raise InputError(f"{taken[0]}{more} already there; give --force to replace")
+    for path, each in zip(targets, imported, strict=True):
+        write_run(path, each.run)
+        typer.echo(f"wrote {path}: {each.run.title}")
+
+
+def _mapping(given: str) -> Path:
+    """A mapping's file, given by its path or by the name of one that ships with the project."""
+    from drftjax.datafiles import data_file, data_names
+    from drftjax.runlog.rules import nearest
+
+    if Path(given).is_file():
+        return Path(given)
+    known = data_names("import", ".toml")
+    name = given.removesuffix(".toml")
+    if name not in known:
+        hint = nearest(name, tuple(known))
+        raise InputError(f"there is no mapping {given!r}, neither a file nor by name; {hint}")
+    return data_file(f"import/{name}.toml")
+
+
+def _targets(output: Path, names: list[str]) -> list[Path]:
+    """Where each run goes: the file itself for one run, a folder of safe names for many."""
+    from drftjax.runlog.names import safe_names
+
+    if output.suffix == ".h5" and not output.is_dir():
+        if len(names) != 1:
+            raise InputError(f"{output} is one file, but the table holds {len(names)} runs")
+        return [output]
+    try:
+        output.mkdir(exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"the folder {output} cannot be made: {reason}") from error
+    return [output / f"{name}.h5" for name in safe_names(names)]

@@ -1,0 +1,95 @@
+"""One run as a figure: what was commanded above, what was measured below, on one time axis."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drftjax.runlog.record import RunLog
+
+Panel = Callable[[Axes, RunLog], None]
+
+
+def plot_run(run: RunLog) -> Figure:
+    """Draw every channel that the run has; the figure belongs to no window."""
+    panels = list(_panels(run))
+    figure = Figure(figsize=(8, 1 + 1.7 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, each in zip(panels, axes, strict=True):
+        panel(each, run)
+        each.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    # A title is any text: a dollar sign in it is no formula.
+    figure.suptitle(run.title.replace("$", r"\$"), fontsize="medium")
+    return figure
+
+
+def _panels(run: RunLog) -> list[Panel]:
+    measured, panels = run.measured, [_command]
+    if measured.z is not None:
+        panels.append(_height)
+    if measured.x is not None:
+        panels.append(_travel)
+    if measured.fx is not None or measured.fz is not None:
+        panels.append(_forces)
+    if measured.torque is not None:
+        panels.append(_torque)
+    if run.online is not None:
+        panels.append(_scaling)
+    return panels
+
+
+def _command(axes: Axes, run: RunLog) -> None:
+    command = run.command
+    axes.plot(command.time, command.omega * (180 / math.pi), color="C0")
+    axes.set_ylabel("omega [deg/s]")
+    if command.vx is not None:
+        other = axes.twinx()
+        other.plot(command.time, command.vx * 1e3, color="C1", linestyle="--")
+        other.set_ylabel("carriage [mm/s]", color="C1")
+
+
+def _height(axes: Axes, run: RunLog) -> None:
+    _channel(axes, run, run.measured.z, "measured", 1e3)
+    if run.online is not None:
+        axes.plot(run.online.time, run.online.z_sim * 1e3, color="C1", label="simulated online")
+        axes.legend(fontsize="small")
+    axes.set_ylabel("z [mm]")
+
+
+def _travel(axes: Axes, run: RunLog) -> None:
+    _channel(axes, run, run.measured.x, "measured", 1.0)
+    if run.online is not None:
+        axes.plot(run.online.time, run.online.x_sim, color="C1", label="simulated online")
+        axes.legend(fontsize="small")
+    axes.set_ylabel("x [m]")
+
+
+def _forces(axes: Axes, run: RunLog) -> None:
+    for name, values in (("fx", run.measured.fx), ("fz", run.measured.fz)):
+        if values is not None:
+            _channel(axes, run, values, name, 1.0, color=None)
+    axes.legend(fontsize="small")
+    axes.set_ylabel("force [N]")
+
+
+def _torque(axes: Axes, run: RunLog) -> None:
+    _channel(axes, run, run.measured.torque, "measured", 1.0)
+    axes.set_ylabel("torque [N m]")
+
+
+def _scaling(axes: Axes, run: RunLog) -> None:
+    assert run.online is not None
+    axes.plot(run.online.time, run.online.zeta, color="C1")
+    axes.set_ylabel("online zeta [-]")
+
+
+def _channel(
+    axes: Axes, run: RunLog, values: Any, label: str, scale: float, color: str | None = "C0"
+) -> None:
+    """A line; a single row, such as a steady mean, is a dot."""
+    time = run.measured.time
+    marker = "o" if time.size == 1 else None
+    axes.plot(time, values * scale, color=color, marker=marker, label=label)

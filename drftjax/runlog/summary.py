@@ -1,0 +1,81 @@
+"""One run in words: the set-up, and each channel's rows, rate, range and last value."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group as Stack
+from rich.table import Table
+from rich.text import Text
+
+from drftjax.runlog.layout import UNITS
+from drftjax.runlog.record import RunLog
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel's figures, in the channel's unit."""
+
+    name: str
+    unit: str
+    rows: int
+    rate: float | None
+    low: float
+    high: float
+    last: float
+
+
+def channels(run: RunLog) -> Iterator[Channel]:
+    """Every channel of a run, group by group; the rate is rows over time [1/s]."""
+    for title, record in (
+        ("command", run.command),
+        ("measured", run.measured),
+        ("online", run.online),
+    ):
+        if record is None:
+            continue
+        rate = _rate(record.time)
+        for name, unit in UNITS[title].items():
+            values: NDArray[Any] | None = getattr(record, name)
+            if values is not None:
+                ends = float(values.min()), float(values.max()), float(values[-1])
+                yield Channel(f"{title}/{name}", unit, values.size, rate, *ends)
+
+
+def show(path: str, run: RunLog) -> Stack:
+    """What `drft log show` prints for one file."""
+    lines = [
+        Text(path, style="bold"),
+        Text(f"{run.title} ({run.source})"),
+        *(Text(f"{name}: {text}") for name, text in _provenance(run)),
+        Text("set-up: " + (", ".join(_setup(run)) or "nothing is known")),
+    ]
+    if run.events is not None:
+        lines.append(Text(f"events: {run.events.code.size}"))
+    table = Table(box=None, pad_edge=False)
+    table.add_column("channel")
+    table.add_column("unit")
+    for heading in ("rows", "rows/s", "lowest", "highest", "last"):
+        table.add_column(heading, justify="right")
+    for each in channels(run):
+        rate = "-" if each.rate is None else f"{each.rate:.4g}"
+        ends = (f"{value:.6g}" for value in (each.low, each.high, each.last))
+        table.add_row(each.name, each.unit, str(each.rows), rate, *ends)
+    return Stack(*lines, table)
+
+
+def _rate(time: NDArray[np.float64]) -> float | None:
+    return None if time.size < 2 else (time.size - 1) / float(time[-1] - time[0])
+
+
+def _setup(run: RunLog) -> Iterator[str]:
+    return (f"{name} {value:g}" for name, value in run.setup.known().items())
+
+
+def _provenance(run: RunLog) -> Iterator[tuple[str, str]]:
+    for name in ("created", "run_id", "software", "software_version", "notes"):
+        text = getattr(run, name)
+        if text is not None:
+            yield name, text
