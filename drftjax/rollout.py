@@ -1,8 +1,8 @@
 """A whole run: the simulator's step scanned over a command."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.command import Command
@@ -56,10 +56,6 @@ def with_first_row(simulator: Simulator, state: State, command: Command, rows: O
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rows)
 
 
-simulate_jit = eqx.filter_jit(simulate)
-
-
-def step_times(duration: float, dt: float) -> Float[Array, " steps"]:
-    """Ends of the steps [s] that fill `duration` [s]."""
-    steps = round(duration / dt)
-    return dt * jnp.arange(1, steps + 1).astype(float)
+def step_times(steps: int, dt: float) -> Float[Array, " steps"]:
+    """Ends of the first `steps` steps of `dt` [s]."""
+    return jnp.asarray(dt * np.arange(1, steps + 1), dtype=float)

@@ -1,0 +1,94 @@
+"""`drft simulate`: a set-up file, or a recorded run, in; a run log out."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+app = typer.Typer(add_completion=False)
+
+EXAMPLES = """
+Examples:
+
+  drft simulate data/paper.toml -o out/paper.h5 --plot out/paper.png
+
+  drft simulate --like run.h5 --zeta 0.8 -o out/again.h5
+
+  drft simulate --from out/fit.json --run run_a -o out/fitted.h5
+"""
+
+
+@app.command(epilog=EXAMPLES)
+def simulate(
+    setup: Annotated[
+        Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)
+    ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(help="A run log: the same set-up, commands and sampling times."),
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", help="A fit's result (JSON or HDF5): its fitted model.")
+    ] = None,
+    run: Annotated[
+        str | None, typer.Option(help="With --from: which run of the fit, by name.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write a run log here.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Write a figure here (PNG, PDF, SVG).")] = None,
+    zeta: Annotated[float | None, typer.Option(help="Scaling factor, over the set-up's.")] = None,
+    inertial: Annotated[
+        float | None, typer.Option("--lambda", help="Inertial coefficient, over the set-up's.")
+    ] = None,
+    step: Annotated[float | None, typer.Option(help="Integrator step [s].")] = None,
+    rate: Annotated[float, typer.Option(help="Rows a second in the output [Hz].")] = 100.0,
+) -> None:
+    """Simulate a run of a wheel on sand and write it as a run log."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from rich.console import Console
+
+    from drftjax import saved, setup as setups
+    from drftjax.runlog.hdf5 import read_run, write_run
+
+    given = [each for each in (setup, like, source) if each is not None]
+    if len(given) != 1:
+        raise InputError(
+            f"{len(given)} sources were given; name one set-up file, --like RUN or --from RESULT"
+        )
+    if not 0 < rate <= 1e5:
+        raise InputError(f"--rate is {rate:g} Hz, must lie between 0 and 100000 Hz")
+    if run is not None and source is None:
+        raise InputError("--run goes with --from, to name one run of a fit")
+    sampled = None
+    if setup is not None:
+        chosen = setups.read_setup(setup)
+    elif like is not None:
+        recorded = read_run(like)
+        chosen = setups.setup_from_run(recorded)
+        sampled = recorded.measured.time
+    else:
+        assert source is not None
+        chosen = saved.read_model(source, run)
+    if zeta is not None:
+        chosen.terrain.zeta = zeta
+    if inertial is not None:
+        chosen.terrain.inertial_coefficient = inertial
+    if step is not None:
+        chosen.integrator.step = step
+    log = saved.simulated_run(chosen, interval=1 / rate, at=sampled)
+
+    console = Console()
+    console.print(saved.summary(log))
+    if output is not None:
+        write_run(output, log)
+        console.print(f"run log written to {output}")
+    if plot is not None:
+        from drftjax.runlog.figure import save_run_figure
+
+        save_run_figure(log, plot)
+        console.print(f"figure written to {plot}")

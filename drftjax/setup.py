@@ -1,0 +1,267 @@
+"""The set-up of a trial as a file: what TOML and JSON hold, and how a trial is built from it."""
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from drftjax.arrays import require_between
+from drftjax.errors import InputError
+from drftjax.integrator import (
+    DEFAULT_STEP,
+    AbstractIntegrator,
+    Explicit,
+    HeldPace,
+    Rosenbrock,
+)
+from drftjax.outline import OutlineWheel, read_outline
+from drftjax.rig import DrivenCarriage, FreeCarriage, Rig
+from drftjax.runlog.record import Command as RunCommand
+from drftjax.runlog.record import RunLog
+from drftjax.scaling import ConstantZeta, KnotZeta
+from drftjax.simulator import Simulator, State
+from drftjax.stress import AbstractStressLaw, Dynamic, QuasiStatic, StressCoefficients
+from drftjax.structfile import read_document, to_structure
+from drftjax.terrain import Terrain
+from drftjax.trial import Trial
+from drftjax.wheel import DEFAULT_PLATE_SIZE, AbstractWheel, GrouserWheel, PlainWheel
+
+INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
+    "rosenbrock": Rosenbrock,
+    "held pace": HeldPace,
+    "explicit": Explicit,
+}
+COEFFICIENTS = {
+    "generic": StressCoefficients.generic,
+    "loose poppy seeds": StressCoefficients.loose_poppy_seeds,
+    "close poppy seeds": StressCoefficients.close_poppy_seeds,
+}
+
+
+class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[wheel]: lengths in metres. `outline` names a CSV file, or `points` lists its corners."""
+
+    shape: Literal["grouser", "plain", "outline"] = "grouser"
+    radius: float = 0.150
+    width: float = 0.120
+    grouser_count: int = 12
+    grouser_height: float = 0.018
+    grouser_thickness: float = 0.009
+    grouser_fraction: float = 1.0
+    outline: str | None = None
+    points: list[tuple[float, float]] | None = None
+    plate_size: float = DEFAULT_PLATE_SIZE
+
+    def build(self) -> AbstractWheel:
+        if self.shape == "plain":
+            return PlainWheel(self.radius, self.width, plate_size=self.plate_size)
+        if self.shape == "outline":
+            if self.points is None:
+                raise InputError("[wheel] of shape 'outline' needs points, or outline = a CSV file")
+            return OutlineWheel(self.points, self.radius, self.width, plate_size=self.plate_size)
+        return GrouserWheel(
+            self.radius,
+            self.width,
+            self.grouser_count,
+            self.grouser_height,
+            self.grouser_thickness,
+            self.grouser_fraction,
+            plate_size=self.plate_size,
+        )
+
+
+class ZetaKnots(msgspec.Struct, forbid_unknown_fields=True):
+    """zeta at knots in time [s], linear in between."""
+
+    time: list[float]
+    value: list[float]
+
+
+class TerrainSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[terrain]: zeta, the stress law and its numbers (bulk_density in kg/m3)."""
+
+    zeta: float | ZetaKnots = 0.7823
+    law: Literal["dynamic", "quasi-static"] = "dynamic"
+    coefficients: str | list[float] = "generic"
+    inertial_coefficient: float = 1.1
+    bulk_density: float = 1490.0
+    height_decrease: float = 1.0
+
+    def build(self) -> Terrain:
+        if isinstance(self.coefficients, str):
+            if self.coefficients not in COEFFICIENTS:
+                raise InputError(
+                    f"stress coefficients {self.coefficients!r} are not known; give one of "
+                    f"{', '.join(map(repr, COEFFICIENTS))} or nine numbers in N/cm3"
+                )
+            coefficients = COEFFICIENTS[self.coefficients]()
+        else:
+            if len(self.coefficients) != 9:
+                raise InputError(
+                    f"stress coefficients are {len(self.coefficients)} numbers, must be nine "
+                    "(A00 A10 B11 B01 B-11 C11 C01 C-11 D10 in N/cm3)"
+                )
+            coefficients = StressCoefficients(self.coefficients)
+        law: AbstractStressLaw = (
+            QuasiStatic(coefficients)
+            if self.law == "quasi-static"
+            else Dynamic(
+                self.inertial_coefficient, self.bulk_density, self.height_decrease, coefficients
+            )
+        )
+        if isinstance(self.zeta, ZetaKnots):
+            return Terrain(KnotZeta(self.zeta.time, self.zeta.value), law)
+        return Terrain(ConstantZeta(self.zeta), law)
+
+
+class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[rig]: masses in kg, damping in N s/m, drawbar_load in N, gravity in m/s2."""
+
+    mass_x: float = 13.902
+    mass_z: float = 18.837
+    damping_x: float = 0.0
+    damping_z: float = 0.0
+    drawbar_load: float = 0.0
+    gravity: float = 9.81
+    carriage: Literal["free", "driven"] = "free"
+
+    def build(self) -> Rig:
+        return Rig(
+            self.mass_x,
+            self.mass_z,
+            self.damping_x,
+            self.damping_z,
+            self.drawbar_load,
+            self.gravity,
+            DrivenCarriage() if self.carriage == "driven" else FreeCarriage(),
+        )
+
+
+class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[start]: sinkage and x in metres, wheel angle in radians; at rest."""
+
+    sinkage: float = 0.0176
+    x: float = 0.0
+    angle: float = 0.0
+
+
+class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[command]: knots of a profile, linear in between: time in s, omega, and vx in m/s."""
+
+    time: list[float]
+    omega: list[float]
+    vx: list[float] | None = None
+    omega_unit: Literal["rad/s", "deg/s"] = "rad/s"
+
+    def build(self) -> RunCommand:
+        omega = np.asarray(self.omega, dtype=float)
+        omega = np.radians(omega) if self.omega_unit == "deg/s" else omega
+        require_between("command omega", omega, -100.0, 100.0, " rad/s")
+        if self.vx is not None:
+            require_between("command vx", self.vx, -10.0, 10.0, " m/s")
+        command = RunCommand(time=self.time, omega=omega, vx=self.vx)
+        if len(command.time) < 2:
+            raise InputError("the command has one knot in time, needs two or more")
+        return command
+
+
+class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[integrator]: the method and its step in seconds."""
+
+    method: Literal["rosenbrock", "held pace", "explicit"] = "rosenbrock"
+    step: float = DEFAULT_STEP
+
+
+class SetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """A trial as a file holds it. The defaults are Tables 1 to 3 of Fuke et al. 2024."""
+
+    command: CommandSetUp
+    title: str = "simulated run"
+    wheel: WheelSetUp = msgspec.field(default_factory=WheelSetUp)
+    terrain: TerrainSetUp = msgspec.field(default_factory=TerrainSetUp)
+    rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
+    start: StartSetUp = msgspec.field(default_factory=StartSetUp)
+    integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
+
+    def trial(self) -> Trial:
+        """The trial that this set-up describes, ready to run.
+
+        Raises:
+            InputError: says which number cannot be, and what must hold.
+        """
+        require_between("integrator step", self.integrator.step, 1e-6, 0.1, " s")
+        simulator = Simulator(
+            self.wheel.build(),
+            self.terrain.build(),
+            self.rig.build(),
+            INTEGRATORS[self.integrator.method](),
+        )
+        command = self.command.build()
+        if self.rig.carriage == "driven" and command.vx is None:
+            raise InputError("the carriage is driven, so [command] needs vx in m/s")
+        require_between("start sinkage", self.start.sinkage, -self.wheel.radius, self.wheel.radius)
+        start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle)
+        return Trial.of(simulator, start, command, self.integrator.step)
+
+
+def read_setup(path: str | Path) -> SetUp:
+    """A set-up file (TOML or JSON); a wheel's outline is looked for beside it.
+
+    Raises:
+        InputError: names the file, the entry and what must hold.
+    """
+    path = Path(path)
+    setup = to_structure(read_document(path), SetUp, path)
+    wheel = setup.wheel
+    if wheel.outline is not None:
+        wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    return setup
+
+
+def setup_from_run(run: RunLog) -> SetUp:
+    """The set-up and commands of a recorded run, as its operator believed them to be.
+
+    What the run log leaves out is taken from `SetUp`'s defaults, but for the wheel's radius,
+    width and the vertical mass, without which no run can be simulated.
+
+    Raises:
+        InputError: says which attribute of /setup is missing.
+    """
+    known = run.setup.known()
+    missing = [name for name in ("wheel_radius", "wheel_width", "mass_z") if name not in known]
+    if missing:
+        raise InputError(
+            f"the run's /setup lacks {' and '.join(missing)}, without which it cannot be simulated"
+        )
+
+    def given(*pairs: tuple[str, str]) -> dict[str, float]:
+        return {ours: known[theirs] for ours, theirs in pairs if theirs in known}
+
+    radius = {"radius": known["wheel_radius"], "width": known["wheel_width"]}
+    if known.get("grouser_count", 0):
+        grousers = ("grouser_count", "grouser_height", "grouser_thickness")
+        lacking = [name for name in grousers if name not in known]
+        if lacking:
+            raise InputError(f"the run's wheel has grousers but lacks {' and '.join(lacking)}")
+        wheel = WheelSetUp(**radius, **given(*((name, name) for name in grousers)))
+    else:
+        wheel = WheelSetUp(shape="plain", **radius)
+    command = run.command
+    return SetUp(
+        command=CommandSetUp(
+            command.time.tolist(),
+            command.omega.tolist(),
+            None if command.vx is None else command.vx.tolist(),
+        ),
+        title=run.title,
+        wheel=wheel,
+        terrain=TerrainSetUp(
+            **given(("zeta", "scaling_factor_initial"), ("bulk_density", "bulk_density"))
+        ),
+        rig=RigSetUp(
+            **given(("mass_x", "mass_x"), ("mass_z", "mass_z"), ("gravity", "gravity")),
+            carriage="free" if command.vx is None else "driven",
+        ),
+        start=StartSetUp(**given(("sinkage", "sinkage_static"))),
+    )
