@@ -1,0 +1,101 @@
+"""The runs that tests and studies share: the paper's profile, and the reference trajectories."""
+
+import dataclasses
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.command import Command, command_at
+from drftjax.integrator import AbstractIntegrator
+from drftjax.rig import Rig
+from drftjax.rollout import simulate, step_times
+from drftjax.runlog.hdf5 import read_run
+from drftjax.scaling import ConstantZeta
+from drftjax.simulator import Output, Simulator, State
+from drftjax.stress import Dynamic, QuasiStatic
+from drftjax.terrain import Terrain
+from drftjax.wheel import GrouserWheel, PlainWheel
+
+REFERENCE_RUNS = (
+    "paper",
+    "paper_quasistatic",
+    "plain_wheel",
+    "damped",
+    "soft_30deg",
+    "light_30deg",
+    "fast_90deg",
+    "fast_300deg",
+)
+
+# Profile of Table 2 of Fuke et al. 2024: knots in time [s] and omega [deg/s].
+PAPER_TIME = (0.0, 2.0, 7.0, 17.0, 22.0, 24.0)
+PAPER_OMEGA = (0.0, 0.0, 30.0, 30.0, 0.0, 0.0)
+PAPER_SINKAGE = 0.0176
+
+roll = eqx.filter_jit(simulate)
+
+
+class Run(eqx.Module):
+    """A simulator, the sinkage it starts from at rest, and its command over time."""
+
+    simulator: Simulator
+    sinkage: float
+    time: Float[Array, " knots"]
+    omega: Float[Array, " knots"]
+
+    def integrated_by(self, integrator: AbstractIntegrator) -> "Run":
+        simulator = dataclasses.replace(self.simulator, integrator=integrator)
+        return dataclasses.replace(self, simulator=simulator)
+
+    def commands(self, step: float) -> Command:
+        steps = round(float(self.time[-1]) / step)
+        return command_at(step_times(steps, step), self.time, self.omega)
+
+    def start(self) -> State:
+        return State.at_rest(self.sinkage)
+
+    def rows(self, step: float, interval: float = 0.01) -> Output:
+        """The run with this step [s], a row each `interval` [s]."""
+        every = round(interval / step)
+        return roll(self.simulator, self.start(), self.commands(step), step, every=every)[1]
+
+
+def profile(
+    simulator: Simulator | None = None,
+    time=PAPER_TIME,
+    degrees_per_second=PAPER_OMEGA,
+    sinkage: float = PAPER_SINKAGE,
+) -> Run:
+    """A run of a profile given at its knots; the paper's where nothing is said."""
+    simulator = Simulator() if simulator is None else simulator
+    omega = np.radians(np.asarray(degrees_per_second, float))
+    return Run(simulator, sinkage, jnp.asarray(time, float), jnp.asarray(omega))
+
+
+def reference(
+    folder: Path, name: str, plate_size: float = 0.004
+) -> tuple[Run, np.ndarray, np.ndarray]:
+    """A reference run as this project would make it, and the z and x [m] it is to meet.
+
+    The rows of `Run.rows` are the reference's without its first.
+    """
+    log = read_run(folder / "reference" / f"{name}.h5")
+    given = log.setup
+    wheel = PlainWheel if given.grouser_count == 0 else GrouserWheel
+    law = QuasiStatic() if name == "paper_quasistatic" else Dynamic()
+    damping_x, damping_z = (30.0, 300.0) if name == "damped" else (0.0, 0.0)
+    simulator = Simulator(
+        wheel(given.wheel_radius, given.wheel_width, plate_size=plate_size),
+        Terrain(ConstantZeta(given.scaling_factor_initial), law),
+        Rig(given.mass_x, given.mass_z, damping_x, damping_z),
+    )
+    run = Run(
+        simulator,
+        given.sinkage_static,
+        jnp.asarray(log.command.time),
+        jnp.asarray(log.command.omega),
+    )
+    return run, np.asarray(log.measured.z[1:]), np.asarray(log.measured.x[1:])
