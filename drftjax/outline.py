@@ -58,7 +58,13 @@ class OutlineWheel(AbstractWheel):
         check_outline(corners)
         reach = float(np.hypot(*corners.T).max())
         require_between("wheel radius", radius, SMALLEST_RADIUS, LARGEST_RADIUS, UNIT_HINT)
-        require_between("wheel radius", radius, 0.3 * reach, 1.001 * reach, f", the reach of its outline being {reach:g} m")
+        require_between(
+            "wheel radius",
+            radius,
+            0.3 * reach,
+            1.001 * reach,
+            f", the reach of its outline being {reach:g} m",
+        )
         require_between("wheel width", width, SMALLEST_RADIUS, LARGEST_RADIUS, UNIT_HINT)
         require_between("plate size", plate_size, 1e-5, float(radius), UNIT_HINT)
         lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
@@ -170,7 +176,9 @@ def check_outline(corners: np.ndarray) -> None:
             "the outline runs clockwise; give its points counter-clockwise, x to the right and z up"
         )
     if not _holds_origin(corners):
-        raise InputError("the axle (0, 0) lies outside the outline; points are relative to the axle")
+        raise InputError(
+            "the axle (0, 0) lies outside the outline; points are relative to the axle"
+        )
 
 
 def _first_crossing(corners: np.ndarray, edges: np.ndarray) -> tuple[int, int] | None:

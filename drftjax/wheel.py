@@ -218,7 +218,10 @@ class GrouserWheel(AbstractWheel):
         require_between("grouser height", grouser_height, 0.0, float(radius), UNIT_HINT)
         pitch = 2 * math.pi / grouser_count
         require_between(
-            "grouser thickness", grouser_thickness, 0.0, 0.999 * pitch * float(radius),
+            "grouser thickness",
+            grouser_thickness,
+            0.0,
+            0.999 * pitch * float(radius),
             f", the pitch of {grouser_count} grousers on a rim of {float(radius):g} m",
         )
         require_between("grouser fraction", grouser_fraction, 0.0, 2.0)
@@ -272,7 +275,9 @@ class GrouserWheel(AbstractWheel):
                 -jnp.cos(place),
                 self.width * rim_area * rim,
             ),
-            Plates(across, -(self.radius + height) * tip, 0 * tip, -tip, self.width * tip_area * tip),
+            Plates(
+                across, -(self.radius + height) * tip, 0 * tip, -tip, self.width * tip_area * tip
+            ),
             Plates(half_thickness * side, -up, side, 0 * side, self.width * side_area * side),
             Plates(-half_thickness * side, -up, -side, 0 * side, self.width * side_area * side),
         )

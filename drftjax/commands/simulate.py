@@ -53,7 +53,9 @@ def simulate(
     from rich.console import Console
 
     from drftjax import saved, setup as setups
-    from drftjax.runlog.hdf5 import read_run, write_run
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.replace import make_folder
 
     given = [each for each in (setup, like, source) if each is not None]
     if len(given) != 1:
@@ -68,7 +70,7 @@ def simulate(
     if setup is not None:
         chosen = setups.read_setup(setup)
     elif like is not None:
-        recorded = read_run(like)
+        recorded = read_run_guarded(like)
         chosen = setups.setup_from_run(recorded)
         sampled = recorded.measured.time
     else:
@@ -85,10 +87,12 @@ def simulate(
     console = Console()
     console.print(saved.summary(log))
     if output is not None:
+        make_folder(output.parent)
         write_run(output, log)
         console.print(f"run log written to {output}")
     if plot is not None:
-        from drftjax.runlog.figure import save_run_figure
+        from drftjax.figures import save_figure
+        from drftjax.runlog.figure import plot_run
 
-        save_run_figure(log, plot)
+        save_figure(plot_run(log), plot)
         console.print(f"figure written to {plot}")

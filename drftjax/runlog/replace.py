@@ -40,6 +40,15 @@ def replace_file(path: Path, data: bytes) -> None:
         raise InputError(f"{path} cannot be written: {reason}") from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, with those above it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{folder} cannot be made a folder: {reason}") from error
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

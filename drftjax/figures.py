@@ -1,0 +1,25 @@
+"""Writing a figure to a file, with errors that help."""
+
+import io
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from drftjax.errors import InputError
+from drftjax.runlog.replace import make_folder, replace_file
+
+KINDS = (".png", ".pdf", ".svg")
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, PDF or SVG, whole or not at all; folders are made.
+
+    Raises:
+        InputError: names the file and what must hold.
+    """
+    if path.suffix.lower() not in KINDS:
+        raise InputError(f"{path}: a figure's name must end in {', '.join(KINDS)}")
+    make_folder(path.parent)
+    image = io.BytesIO()
+    figure.savefig(image, format=path.suffix.lower()[1:], dpi=130)
+    replace_file(path, image.getvalue())

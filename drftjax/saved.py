@@ -1,0 +1,196 @@
+"""Models as files: fitted set-ups read back, and a simulated run as a run log."""
+
+from difflib import get_close_matches
+from pathlib import Path
+
+import equinox as eqx
+import msgspec
+import numpy as np
+
+from drftjax import __version__
+from drftjax.errors import InputError
+from drftjax.runlog import record
+from drftjax.runlog.hdf5 import read_result
+from drftjax.runlog.result import ResultGroup
+from drftjax.setup import CommandSetUp, SetUp
+from drftjax.simulator import Output
+from drftjax.structfile import read_document, to_structure
+from drftjax.trial import ROW_INTERVAL, Trial, check_output
+
+FIT_SCHEMA = "drft-fit"
+HDF5_ENDINGS = (".h5", ".hdf5")
+
+
+class FittedRun(msgspec.Struct):
+    """One run of a fit's result, as far as a simulation needs it."""
+
+    name: str
+    setup: SetUp
+
+
+class FittedRuns(msgspec.Struct):
+    """A fit's result, as far as a simulation needs it."""
+
+    schema: str
+    schema_version: int
+    runs: list[FittedRun]
+
+
+def read_model(path: str | Path, run: str | None = None) -> SetUp:
+    """A fitted set-up from a fit's result, JSON or HDF5.
+
+    Args:
+        path: The result file.
+        run: Which run's model; may be left out where there is one only.
+
+    Raises:
+        InputError: names the file and what must hold.
+    """
+    path = Path(path)
+    fitted = _from_hdf5(path) if path.suffix in HDF5_ENDINGS else _from_json(path)
+    names = list(fitted)
+    if run is None and len(names) == 1:
+        return fitted[names[0]]
+    if run is None:
+        raise InputError(f"{path} holds {len(names)} runs; name one by --run: {', '.join(names)}")
+    if run not in fitted:
+        near = get_close_matches(run, names, n=3, cutoff=0.3) or names
+        raise InputError(f"{path} holds no run {run!r}; did you mean {' or '.join(near)}?")
+    return fitted[run]
+
+
+def _from_json(path: Path) -> dict[str, SetUp]:
+    document = read_document(path)
+    if document.get("schema") != FIT_SCHEMA:
+        raise InputError(f"{path}: is not a fit's result; its schema must be {FIT_SCHEMA!r}")
+    if document.get("schema_version") != 1:
+        raise InputError(
+            f"{path}: schema_version {document.get('schema_version')} is not known here (1 is)"
+        )
+    return {each.name: each.setup for each in to_structure(document, FittedRuns, path).runs}
+
+
+def _from_hdf5(path: Path) -> dict[str, SetUp]:
+    result = read_result(path, FIT_SCHEMA)
+    fitted = {}
+    for name, group in result.groups.items():
+        command = {
+            column: group[f"command_{column}"].tolist()
+            for column in ("time", "omega", "vx")
+            if f"command_{column}" in group.datasets
+        }
+        try:
+            rest = msgspec.json.decode(str(group.attributes["setup"]))
+            fitted[name] = to_structure({**rest, "command": command}, SetUp, path)
+        except (KeyError, TypeError, msgspec.DecodeError):
+            raise InputError(f"{path}: the group {name} holds no set-up of a fitted run") from None
+    return fitted
+
+
+def model_group(
+    setup: SetUp, datasets: dict[str, tuple[np.ndarray, str]], attributes: dict[str, float]
+) -> ResultGroup:
+    """A fitted run as an HDF5 group: its set-up and command, with datasets of the caller's."""
+    rest = msgspec.to_builtins(setup)
+    command = rest.pop("command")
+    radians = setup.command.build()
+    columns = {"command_time": (radians.time, "s"), "command_omega": (radians.omega, "rad/s")}
+    if command["vx"] is not None:
+        columns["command_vx"] = (np.asarray(command["vx"]), "m/s")
+    return ResultGroup(
+        columns | datasets, {"setup": msgspec.json.encode(rest).decode(), **attributes}
+    )
+
+
+def thinned(command: CommandSetUp) -> CommandSetUp:
+    """The same profile without the knots that lie on a straight line between their neighbours."""
+    time = np.asarray(command.time)
+    channels = [np.asarray(c) for c in (command.omega, command.vx) if c is not None]
+    kept = [0]
+    for knot in range(1, len(time) - 1):
+        if any(_bends(time, values, kept[-1], knot) for values in channels):
+            kept.append(knot)
+    kept.append(len(time) - 1)
+
+    def at(values: list[float]) -> list[float]:
+        return [values[knot] for knot in kept]
+
+    vx = None if command.vx is None else at(command.vx)
+    return CommandSetUp(at(command.time), at(command.omega), vx, command.omega_unit)
+
+
+def _bends(time: np.ndarray, values: np.ndarray, last: int, knot: int) -> bool:
+    """Whether the line from `last` to the knot after this one misses this one."""
+    after = knot + 1
+    slope = (values[after] - values[last]) / (time[after] - time[last])
+    line = values[last] + slope * (time[knot] - time[last])
+    # Rounding of a profile written in decimals, not a change anyone commanded.
+    return bool(abs(values[knot] - line) > 1e-9 * max(1.0, float(np.abs(values).max())))
+
+
+_run = eqx.filter_jit(Trial.run)
+
+
+def simulated_run(
+    setup: SetUp, interval: float = ROW_INTERVAL, at: np.ndarray | None = None
+) -> record.RunLog:
+    """Simulate a set-up and give the run as a run log, forces and torque included.
+
+    Args:
+        setup: What is simulated.
+        interval: Time between rows [s]; rounded to whole steps.
+        at: Times of the rows [s] in place of that.
+
+    Raises:
+        InputError: where the set-up cannot be, or the run leaves what the model covers.
+    """
+    trial = setup.trial()
+    output = _run(trial, interval)
+    check_output(output, trial.simulator)
+    command = setup.command.build()
+    end = command.time[-1]
+    time = np.asarray(output.time) + command.time[0]
+    rows = time[time <= end + 1e-9] if at is None else at
+    measured = {
+        name: np.interp(rows, time, np.asarray(getattr(output, name)))
+        for name in ("x", "z", "fx", "fz", "torque")
+    }
+    return record.RunLog(
+        setup=_believed(setup, output),
+        command=command,
+        measured=record.Measured(time=rows, **measured),
+        source="simulated",
+        title=setup.title,
+        software="drftjax",
+        software_version=__version__,
+    )
+
+
+def _believed(setup: SetUp, output: Output) -> record.Setup:
+    wheel = setup.wheel
+    grousers = wheel.shape == "grouser"
+    return record.Setup(
+        wheel_radius=wheel.radius,
+        wheel_width=wheel.width,
+        grouser_count=wheel.grouser_count if grousers else 0,
+        grouser_height=wheel.grouser_height * wheel.grouser_fraction if grousers else None,
+        grouser_thickness=wheel.grouser_thickness if grousers else None,
+        mass_x=setup.rig.mass_x,
+        mass_z=setup.rig.mass_z,
+        gravity=setup.rig.gravity,
+        bulk_density=setup.terrain.bulk_density,
+        sinkage_static=setup.start.sinkage,
+        scaling_factor_initial=float(output.zeta[0]),
+    )
+
+
+def summary(run: record.RunLog) -> str:
+    """A run in one sentence: duration, sinkage, travel and final slip."""
+    measured = run.measured
+    assert measured.x is not None
+    assert measured.z is not None
+    return (
+        f"{run.title}: {measured.time[-1]:.4g} s, deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
+        f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, travel "
+        f"{measured.x[-1] - measured.x[0]:.4f} m"
+    )

@@ -1,0 +1,1 @@
+"""Identification: zeta, lambda and other numbers of the simulator from recorded runs."""

@@ -1,0 +1,244 @@
+"""Runs side by side: one compiled program simulates and differentiates a whole batch.
+
+Runs differ in length and in their recorded times, so all are padded to the longest and masked:
+a padded row weighs nothing. The batch is spread over the machine's devices, a share of the runs
+on each.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, Mesh, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from drftjax.errors import InputError
+from drftjax.simulator import Output
+from drftjax.trial import ROW_INTERVAL, Trial
+from identify.observation import Observation
+from identify.parameter import Parameter
+
+
+class Observed(eqx.Module):
+    """Padded recordings of a batch, runs leading.
+
+    Attributes:
+        row: Row of the simulation before each recorded time, shape (runs, samples).
+        share: Way from that row to the next [-], shape (runs, samples).
+        values: Recorded channels, shape (runs, channels, samples).
+        weight: 1 / noise of a sample that counts, 0 of a padded one, like `values`.
+    """
+
+    row: Int[Array, "runs samples"]
+    share: Float[Array, "runs samples"]
+    values: Float[Array, "runs channels samples"]
+    weight: Float[Array, "runs channels samples"]
+
+
+class Batch(eqx.Module):
+    """Trials and what was recorded of them, ready for one compiled program.
+
+    Attributes:
+        trials: Trials stacked along a leading axis of runs.
+        observed: Their recordings.
+        channels: Names of the channels compared.
+        runs: Number of true runs; the rest are padding that weighs nothing.
+    """
+
+    trials: Trial
+    observed: Observed
+    channels: tuple[str, ...] = eqx.field(static=True)
+    runs: int = eqx.field(static=True)
+
+
+def make_batch(
+    trials: Sequence[Trial], observations: Sequence[Observation], multiple: int = 1
+) -> Batch:
+    """Stack trials and observations, padded to a multiple of the devices.
+
+    Args:
+        trials: One for each run, all of the same kind of wheel, law and carriage.
+        observations: What was recorded of each.
+        multiple: The number of runs is padded to a multiple of this.
+
+    Raises:
+        InputError: where the trials are not alike, or share no channel.
+    """
+    first = jax.tree.structure(_without_lengths(trials[0], 1, 1))
+    for number, trial in enumerate(trials[1:], start=2):
+        if jax.tree.structure(_without_lengths(trial, 1, 1)) != first:
+            raise InputError(
+                f"run {number} has another kind of wheel, terrain, carriage or integrator than "
+                "the first; fit such runs apart"
+            )
+    channels = tuple(
+        each for each in observations[0].channels if all(each in o.channels for o in observations)
+    )
+    if not channels:
+        raise InputError("the runs have no channel in common that a fit could compare")
+    steps = max(trial.steps for trial in trials)
+    knots = max(len(trial.time) for trial in trials)
+    samples = max(len(o.time) for o in observations)
+    alike = [_without_lengths(trial, steps, knots) for trial in trials]
+    rows = [
+        _observed(o, channels, samples, trial)
+        for o, trial in zip(observations, trials, strict=True)
+    ]
+    padding = -len(trials) % multiple
+    alike += alike[:1] * padding
+    rows += [eqx.tree_at(lambda o: o.weight, rows[0], 0 * rows[0].weight)] * padding
+    stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
+    return Batch(jax.tree.map(stack, *alike), jax.tree.map(stack, *rows), channels, len(trials))
+
+
+def _without_lengths(trial: Trial, steps: int, knots: int) -> Trial:
+    """The trial padded to a common number of steps and command knots."""
+    missing = max(0, knots - len(trial.time))
+    later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
+    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
+    return Trial(
+        trial.simulator,
+        trial.start,
+        jnp.concatenate([trial.time, later]),
+        hold(trial.omega),
+        hold(trial.vx),
+        trial.step,
+        steps,
+    )
+
+
+def _every(step: float) -> int:
+    return max(1, round(ROW_INTERVAL / step))
+
+
+def _observed(
+    observation: Observation, channels: tuple[str, ...], samples: int, trial: Trial
+) -> Observed:
+    interval = _every(trial.step) * trial.step
+    place = np.clip(observation.time / interval, 0, None)
+    last = np.ceil(trial.steps * trial.step / interval)
+    row = np.clip(np.floor(place + 1e-9), 0, last - 1)
+    share = np.clip(place - row, 0, 1)
+    picked = [observation.channels.index(each) for each in channels]
+    extra = samples - len(observation.time)
+    # Times past the command's end are not simulated, so they weigh nothing.
+    counts = observation.counts & (observation.time <= trial.steps * trial.step + interval)
+    weight = counts / observation.noise[picked][:, None]
+
+    def padded(values: np.ndarray, dtype: type = float) -> Array:
+        width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
+        return jnp.asarray(np.pad(values, width), dtype)
+
+    return Observed(
+        padded(row, int), padded(share), padded(observation.values[picked]), padded(weight)
+    )
+
+
+def sampled(output: Output, observed: Observed, channels: tuple[str, ...]) -> Array:
+    """Simulated channels of one run at its recorded times, shape (channels, samples)."""
+    rows = jnp.stack([getattr(output, each) for each in channels])
+    before, after = rows[:, observed.row], rows[:, observed.row + 1]
+    return before + observed.share * (after - before)
+
+
+class Problem(eqx.Module):
+    """Weighted residuals of a batch as a function of coordinates, with their exact derivative.
+
+    Attributes:
+        batch: Trials and recordings.
+        parameters: What is fitted.
+        mesh: Devices that share the runs.
+    """
+
+    batch: Batch
+    parameters: tuple[Parameter, ...]
+    mesh: Mesh = eqx.field(static=True)
+
+    @property
+    def shared(self) -> tuple[Parameter, ...]:
+        return tuple(each for each in self.parameters if each.shared)
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        return tuple(each for each in self.parameters if not each.shared)
+
+    def start(self) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
+        """Coordinates of the trials as they stand; shared ones from the first run."""
+
+        def coordinates(parameters: tuple[Parameter, ...], trials: Trial) -> Array:
+            columns = [p.quantity.bijector.coordinate(p.quantity.read(trials)) for p in parameters]
+            runs = trials.time.shape[0]
+            return jnp.stack(columns, axis=1) if columns else jnp.zeros((runs, 0))
+
+        return coordinates(self.shared, self.batch.trials)[0], coordinates(
+            self.own, self.batch.trials
+        )
+
+    def placed(
+        self, trial: Trial, shared: Float[Array, " shared"], own: Float[Array, " own"]
+    ) -> Trial:
+        """One run's trial with the parameters' values put in."""
+        for parameter, coordinate in zip(
+            self.shared + self.own, jnp.concatenate([shared, own]), strict=True
+        ):
+            quantity = parameter.quantity
+            trial = quantity.write(trial, quantity.bijector.value(coordinate))
+        return trial
+
+    def predicted(
+        self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
+    ) -> Float[Array, "runs channels samples"]:
+        """Simulated channels at the recorded times [m, N, N m]."""
+        return self._over_runs(self._predict_one, shared, own)
+
+    def residual(
+        self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
+    ) -> Float[Array, "runs channels samples"]:
+        """(Simulated minus recorded) / noise; zero where nothing was recorded."""
+        return self._over_runs(self._residual_one, shared, own)
+
+    def blocks(
+        self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
+    ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
+        """Residuals, and their derivative by (shared, this run's own) coordinates.
+
+        No run depends on another's own parameters, so as many forward sweeps as one run has
+        parameters give the whole Jacobian of any number of runs.
+        """
+
+        def one(trial: Trial, observed: Observed, shared: Array, own: Array):
+            def joint(both: Array) -> tuple[Array, Array]:
+                residual = self._residual_one(
+                    trial, observed, both[: len(self.shared)], both[len(self.shared) :]
+                )
+                return residual, residual
+
+            derivative, residual = jax.jacfwd(joint, has_aux=True)(jnp.concatenate([shared, own]))
+            return residual, derivative
+
+        return self._over_runs(one, shared, own)
+
+    def _predict_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
+        output = self.placed(trial, shared, own).run()
+        return sampled(output, observed, self.batch.channels)
+
+    def _residual_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
+        simulated = self._predict_one(trial, observed, shared, own)
+        return observed.weight * (simulated - observed.values)
+
+    def _over_runs(self, one, shared: Array, own: Array):
+        spread, whole = PartitionSpec("runs"), PartitionSpec()
+        return jax.shard_map(
+            jax.vmap(one, in_axes=(0, 0, None, 0)),
+            mesh=self.mesh,
+            in_specs=(spread, spread, whole, spread),
+            out_specs=spread,
+            check_vma=False,
+        )(self.batch.trials, self.batch.observed, shared, own)
+
+
+def device_mesh() -> Mesh:
+    """All of JAX's devices in a row, to share the runs of a batch."""
+    return jax.make_mesh((jax.device_count(),), ("runs",), axis_types=(AxisType.Auto,))

@@ -1,0 +1,127 @@
+"""`drft fit`: recorded runs in, fitted numbers with errors out."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+app = typer.Typer(add_completion=False)
+
+EXAMPLES = """
+Examples:
+
+  drft fit data/runs/*.h5 -o out/fit                zeta for each run, lambda shared
+
+  drft fit runs/*.h5 --share zeta -o out/fit        one zeta for all runs
+
+  drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
+
+The result is out/fit.json, out/fit.h5 and out/fit.png; `drft simulate --from out/fit.json --run
+NAME` simulates a fitted run again.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+def fit(
+    runs: Annotated[list[Path], typer.Argument(help="Run logs.", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
+    ] = None,
+    own: Annotated[
+        list[str] | None, typer.Option(help="A parameter fitted for each run. [default: zeta]")
+    ] = None,
+    share: Annotated[
+        list[str] | None,
+        typer.Option(help="A parameter shared by all runs. [default: lambda, if none is named]"),
+    ] = None,
+    zeta: Annotated[
+        float | None, typer.Option(help="Scaling factor to start from, over the run logs'.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
+    ] = "held pace",
+    step: Annotated[float, typer.Option(help="Integrator step [s].")] = 2e-3,
+    keep_rest: Annotated[
+        bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
+    ] = False,
+) -> None:
+    """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
+    import os
+
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax(devices=os.cpu_count())
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.setup import INTEGRATORS
+    from identify.fit import candidate
+    from identify.fit import fit as fit_runs
+    from identify.parameter import parameter
+
+    if method not in INTEGRATORS:
+        raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
+    shared_names = share if share is not None else ([] if own else ["lambda"])
+    own_names = own if own is not None else ([] if "zeta" in shared_names else ["zeta"])
+    parameters = [parameter(n, shared=True) for n in shared_names]
+    parameters += [parameter(n, shared=False) for n in own_names]
+    named = [each.quantity.name for each in parameters]
+    twice = {name for name in named if named.count(name) > 1}
+    if twice:
+        raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
+
+    console = Console()
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    failures: dict[str, str] = {}
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(f"reading {len(runs)} runs", total=None)
+        candidates = []
+        for name, path in zip(_names(runs), runs, strict=True):
+            try:
+                run = read_run_guarded(path)
+                candidates.append(
+                    candidate(name, run, zeta=zeta, method=method, step=step, keep_rest=keep_rest)
+                )
+            except InputError as problem:
+                failures[str(path)] = str(problem)
+        for path, why in failures.items():
+            console.print(f"left out: {why if path in why else f'{path}: {why}'}", style="yellow")
+        if not candidates:
+            raise InputError(f"none of the {len(runs)} files can be fitted")
+        bar.update(task, description=f"compiling for {len(candidates)} runs")
+
+        def report(stage: str, number: int, loss: float) -> None:
+            bar.update(task, description=f"{stage}: step {number}, sum of squares {loss:.6g}")
+
+        result = fit_runs(candidates, parameters, report).with_failures(failures)
+
+    console.print(result.table())
+    for value in result.shared.values():
+        console.print(str(value))
+    for name, why in result.failures.items():
+        if name not in failures:
+            console.print(f"left out: {name}: {why}", style="yellow")
+    if result.status != "converged":
+        console.print(f"the solver is {result.status} after {result.steps} steps", style="red")
+    if output is not None:
+        from drftjax.figures import save_figure
+        from identify.figure import plot_fit
+
+        written = result.write(output)
+        picture = output.with_suffix(".png")
+        save_figure(plot_fit(result), picture)
+        console.print(f"written: {', '.join(str(each) for each in [*written, picture])}")
+
+
+def _names(paths: list[Path]) -> list[str]:
+    """Each run's file stem, with its folders where two are the same."""
+    stems = [path.stem for path in paths]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [
+        "_".join(path.with_suffix("").parts[-2:]) if stems.count(path.stem) > 1 else path.stem
+        for path in paths
+    ]

@@ -1,0 +1,49 @@
+"""A fit as a figure: recorded and simulated channels, and what is left between them."""
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from identify.result import SHOWN, FitResult, RunFit
+
+MOST_RUNS = 12
+
+
+def plot_fit(result: FitResult) -> Figure:
+    """One row for each run (the first twelve), one column for each channel, residuals below."""
+    runs = result.runs[:MOST_RUNS]
+    channels = runs[0].channels
+    figure = Figure(figsize=(5.2 * len(channels), 2.1 * len(runs) + 0.6), layout="constrained")
+    grid = figure.subplots(len(runs), len(channels), squeeze=False)
+    for run, row in zip(runs, grid, strict=True):
+        for index, axes in enumerate(row):
+            _draw(axes, run, index)
+    grid[0][0].legend(fontsize=7, loc="best")
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    left_out = len(result.runs) - len(runs)
+    more = f" (and {left_out} more runs)" if left_out else ""
+    shared = ", ".join(str(value) for value in result.shared.values())
+    figure.suptitle(f"fit of {len(result.runs)} runs{more}  {shared}", fontsize=10)
+    return figure
+
+
+def _draw(axes: Axes, run: RunFit, index: int) -> None:
+    channel = run.channels[index]
+    unit, scale = SHOWN[channel]
+    marker = "." if len(run.time) < 5 else None
+    axes.plot(
+        run.time, scale * run.recorded[index], color="0.35", lw=2.2, marker=marker, label="recorded"
+    )
+    axes.plot(
+        run.time,
+        scale * run.before[index],
+        color="C1",
+        lw=0.9,
+        ls="--",
+        marker=marker,
+        label="before",
+    )
+    axes.plot(run.time, scale * run.after[index], color="C0", lw=1.1, marker=marker, label="fitted")
+    rmse = scale * run.rmse()[channel]
+    axes.set_ylabel(f"{channel} [{unit}]")
+    axes.set_title(f"{run.name}  RMSE {rmse:.3f} {unit}", fontsize=8)

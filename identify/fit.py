@@ -1,0 +1,231 @@
+"""Fit numbers of the simulator to recorded runs."""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.errors import InputError
+from drftjax.runlog.record import RunLog
+from drftjax.setup import SetUp, setup_from_run
+from drftjax.trial import Trial
+from identify.batch import Problem, device_mesh, make_batch
+from identify.observation import Observation, observe
+from identify.parameter import Parameter
+from identify.result import FitResult, RunFit, Value
+from identify.solve import Coordinates, Solution, solve
+from identify.uncertainty import covariance
+
+# Fits step with the method that does not chatter at rest, so that residuals are smooth in the
+# parameters; docs/integrator.md has its error at this step.
+FIT_METHOD, FIT_STEP = "held pace", 2e-3
+
+# Recorded sinkage and travel are averaged over this long for the start [s].
+START_WINDOW = 0.2
+
+# Fits with the weights that the last fit's residuals give; two change the values no further than
+# a small part of their errors.
+REWEIGHTINGS = 2
+
+Progress = Callable[[str, int, float], None]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A run on its way into a fit.
+
+    Attributes:
+        name: The run, as reports call it.
+        setup: Its set-up and commands.
+        trial: What is simulated.
+        observation: What was recorded.
+    """
+
+    name: str
+    setup: SetUp
+    trial: Trial
+    observation: Observation
+
+
+def candidate(
+    name: str,
+    run: RunLog,
+    *,
+    zeta: float | None = None,
+    method: str = FIT_METHOD,
+    step: float = FIT_STEP,
+    keep_rest: bool = False,
+) -> Candidate:
+    """A recorded run made ready: its set-up as believed, its start as recorded.
+
+    Args:
+        name: The run, as reports call it.
+        run: What was recorded.
+        zeta: Scaling factor to start from [-]; the set-up's where none is given.
+        method, step: Integrator and its step [s].
+        keep_rest: See `observe`.
+
+    Raises:
+        InputError: where the run cannot be simulated or compared.
+    """
+    try:
+        observation = observe(run, keep_rest=keep_rest)
+        setup = setup_from_run(run)
+        setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
+        setup.integrator.step = step
+        early = observation.time <= max(START_WINDOW, observation.time[0])
+        if run.measured.z is not None and early.sum() > 1:
+            setup.start.sinkage = float(-run.measured.z[early].mean())
+        if run.measured.x is not None and run.command.vx is None:
+            setup.start.x = float(run.measured.x[early].mean())
+        if zeta is not None:
+            setup.terrain.zeta = zeta
+        return Candidate(name, setup, setup.trial(), observation)
+    except InputError as problem:
+        raise InputError(f"{name}: {problem}") from None
+
+
+def fit(
+    candidates: Sequence[Candidate],
+    parameters: Sequence[Parameter],
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit `parameters` to all runs together.
+
+    Residuals are weighted first by each instrument's white noise; then, as the model's own error
+    is mostly far larger, by what each channel's residuals were over all runs.
+
+    Args:
+        candidates: Runs, of the same kind of wheel, law and carriage.
+        parameters: What to fit, shared or for each run.
+        progress: Called with the stage, the solver's step and the sum of squares.
+
+    Raises:
+        InputError: where no run is left, or the runs do not belong together.
+    """
+    problem, before, failures = _problem(list(candidates), tuple(parameters))
+    kept = [each for each in candidates if each.name not in failures]
+    coordinates = problem.start()
+    report = progress or (lambda stage, step, loss: None)
+    solution = solve(problem, coordinates, lambda s, v: report("fit", s, v))
+    for turn in range(REWEIGHTINGS):
+        problem = _reweighted(problem, np.asarray(solution.residual))
+        stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
+        solution = solve(
+            problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v)
+        )
+    return _result(kept, problem, solution, before, failures)
+
+
+def _problem(
+    candidates: list[Candidate], parameters: tuple[Parameter, ...]
+) -> tuple[Problem, np.ndarray, dict[str, str]]:
+    """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
+    failures: dict[str, str] = {}
+    while True:
+        if not candidates:
+            named = "; ".join(f"{name}: {why}" for name, why in failures.items())
+            raise InputError(f"no run is left to fit{f' ({named})' if named else ''}")
+        batch = make_batch(
+            [each.trial for each in candidates],
+            [each.observation for each in candidates],
+            jax.device_count(),
+        )
+        problem = Problem(batch, parameters, device_mesh())
+        before = _predicted(problem, problem.start())
+        diverged = ~np.isfinite(before[: len(candidates)]).all(axis=(1, 2))
+        if not diverged.any():
+            return problem, before, failures
+        for each in np.array(candidates, dtype=object)[diverged]:
+            failures[each.name] = "its simulation diverges at the values it starts from"
+        candidates = [each for each, bad in zip(candidates, diverged, strict=True) if not bad]
+
+
+@eqx.filter_jit
+def _predicted_jit(problem: Problem, coordinates: Coordinates) -> jax.Array:
+    return problem.predicted(*coordinates)
+
+
+def _predicted(problem: Problem, coordinates: Coordinates) -> np.ndarray:
+    return np.asarray(_predicted_jit(problem, coordinates))
+
+
+def _reweighted(problem: Problem, residual: np.ndarray) -> Problem:
+    """The problem with each channel weighed by its residuals' root mean square over all runs."""
+    weight = np.asarray(problem.batch.observed.weight)
+    counts = weight > 0
+    raw = np.divide(residual, weight, out=np.zeros_like(residual), where=counts)
+    power = (raw**2).sum(axis=(0, 2)) / np.maximum(counts.sum(axis=(0, 2)), 1)
+    # A channel that is met better than its instrument can tell must not rule the others.
+    finest = 1 / weight.max(axis=(0, 2))
+    fresh = counts / np.maximum(np.sqrt(power), finest)[:, None]
+    return eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(fresh))
+
+
+def _result(
+    candidates: list[Candidate],
+    problem: Problem,
+    solution: Solution,
+    before: np.ndarray,
+    failures: dict[str, str],
+) -> FitResult:
+    counts = np.asarray(problem.batch.observed.weight) > 0
+    spread = covariance(
+        np.asarray(solution.residual), np.asarray(solution.blocks), counts, len(problem.shared)
+    )
+    error = np.sqrt(np.diag(spread))
+    shared_coordinates, own_coordinates = solution.coordinates
+    shared_count = len(problem.shared)
+    own_error = error[shared_count:].reshape(own_coordinates.shape)
+    shared = _values(problem.shared, shared_coordinates, error[:shared_count])
+    after = _predicted(problem, solution.coordinates)
+    recorded = np.asarray(problem.batch.observed.values)
+
+    runs = []
+    for index, each in enumerate(candidates):
+        own = _values(problem.own, own_coordinates[index], own_error[index])
+        setup = copy.deepcopy(each.setup)
+        for parameter in problem.parameters:
+            name = parameter.quantity.name
+            parameter.quantity.put(setup, (shared | own)[name].value)
+        length = len(each.observation.time)
+        runs.append(
+            RunFit(
+                name=each.name,
+                setup=setup,
+                values=own,
+                time=each.observation.time,
+                counts=each.observation.counts,
+                channels=problem.batch.channels,
+                recorded=recorded[index, :, :length],
+                before=before[index, :, :length],
+                after=after[index, :, :length],
+            )
+        )
+    return FitResult(
+        shared=shared,
+        runs=runs,
+        status=solution.status,
+        steps=solution.steps,
+        failures=failures,
+    )
+
+
+def _values(
+    parameters: tuple[Parameter, ...], coordinates: jax.Array, errors: np.ndarray
+) -> dict[str, Value]:
+    """Values and standard errors by name; an error is carried over by the bijector's slope."""
+    values = {}
+    for parameter, coordinate, error in zip(parameters, coordinates, errors, strict=True):
+        quantity = parameter.quantity
+        values[quantity.name] = Value(
+            value=float(quantity.bijector.value(coordinate)),
+            error=float(abs(quantity.bijector.slope(coordinate)) * error),
+            unit=quantity.unit,
+            label=quantity.label,
+        )
+    return values

@@ -1,0 +1,82 @@
+"""What a recorded run offers to a fit: its channels at the recorded times."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drftjax.errors import InputError
+from drftjax.runlog.record import RunLog
+
+FREE_CHANNELS = ("x", "z")
+DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
+
+# An instrument's noise cannot be told finer than this [m, N, N m].
+SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
+# A median absolute second difference of white noise is this many standard deviations.
+SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The channels of one run that a fit compares.
+
+    Attributes:
+        time: Recorded times from the run's start [s], shape (samples,).
+        channels: Names among x, z, fx, fz, torque.
+        values: What was recorded [m, N, N m], shape (channels, samples).
+        noise: Standard deviation of the instrument's white noise, shape (channels,).
+        counts: True for samples that are compared, shape (samples,).
+    """
+
+    time: np.ndarray
+    channels: tuple[str, ...]
+    values: np.ndarray
+    noise: np.ndarray
+    counts: np.ndarray
+
+
+def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
+    """The channels of a run that its simulation predicts.
+
+    With a free carriage these are x and z, with a driven one z and the forces: x is then given.
+
+    Args:
+        run: What was recorded.
+        keep_rest: Whether the samples after the wheel has stopped for good are compared too. A
+            standing wheel holds whatever sinkage it has reached, so they say nothing of the
+            sand's parameters, and what a rig does at rest is not the model's matter.
+
+    Raises:
+        InputError: where the run has none of them, or never moves.
+    """
+    wanted = FREE_CHANNELS if run.command.vx is None else DRIVEN_CHANNELS
+    channels = tuple(each for each in wanted if getattr(run.measured, each) is not None)
+    if not channels:
+        raise InputError(f"nothing to compare; /measured has none of {', '.join(wanted)}")
+    vx = run.command.vx
+    if not np.any(run.command.omega) and (vx is None or not np.any(vx)):
+        raise InputError("the commanded profile never moves the wheel")
+    values = np.stack([getattr(run.measured, each) for each in channels])
+    noise = [max(white_noise(v), SMALLEST_NOISE[c]) for v, c in zip(values, channels, strict=True)]
+    time = run.measured.time - run.command.time[0]
+    counts = np.ones(len(time), bool) if keep_rest else time <= _last_motion(run)
+    return Observation(time, channels, values, np.array(noise), counts)
+
+
+def _last_motion(run: RunLog) -> float:
+    """Time from the run's start after which neither wheel nor carriage is asked to move [s]."""
+    command = run.command
+    moving = command.omega != 0
+    if command.vx is not None:
+        moving |= command.vx != 0
+    if moving[-1]:
+        return np.inf
+    last = int(np.flatnonzero(moving)[-1])
+    return float(command.time[last + 1] - command.time[0])
+
+
+def white_noise(values: np.ndarray) -> float:
+    """Standard deviation of white noise on a slow signal, from its second differences."""
+    if len(values) < 3:
+        return 0.0
+    return float(np.median(np.abs(np.diff(values, 2))) / SECOND_DIFFERENCE_SCALE)

@@ -1,0 +1,182 @@
+"""What a fit found: values with errors, residuals by run and channel, and the models as files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from drftjax import __version__
+from drftjax.runlog.hdf5 import write_result
+from drftjax.runlog.replace import make_folder, replace_file
+from drftjax.saved import FIT_SCHEMA, model_group, thinned
+from drftjax.setup import SetUp
+
+# Reports show lengths in mm.
+SHOWN = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
+UNITS = {"x": "m", "z": "m", "fx": "N", "fz": "N", "torque": "N m"}
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted number.
+
+    Attributes:
+        value, error: The number and its standard error, in `unit`.
+        unit: "-" for none.
+        label: Its short name in reports.
+    """
+
+    value: float
+    error: float
+    unit: str
+    label: str
+
+    def __str__(self) -> str:
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.label} = {self.value:.5g} ± {self.error:.2g}{unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class RunFit:
+    """One run of a fit.
+
+    Attributes:
+        name: The run, as reports call it.
+        setup: Its set-up with the fitted values put in.
+        values: Its own fitted values, by name.
+        time: Recorded times [s], shape (samples,).
+        counts: True for the samples that were compared, shape (samples,).
+        channels: Names of the channels compared.
+        recorded: What was recorded [m, N, N m], shape (channels, samples).
+        before, after: What was simulated before and after the fit, like `recorded`.
+    """
+
+    name: str
+    setup: SetUp
+    values: Mapping[str, Value]
+    time: np.ndarray
+    counts: np.ndarray
+    channels: tuple[str, ...]
+    recorded: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    def rmse(self, fitted: bool = True) -> dict[str, float]:
+        """Root mean square of simulated minus recorded where compared, by channel [m, N, N m]."""
+        left = (self.after if fitted else self.before) - self.recorded
+        errors = np.sqrt(np.mean(left[:, self.counts] ** 2, axis=1))
+        return dict(zip(self.channels, errors.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """A fit of many runs.
+
+    Attributes:
+        shared: Values shared by all runs, by name.
+        runs: Each run's own values, residuals and fitted set-up.
+        status: How the solver ended: "converged", "stalled" or "out of steps".
+        steps: Steps of the last solve.
+        failures: Runs that were left out, and why.
+    """
+
+    shared: Mapping[str, Value]
+    runs: list[RunFit]
+    status: str
+    steps: int
+    failures: Mapping[str, str]
+
+    def with_failures(self, more: Mapping[str, str]) -> "FitResult":
+        """The same with further runs named as left out."""
+        return replace(self, failures={**more, **self.failures})
+
+    def rmse(self, fitted: bool = True) -> dict[str, float]:
+        """Root mean square over all samples of all runs, by channel [m, N, N m]."""
+        pooled = {}
+        for channel in self.runs[0].channels:
+            power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in self.runs)
+            pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in self.runs)))
+        return pooled
+
+    def table(self) -> Table:
+        """RMSE before and after, by run and channel, with each run's own values."""
+        channels = self.runs[0].channels
+        table = Table(title="simulated minus recorded, RMSE before → after the fit")
+        table.add_column("run")
+        own = list(self.runs[0].values)
+        for name in own:
+            table.add_column(self.runs[0].values[name].label, justify="right")
+        for channel in channels:
+            table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
+
+        def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
+            return [
+                f"{before[c] * SHOWN[c][1]:.3f} → {after[c] * SHOWN[c][1]:.3f}" for c in channels
+            ]
+
+        for run in self.runs:
+            values = [f"{run.values[n].value:.5g} ± {run.values[n].error:.2g}" for n in own]
+            table.add_row(run.name, *values, *cells(run.rmse(False), run.rmse()))
+        table.add_section()
+        table.add_row("all runs", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
+        return table
+
+    def document(self) -> dict:
+        """The result as plain values, in the layout of the JSON file."""
+        return {
+            "schema": FIT_SCHEMA,
+            "schema_version": 1,
+            "software": f"drftjax {__version__}",
+            "status": self.status,
+            "steps": self.steps,
+            "shared": msgspec.to_builtins(self.shared),
+            "rmse_before": self.rmse(False),
+            "rmse_after": self.rmse(),
+            "failures": dict(self.failures),
+            "runs": [
+                {
+                    "name": run.name,
+                    "values": msgspec.to_builtins(run.values),
+                    "rmse_before": run.rmse(False),
+                    "rmse_after": run.rmse(),
+                    "setup": msgspec.to_builtins(_slim(run.setup)),
+                }
+                for run in self.runs
+            ],
+        }
+
+    def write(self, stem: Path) -> list[Path]:
+        """Write `stem`.json and `stem`.h5, from which `drft simulate --from` reads models back.
+
+        The HDF5 file also holds every run's recorded and simulated channels.
+
+        Raises:
+            InputError: where they cannot be written.
+        """
+        text, binary = stem.with_suffix(".json"), stem.with_suffix(".h5")
+        make_folder(stem.parent)
+        encoded = msgspec.json.format(msgspec.json.encode(self.document()), indent=1)
+        replace_file(text, encoded + b"\n")
+        groups = {run.name: _group(run) for run in self.runs}
+        numbers = {
+            f"{n}_{k}": getattr(v, k) for n, v in self.shared.items() for k in ("value", "error")
+        }
+        write_result(binary, FIT_SCHEMA, {"status": self.status, **numbers}, groups)
+        return [text, binary]
+
+
+def _slim(setup: SetUp) -> SetUp:
+    return msgspec.structs.replace(setup, command=thinned(setup.command))
+
+
+def _group(run: RunFit):
+    datasets = {"time": (run.time, "s"), "counts": (run.counts, "1")}
+    for index, channel in enumerate(run.channels):
+        for kind in ("recorded", "before", "after"):
+            datasets[f"{channel}_{kind}"] = (getattr(run, kind)[index], UNITS[channel])
+    numbers = {f"{n}_{k}": getattr(v, k) for n, v in run.values.items() for k in ("value", "error")}
+    return model_group(run.setup, datasets, numbers)

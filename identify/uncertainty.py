@@ -1,0 +1,57 @@
+"""Standard errors of fitted coordinates, honest about residuals that follow one another."""
+
+import numpy as np
+
+# Beyond this the inflation is no longer an estimate but a statement that the samples are one.
+LARGEST_CORRELATION = 0.9999
+
+
+def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
+    """Correlation of a residual with its neighbour [-], over the samples that count."""
+    both = counts[1:] & counts[:-1]
+    power = np.sum(residual[counts] ** 2)
+    if power == 0 or not both.any():
+        return 0.0
+    scale = counts.sum() / both.sum()
+    return float(
+        np.clip(scale * np.sum(residual[1:] * residual[:-1] * both) / power, 0, LARGEST_CORRELATION)
+    )
+
+
+def covariance(
+    residual: np.ndarray, blocks: np.ndarray, counts: np.ndarray, shared: int
+) -> np.ndarray:
+    """Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
+
+    The residual of each run and channel is taken as first-order autoregressive: its variance is
+    measured, and (1 + rho) / (1 - rho) samples count as one. A direction that the data do not see
+    gets a very large variance.
+
+    Args:
+        residual: Weighted residuals at the optimum, shape (runs, channels, samples).
+        blocks: Their derivative by (shared, own) coordinates, shape (..., shared + own).
+        counts: True for samples that were recorded, shape (runs, channels, samples).
+        shared: Number of shared coordinates.
+
+    Returns:
+        Covariance, shape (shared + runs * own,) squared.
+    """
+    runs, channels, _ = residual.shape
+    own = blocks.shape[-1] - shared
+    size = shared + runs * own
+    information = np.zeros((size, size))
+    for run in range(runs):
+        place = np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
+        for channel in range(channels):
+            here = counts[run, channel]
+            number = here.sum()
+            if number == 0:
+                continue
+            rho = lag_one_correlation(residual[run, channel], here)
+            variance = max(np.sum(residual[run, channel] ** 2) / number, 1.0)
+            inflation = variance * (1 + rho) / (1 - rho)
+            slope = blocks[run, channel][here]
+            information[np.ix_(place, place)] += slope.T @ slope / inflation
+    values, vectors = np.linalg.eigh(information)
+    floor = values.max() * np.finfo(float).eps * size if size else 0.0
+    return (vectors / np.maximum(values, max(floor, np.finfo(float).tiny))) @ vectors.T
