@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+
 from drftjax.errors import InputError
 from drftjax.runlog.check import check_files, read_runs_guarded
 from drftjax.runlog.hdf5 import read_result, read_run, write_result, write_run

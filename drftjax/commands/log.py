@@ -121,14 +121,11 @@ def _mapping(given: str) -> Path:
 def _targets(output: Path, names: list[str]) -> list[Path]:
     """Where each run goes: the file itself for one run, a folder of safe names for many."""
     from drftjax.runlog.names import safe_names
+    from drftjax.runlog.replace import make_folder
 
     if output.suffix == ".h5" and not output.is_dir():
         if len(names) != 1:
             raise InputError(f"{output} is one file, but the table holds {len(names)} runs")
         return [output]
-    try:
-        output.mkdir(exist_ok=True)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"the folder {output} cannot be made: {reason}") from error
+    make_folder(output)
     return [output / f"{name}.h5" for name in safe_names(names)]

@@ -14,16 +14,17 @@ def safe_names(names: Sequence[str]) -> list[str]:
 
     Names that fall together are numbered in their order: drive, drive_2, drive_3.
     """
-    seen: Counter[str] = Counter()
+    taken: set[str] = set()
+    numbers: Counter[str] = Counter()
     given: list[str] = []
     for name in map(_safe, names):
+        candidate = name
         # Names that differ only in case are one file on some systems.
-        seen[name.lower()] += 1
-        numbered = name if seen[name.lower()] == 1 else f"{name}_{seen[name.lower()]}"
-        while numbered.lower() in {each.lower() for each in given}:
-            seen[name.lower()] += 1
-            numbered = f"{name}_{seen[name.lower()]}"
-        given.append(numbered)
+        while candidate.lower() in taken:
+            numbers[name] += 1
+            candidate = f"{name}_{numbers[name] + 1}"
+        taken.add(candidate.lower())
+        given.append(candidate)
     return given
 
 

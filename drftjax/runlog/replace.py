@@ -21,21 +21,21 @@ def replace_file(path: Path, data: bytes) -> None:
     if path.exists() and not path.is_file():
         # A rename would put a plain file in the place of a folder or a device.
         raise InputError(f"{path} cannot be written: it is not an ordinary file")
-    draft = None
     try:
-        handle, name = mkstemp(prefix=".drft-", suffix=".part", dir=folder)
-        draft = Path(name)
-        with os.fdopen(handle, "wb") as file:
-            os.fchmod(file.fileno(), 0o666 & ~_umask())
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
+        handle, draft = mkstemp(prefix=".drft-", suffix=".part", dir=folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                os.fchmod(file.fileno(), 0o666 & ~_umask())
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(draft).replace(path)
+        except BaseException:  # an interrupt, too, leaves nothing behind
+            with suppress(OSError):
+                Path(draft).unlink()
+            raise
         _sync_folder(folder)
     except OSError as error:
-        if draft is not None:
-            with suppress(OSError):
-                draft.unlink()
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{path} cannot be written: {reason}") from error
 
