@@ -10,8 +10,8 @@ from drftjax.simulator import Simulator
 from drftjax.stress import REST_SPEED
 from drftjax.wheel import GrouserWheel
 
-# The references were made with finer plates (and agree with a second implementation) to 0.05 mm
-# in z and 2 mm in x; a user may rely on a tenth of a millimetre of sinkage.
+# The references agree with a second implementation, and plates of 4 mm with much finer ones, to
+# 0.05 mm in z and 2 mm in x; a user may rely on a tenth of a millimetre of sinkage.
 SINKAGE_RMSE = 1e-4
 FINAL_PLACE = 2e-3
 
