@@ -376,3 +376,18 @@ def test_an_intrusion_goes_down_and_pushes_up(cmu, wheel, mapping):
         assert not run.command.vx.any()
     with pytest.raises(InputError, match="is for"):
         imported(next((cmu / "processed_intrusion").glob("*plate*.csv")), mapping)
+
+
+def test_the_mapping_in_the_documentation_reads_a_table(tmp_path):
+    text = (Path(__file__).parents[1] / "docs" / "runlog.md").read_text()
+    block = text[text.index('    rows = "samples"') : text.index("| Key | Meaning |")]
+    (tmp_path / "map.toml").write_text("\n".join(line[4:] for line in block.splitlines()))
+    (tmp_path / "table.csv").write_text(
+        "sand,drive,t,rim_speed,sinkage,drawbar,load\n"
+        "dry,7,20,62.5,12,3,19.62\ndry,7,21,62.5,13,3,19.62\nwet,7,22,0,0,0,0\n"
+    )
+    (run,) = import_table(tmp_path / "table.csv", tmp_path / "map.toml")
+    assert run.title == "sand dry, drive 7"
+    np.testing.assert_allclose(run.command.omega, [1.0, 1.0], rtol=ROUNDING)
+    np.testing.assert_allclose(run.measured.z, [-0.010, -0.011], rtol=ROUNDING)
+    assert run.setup.mass_z == pytest.approx(2.0, rel=ROUNDING)

@@ -15,7 +15,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", show_default=False)]
+Files = Annotated[list[Path], typer.Argument(metavar="FILE", show_default=False)]
 TimeLimit = Annotated[float, typer.Option(help="For reading one file [s].", min=0.1)]
 
 
@@ -59,6 +59,7 @@ def plot(
     ],
 ) -> None:
     """Draw a run."""
+    import warnings
     from io import BytesIO
 
     from drftjax.runlog.check import read_run_guarded
@@ -72,7 +73,10 @@ def plot(
     from drftjax.runlog.figure import plot_run
 
     image = BytesIO()
-    plot_run(run).savefig(image, format=output.suffix.lower()[1:], dpi=150)
+    with warnings.catch_warnings():
+        # A title may be in a script that the font lacks; it is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph")
+        plot_run(run).savefig(image, format=output.suffix.lower()[1:], dpi=150)
     replace_file(output, image.getvalue())
     typer.echo(f"wrote {output}")
 
