@@ -1,5 +1,6 @@
 """Files that are no run logs, or pose as one: refused, with the file and the reason."""
 
+import dataclasses
 import gzip
 import os
 import re
@@ -278,6 +279,18 @@ def test_a_name_that_is_not_read_is_a_note(tmp_path):
     assert any("did you mean 'torque'" in each.reason for each in violations)
     assert any("did you mean 'wheel_radius'" in each.reason for each in violations)
     assert CliRunner().invoke(app, ["check", str(path)]).exit_code == 0
+
+
+def test_a_file_cannot_steer_the_terminal(tmp_path):
+    path = tmp_path / "run.h5"
+    write_run(path, dataclasses.replace(example_run(), title="a\x1b[2Jb", notes="c\x07\nd"))
+    shown = CliRunner().invoke(app, ["show", str(path)]).stdout
+    assert "a\ufffd[2Jb" in shown
+    with h5py.File(path, "r+") as file:
+        file["measured/e\nf\x1b"] = h5py.SoftLink("/g\nh")
+    (violation,) = check_file(path)
+    assert "\n" not in str(violation)
+    assert "\x1b" not in str(violation)
 
 
 def test_a_run_that_is_being_recorded_is_refused(tmp_path):

@@ -74,6 +74,11 @@ class Content:
     datasets: Mapping[str, Dataset] = field(default_factory=dict)
 
 
+def printable(text: str) -> str:
+    """A file's words without what would steer a terminal or break a line."""
+    return "".join(each if each.isprintable() else "\ufffd" for each in text)
+
+
 def real_column(values: NDArray[Any] | None) -> NDArray[np.float64] | None:
     """Values as float64, None where there are none."""
     return None if values is None else np.asarray(values, dtype=np.float64)

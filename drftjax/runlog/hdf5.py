@@ -25,6 +25,7 @@ from drftjax.runlog.content import (
     Group,
     Level,
     Violation,
+    printable,
 )
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.replace import replace_file
@@ -157,10 +158,13 @@ def _survey(
         with h5py.File(path, "r") as file:
             content, found = _Survey(file).content(schema, version)
     except _LIBRARY_ERRORS as error:
-        return None, [Violation(where, "/", _open_failure(error))]
+        return None, [Violation(where, "/", printable(_open_failure(error)))]
     identity = list(layout.identify(content, schema, version))
     found = identity or [*found, *examine(content)]
-    return content, [Violation(where, *each) for each in found]
+    return content, [
+        Violation(where, printable(place), printable(reason), level)
+        for place, reason, level in found
+    ]
 
 
 def _not_openable(path: Path) -> str | None:

@@ -10,6 +10,7 @@ from rich.console import Group as Stack
 from rich.table import Table
 from rich.text import Text
 
+from drftjax.runlog.content import printable
 from drftjax.runlog.layout import UNITS
 from drftjax.runlog.record import RunLog
 
@@ -48,7 +49,7 @@ def show(path: str, run: RunLog) -> Stack:
     """What `drft log show` prints for one file."""
     lines = [
         Text(path, style="bold"),
-        Text(f"{run.title} ({run.source})"),
+        Text(f"{printable(run.title)} ({run.source})"),
         *(Text(f"{name}: {text}") for name, text in _provenance(run)),
         Text("set-up: " + (", ".join(_setup(run)) or "nothing is known")),
     ]
@@ -78,4 +79,4 @@ def _provenance(run: RunLog) -> Iterator[tuple[str, str]]:
     for name in ("created", "run_id", "software", "software_version", "notes"):
         text = getattr(run, name)
         if text is not None:
-            yield name, text
+            yield name, "\n".join(map(printable, text.splitlines()))
