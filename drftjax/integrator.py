@@ -11,9 +11,18 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from drftjax.stress import REST_SPEED
+
 DEFAULT_STEP = 5e-4
+
+# Steps that divide a row of 10 ms evenly [s].
+STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+# A step may change the rim's speed by so many times the regulariser's width and no more: beyond,
+# plates near rest are thrown across it at every step, and derivatives grow without bound.
+LARGEST_CHANGE = 1.5
 
 Wrench = Callable[[Float[Array, "2"], Float[Array, "2"]], Float[Array, "3"]]
 
@@ -35,7 +44,9 @@ class AbstractIntegrator(eqx.Module):
 
 def _value_and_jacobian(function, at: Float[Array, "2"]):
     value, along = jax.linearize(function, at)
-    return value, jax.vmap(along, out_axes=1)(jnp.eye(2, dtype=at.dtype))
+    # One direction at a time: a batched pair keeps XLA from fusing it with the plates' other sums.
+    directions = jnp.eye(2, dtype=at.dtype)
+    return value, jnp.stack([along(directions[0]), along(directions[1])], axis=1)
 
 
 class Rosenbrock(AbstractIntegrator):
@@ -68,3 +79,15 @@ class Explicit(AbstractIntegrator):
     ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
         value = wrench(velocity, velocity)
         return value, jnp.zeros((3, 2), velocity.dtype)
+
+
+def steady_step(radius: float, time: np.ndarray, omega: np.ndarray) -> float:
+    """The longest step [s] at which `HeldPace` keeps its derivatives bounded on a command.
+
+    Args:
+        radius: Rim radius [m].
+        time, omega: Knots of the command [s], [rad/s].
+    """
+    acceleration = radius * float(np.abs(np.diff(omega) / np.diff(time)).max())
+    longest = LARGEST_CHANGE * REST_SPEED / max(acceleration, 1e-12)
+    return next((step for step in STEPS if step <= longest), STEPS[-1])
