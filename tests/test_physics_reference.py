@@ -1,5 +1,6 @@
 """Whole runs against trajectories made by an implementation that shares no code with this one."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -60,6 +61,25 @@ def test_wheel_that_has_stopped_stays_at_its_depth(integrator):
     after = rows.z[np.asarray(rows.time) > 9.05]
     assert float(jnp.max(jnp.abs(after - after[0]))) < STANDING_STILL
     assert float(jnp.max(after - after[0])) <= REST_SPEED * DEFAULT_STEP
+
+
+def test_sand_cannot_lift_the_stopped_wheel():
+    # Momentum: to rise for a second, the mean support must be the weight. Where the wheel stopped
+    # it is less at rest, and the less the faster the wheel rises.
+    simulator = Simulator().prepared()
+    up = jnp.array([0.0, 2e-5, 5e-5, 1e-4, 5e-4, 2.3e-3])
+    nought = jnp.zeros(())
+
+    def support(vz):
+        velocity = jnp.stack([nought, vz])
+        return simulator.wrench(
+            jnp.array([0.0, -0.029]), velocity, nought, nought, jnp.asarray(0.7823)
+        )[1]
+
+    forces = jax.vmap(support)(up)
+    assert float(forces[0]) < 0.9 * 18.837 * 9.81
+    assert bool(jnp.all(jnp.diff(forces) <= 0))
+    assert float(jnp.max(forces[up >= REST_SPEED])) < 0
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import NullLocator
 
 from drftjax.integrator import DEFAULT_STEP, AbstractIntegrator, Explicit, HeldPace, Rosenbrock
 from drftjax.rollout import simulate
@@ -232,6 +234,13 @@ def study_rest() -> None:
     )
 
 
+def mark_steps(axis: Axes) -> None:
+    axis.set_xlabel("step [ms]")
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.set_xticks([1e3 * step for step in STEPS], [milliseconds(step) for step in STEPS])
+    axis.axvline(1e3 * DEFAULT_STEP, color="k", lw=0.5, ls=":")
+
+
 def figure(
     folder: Path,
     by_step: dict[tuple[str, str], list[float]],
@@ -243,8 +252,8 @@ def figure(
         for integrator in INTEGRATORS:
             name = name_of(integrator)
             axis.loglog(milli, by_step[case, name], "o-", color=COLOURS[name], label=LABELS[name])
-        axis.set(title=case, xlabel="step [ms]", ylabel="RMS error of z [mm]")
-        axis.axvline(1e3 * DEFAULT_STEP, color="k", lw=0.5, ls=":")
+        axis.set(title=case, ylabel="RMS error of z [mm]")
+        mark_steps(axis)
     axes[0, 0].legend()
 
     stop, drop, slopes = axes[1]
@@ -288,9 +297,8 @@ def figure(
         slopes.loglog(
             milli, 100 * np.asarray(values), "o-", color=COLOURS[name], label=LABELS[name]
         )
-    slopes.axvline(1e3 * DEFAULT_STEP, color="k", lw=0.5, ls=":")
-    slopes.set(title="derivatives over the paper's profile", xlabel="step [ms]")
-    slopes.set(ylabel="largest error of six [%]")
+    slopes.set(title="derivatives over the paper's profile", ylabel="largest error of six [%]")
+    mark_steps(slopes)
     slopes.legend()
     folder.mkdir(parents=True, exist_ok=True)
     panels.savefig(folder / "integrator.png", dpi=110)
