@@ -1,11 +1,16 @@
 """How numbers enter the simulator: as floating arrays that JAX can trace and differentiate."""
 
 import jax
+import jax.core as jax_core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from drftjax.errors import InputError
+
+# One number, written or computed.
+Real = float | Array
 
 
 def as_real(value: ArrayLike) -> Float[Array, "..."]:
@@ -15,15 +20,13 @@ def as_real(value: ArrayLike) -> Float[Array, "..."]:
     return jnp.asarray(value, dtype=float)
 
 
-def require_between(
-    name: str, value: ArrayLike, low: float, high: ArrayLike, hint: str = ""
-) -> None:
+def require_between(name: str, value: ArrayLike, low: float, high: Real, hint: str = "") -> None:
     """Refuse a concrete number outside [low, high] or not finite; traced ones pass.
 
     Raises:
         InputError: names the quantity, what was given and what must hold.
     """
-    if isinstance(value, jax.core.Tracer) or isinstance(high, jax.core.Tracer):
+    if isinstance(value, jax_core.Tracer) or isinstance(high, jax_core.Tracer):
         return
     high = float(high)
     given = np.asarray(value)

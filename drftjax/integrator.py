@@ -59,10 +59,11 @@ class Rosenbrock(AbstractIntegrator):
 
 
 class HeldPace(AbstractIntegrator):
-    """The derivative at held plate speeds: it comes to rest without chatter at long steps.
+    """The derivative at held speeds of the plates near rest: it comes to rest without chatter.
 
-    Directions are p / |p|; only p is moved along, the denominator stays. Where a plate stops, the
-    exact derivative does not see the force turn over and overshoots; this one cannot.
+    Directions are p / |p|. Under `HELD_SPEED` only p is moved along and |p| stays: where a plate
+    stops, the exact derivative does not see the force turn over and overshoots; this cannot. Faster
+    plates have the exact derivative, so smooth motion is as accurate as with `Rosenbrock`.
     """
 
     def linearise(

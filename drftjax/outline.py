@@ -7,9 +7,10 @@ from pathlib import Path
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
-from drftjax.arrays import as_real, require_between
+from drftjax.arrays import Real, as_real, require_between
 from drftjax.errors import InputError
 from drftjax.wheel import (
     DEFAULT_PLATE_SIZE,
@@ -49,8 +50,8 @@ class OutlineWheel(AbstractWheel):
     def __init__(
         self,
         points: ArrayLike,
-        radius: ArrayLike,
-        width: ArrayLike = 0.120,
+        radius: Real,
+        width: Real = 0.120,
         *,
         plate_size: float = DEFAULT_PLATE_SIZE,
     ):
@@ -77,8 +78,8 @@ class OutlineWheel(AbstractWheel):
     def from_csv(
         cls,
         path: str | Path,
-        radius: ArrayLike,
-        width: ArrayLike = 0.120,
+        radius: Real,
+        width: Real = 0.120,
         *,
         plate_size: float = DEFAULT_PLATE_SIZE,
     ) -> "OutlineWheel":
@@ -113,7 +114,7 @@ def read_outline(path: str | Path) -> np.ndarray:
         InputError: names the file, the line and what must hold.
     """
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with Path(path).open(newline="", encoding="utf-8") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as problem:
         raise InputError(f"{path}: cannot be read as an outline ({problem})") from None

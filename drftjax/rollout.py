@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from drftjax.arrays import Real, as_real
 from drftjax.command import Command
 from drftjax.simulator import Output, Simulator, State
 
@@ -13,7 +14,7 @@ def simulate(
     simulator: Simulator,
     state: State,
     commands: Command,
-    dt: float,
+    dt: Float[Array, ""] | float,
     *,
     every: int = 1,
 ) -> tuple[State, Output]:
@@ -56,6 +57,6 @@ def with_first_row(simulator: Simulator, state: State, command: Command, rows: O
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rows)
 
 
-def step_times(steps: int, dt: float) -> Float[Array, " steps"]:
+def step_times(steps: int, dt: Real) -> Float[Array, " steps"]:
     """Ends of the first `steps` steps of `dt` [s]."""
-    return jnp.asarray(dt * np.arange(1, steps + 1), dtype=float)
+    return as_real(np.arange(1, steps + 1)) * dt

@@ -144,8 +144,8 @@ def simulated_run(
     Raises:
         InputError: where the set-up cannot be, or the run leaves what the model covers.
     """
-    trial = setup.trial()
-    output = _run(trial, interval)
+    trial = setup.trial(interval)
+    output = _run(trial)
     check_output(output, trial.simulator)
     command = setup.command.build()
     end = command.time[-1]
@@ -190,7 +190,8 @@ def summary(run: record.RunLog) -> str:
     assert measured.x is not None
     assert measured.z is not None
     return (
-        f"{run.title}: {measured.time[-1]:.4g} s, deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
-        f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, travel "
-        f"{measured.x[-1] - measured.x[0]:.4f} m"
+        f"{run.title}: {measured.time[-1]:.4g} s, "
+        f"deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
+        f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, "
+        f"travel {measured.x[-1] - measured.x[0]:.4f} m"
     )

@@ -1,7 +1,7 @@
 """The set-up of a trial as a file: what TOML and JSON hold, and how a trial is built from it."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -24,7 +24,7 @@ from drftjax.simulator import Simulator, State
 from drftjax.stress import AbstractStressLaw, Dynamic, QuasiStatic, StressCoefficients
 from drftjax.structfile import read_document, to_structure
 from drftjax.terrain import Terrain
-from drftjax.trial import Trial
+from drftjax.trial import ROW_INTERVAL, Trial
 from drftjax.wheel import DEFAULT_PLATE_SIZE, AbstractWheel, GrouserWheel, PlainWheel
 
 INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
@@ -160,7 +160,8 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
         require_between("command omega", omega, -100.0, 100.0, " rad/s")
         if self.vx is not None:
             require_between("command vx", self.vx, -10.0, 10.0, " m/s")
-        command = RunCommand(time=self.time, omega=omega, vx=self.vx)
+        vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
+        command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
         if len(command.time) < 2:
             raise InputError("the command has one knot in time, needs two or more")
         return command
@@ -184,8 +185,11 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
     start: StartSetUp = msgspec.field(default_factory=StartSetUp)
     integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
 
-    def trial(self) -> Trial:
+    def trial(self, interval: float = ROW_INTERVAL) -> Trial:
         """The trial that this set-up describes, ready to run.
+
+        Args:
+            interval: Time between rows of its output [s].
 
         Raises:
             InputError: says which number cannot be, and what must hold.
@@ -202,7 +206,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             raise InputError("the carriage is driven, so [command] needs vx in m/s")
         require_between("start sinkage", self.start.sinkage, -self.wheel.radius, self.wheel.radius)
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle)
-        return Trial.of(simulator, start, command, self.integrator.step)
+        return Trial.of(simulator, start, command, self.integrator.step, interval)
 
 
 def read_setup(path: str | Path) -> SetUp:
@@ -235,10 +239,10 @@ def setup_from_run(run: RunLog) -> SetUp:
             f"the run's /setup lacks {' and '.join(missing)}, without which it cannot be simulated"
         )
 
-    def given(*pairs: tuple[str, str]) -> dict[str, float]:
+    def given(*pairs: tuple[str, str]) -> dict[str, Any]:
         return {ours: known[theirs] for ours, theirs in pairs if theirs in known}
 
-    radius = {"radius": known["wheel_radius"], "width": known["wheel_width"]}
+    radius: dict[str, Any] = {"radius": known["wheel_radius"], "width": known["wheel_width"]}
     if known.get("grouser_count", 0):
         grousers = ("grouser_count", "grouser_height", "grouser_thickness")
         lacking = [name for name in grousers if name not in known]

@@ -4,9 +4,9 @@ import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from drftjax.arrays import as_real
+from drftjax.arrays import Real, as_real
 from drftjax.command import Command
 from drftjax.integrator import AbstractIntegrator, Rosenbrock
 from drftjax.rig import Rig
@@ -33,7 +33,7 @@ class State(eqx.Module):
     omega: Float[Array, ""]
 
     @classmethod
-    def at_rest(cls, sinkage: ArrayLike, x: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> "State":
+    def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0) -> "State":
         """A standing wheel at this sinkage [m], place x [m] and angle [rad]."""
         depth = as_real(sinkage)
         nought = jnp.zeros((), depth.dtype)

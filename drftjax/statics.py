@@ -8,7 +8,8 @@ and the zeta(0) of Table 3 of Fuke, Ishikawa & Ishigami 2024. One that no longer
 
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from drftjax.arrays import as_real, require_between
 from drftjax.simulator import Simulator

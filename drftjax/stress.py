@@ -16,13 +16,16 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from drftjax.arrays import as_real, require_between
 from drftjax.wheel import Plates
 
 # Regulariser: width [m/s] over which direction and the leading-plate rule fade in at rest.
 REST_SPEED = 1e-4
+# Plate speed [m/s] under which an integrator may hold it over a step: ten times that width.
+HELD_SPEED = 1e-3
 
 NEWTON_PER_CUBIC_CENTIMETRE = 1e6
 
@@ -67,14 +70,18 @@ def plate_motion(
         velocity: Velocity (x, z) of the axle [m/s].
         omega: Angular velocity, positive driving forward [rad/s].
         height_decrease: See `PlateMotion`.
-        pace: Axle velocity [m/s] whose plate speeds divide the plate velocities into directions:
-            `velocity` itself, unless an integrator holds it back.
+        pace: Axle velocity [m/s] whose plate speeds, where they are under `HELD_SPEED`, divide
+            the plate velocities into directions: `velocity` itself, unless an integrator holds it.
     """
     velocity_x = velocity[0] + omega * plates.z
     velocity_z = velocity[1] - omega * plates.x
     pace_x = pace[0] + omega * plates.z
     pace_z = pace[1] - omega * plates.x
-    speed = jnp.sqrt(pace_x**2 + pace_z**2 + REST_SPEED**2)
+    held_square = pace_x**2 + pace_z**2 + REST_SPEED**2
+    held = jnp.sqrt(held_square)
+    now = jnp.sqrt(velocity_x**2 + velocity_z**2 + REST_SPEED**2)
+    # Fast plates follow the velocity, slow ones keep the pace's speed.
+    speed = held + held_square / (held_square + HELD_SPEED**2) * (now - held)
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
     return PlateMotion(
         depth=-(height + plates.z),

@@ -23,11 +23,12 @@ class Trial(eqx.Module):
     Attributes:
         simulator: Every number of wheel, terrain and rig.
         start: State at the first command.
-        time: Knots of the command, from `start.time` on [s], shape (knots,).
+        time: Knots of the command, from zero on [s], shape (knots,).
         omega: Commanded angular velocity [rad/s], shape (knots,).
         vx: Commanded carriage speed [m/s], shape (knots,); zero where the carriage is free.
         step: Integrator step [s].
-        steps: Steps to the end of the command.
+        every: Steps from one row of the output to the next.
+        rows: Rows of the output after the first, to the end of the command or past it.
     """
 
     simulator: Simulator
@@ -35,33 +36,40 @@ class Trial(eqx.Module):
     time: Float[Array, " knots"]
     omega: Float[Array, " knots"]
     vx: Float[Array, " knots"]
-    step: float = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
+    step: Float[Array, ""]
+    every: int = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls, simulator: Simulator, start: State, command: record.Command, step: float
+        cls,
+        simulator: Simulator,
+        start: State,
+        command: record.Command,
+        step: float,
+        interval: float = ROW_INTERVAL,
     ) -> "Trial":
-        """A trial of a recorded or written command; time counts from its first knot."""
+        """A trial of a recorded or written command; time counts from its first knot.
+
+        Args:
+            simulator, start: What runs, and from where.
+            command: What it is asked.
+            step: Integrator step [s].
+            interval: Time between rows [s], rounded to whole steps.
+        """
         time = command.time - command.time[0]
         vx = np.zeros_like(time) if command.vx is None else command.vx
-        steps = round(float(time[-1]) / step)
-        if steps < 1:
-            raise InputError(f"the command lasts {time[-1]:g} s, less than a step of {step:g} s")
-        return cls(
-            simulator, start, as_real(time), as_real(command.omega), as_real(vx), step, steps
-        )
+        every = max(1, round(interval / step))
+        # A whole row more or less than rounding leaves undecided is one too many.
+        rows = math.ceil(float(time[-1]) / (every * step) - 1e-9)
+        knots = as_real(time), as_real(command.omega), as_real(vx)
+        return cls(simulator, start, *knots, as_real(step), every, rows)
 
-    def run(self, interval: float = ROW_INTERVAL) -> Output:
-        """The whole run, a row about every `interval` [s], the start as its first row.
-
-        The interval is rounded to whole steps, and the last row may lie past the command's end,
-        where its last value holds.
-        """
-        every = max(1, round(interval / self.step))
-        times = step_times(every * math.ceil(self.steps / every), self.step)
+    def run(self) -> Output:
+        """The whole run from its start on; past the command's end its last value holds."""
+        times = step_times(self.rows * self.every, self.step)
         commands = command_at(times, self.time, self.omega, self.vx)
-        _, rows = simulate(self.simulator, self.start, commands, self.step, every=every)
+        _, rows = simulate(self.simulator, self.start, commands, self.step, every=self.every)
         first = Command(self.omega[0], self.vx[0], commands.zeta[0])
         return with_first_row(self.simulator, self.start, first, rows)
 

@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
-from drftjax.arrays import as_real, require_between
+from drftjax.arrays import Real, as_real, require_between
 
 # A single-wheel test bed's wheel in metres; anything outside is a slip of units (150 for 0.150).
 SMALLEST_RADIUS, LARGEST_RADIUS = 0.005, 2.0
@@ -113,12 +113,12 @@ def turn(plates: Plates, angle: Float[Array, ""]) -> Plates:
     )
 
 
-def _check_rim(radius: ArrayLike, width: ArrayLike) -> None:
+def _check_rim(radius: Real, width: Real) -> None:
     require_between("wheel radius", radius, SMALLEST_RADIUS, LARGEST_RADIUS, UNIT_HINT)
     require_between("wheel width", width, SMALLEST_RADIUS, LARGEST_RADIUS, UNIT_HINT)
 
 
-def _check_cut(radius: ArrayLike, plate_size: float, reach: float) -> None:
+def _check_cut(radius: Real, plate_size: float, reach: float) -> None:
     require_between("plate size", plate_size, 1e-5, float(radius), UNIT_HINT)
     require_between("reach", reach, 0.1, math.pi, " rad")
 
@@ -143,8 +143,8 @@ class PlainWheel(AbstractWheel):
 
     def __init__(
         self,
-        radius: ArrayLike = 0.150,
-        width: ArrayLike = 0.120,
+        radius: Real = 0.150,
+        width: Real = 0.120,
         *,
         plate_size: float = DEFAULT_PLATE_SIZE,
         reach: float = DEFAULT_REACH,
@@ -203,12 +203,12 @@ class GrouserWheel(AbstractWheel):
 
     def __init__(
         self,
-        radius: ArrayLike = 0.150,
-        width: ArrayLike = 0.120,
+        radius: Real = 0.150,
+        width: Real = 0.120,
         grouser_count: int = 12,
-        grouser_height: ArrayLike = 0.018,
-        grouser_thickness: ArrayLike = 0.009,
-        grouser_fraction: ArrayLike = 1.0,
+        grouser_height: Real = 0.018,
+        grouser_thickness: Real = 0.009,
+        grouser_fraction: Real = 1.0,
         *,
         plate_size: float = DEFAULT_PLATE_SIZE,
         reach: float = DEFAULT_REACH,

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from drftjax.errors import InputError
 from drftjax.simulator import Output
-from drftjax.trial import ROW_INTERVAL, Trial
+from drftjax.trial import Trial
 from identify.observation import Observation
 from identify.parameter import Parameter
 
@@ -78,23 +78,24 @@ def make_batch(
     )
     if not channels:
         raise InputError("the runs have no channel in common that a fit could compare")
-    steps = max(trial.steps for trial in trials)
+    rows = max(trial.rows for trial in trials)
     knots = max(len(trial.time) for trial in trials)
     samples = max(len(o.time) for o in observations)
-    alike = [_without_lengths(trial, steps, knots) for trial in trials]
-    rows = [
+    alike = [_without_lengths(trial, rows, knots) for trial in trials]
+    recorded = [
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
     ]
     padding = -len(trials) % multiple
     alike += alike[:1] * padding
-    rows += [eqx.tree_at(lambda o: o.weight, rows[0], 0 * rows[0].weight)] * padding
+    silent = eqx.tree_at(lambda o: o.weight, recorded[0], 0 * recorded[0].weight)
+    recorded += [silent] * padding
     stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
-    return Batch(jax.tree.map(stack, *alike), jax.tree.map(stack, *rows), channels, len(trials))
+    return Batch(jax.tree.map(stack, *alike), jax.tree.map(stack, *recorded), channels, len(trials))
 
 
-def _without_lengths(trial: Trial, steps: int, knots: int) -> Trial:
-    """The trial padded to a common number of steps and command knots."""
+def _without_lengths(trial: Trial, rows: int, knots: int) -> Trial:
+    """The trial padded to a common number of rows and command knots."""
     missing = max(0, knots - len(trial.time))
     later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
     hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
@@ -105,26 +106,22 @@ def _without_lengths(trial: Trial, steps: int, knots: int) -> Trial:
         hold(trial.omega),
         hold(trial.vx),
         trial.step,
-        steps,
+        trial.every,
+        rows,
     )
-
-
-def _every(step: float) -> int:
-    return max(1, round(ROW_INTERVAL / step))
 
 
 def _observed(
     observation: Observation, channels: tuple[str, ...], samples: int, trial: Trial
 ) -> Observed:
-    interval = _every(trial.step) * trial.step
+    interval = trial.every * float(trial.step)
     place = np.clip(observation.time / interval, 0, None)
-    last = np.ceil(trial.steps * trial.step / interval)
-    row = np.clip(np.floor(place + 1e-9), 0, last - 1)
+    row = np.clip(np.floor(place + 1e-9), 0, trial.rows - 1)
     share = np.clip(place - row, 0, 1)
     picked = [observation.channels.index(each) for each in channels]
     extra = samples - len(observation.time)
     # Times past the command's end are not simulated, so they weigh nothing.
-    counts = observation.counts & (observation.time <= trial.steps * trial.step + interval)
+    counts = observation.counts & (place <= trial.rows + 1)
     weight = counts / observation.noise[picked][:, None]
 
     def padded(values: np.ndarray, dtype: type = float) -> Array:

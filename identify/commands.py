@@ -42,7 +42,10 @@ def fit(
     method: Annotated[
         str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
     ] = "held pace",
-    step: Annotated[float, typer.Option(help="Integrator step [s].")] = 2e-3,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Integrator step [s]. [default: the longest that each command allows]"),
+    ] = None,
     keep_rest: Annotated[
         bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
     ] = False,

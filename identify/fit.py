@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.errors import InputError
+from drftjax.integrator import steady_step
 from drftjax.runlog.record import RunLog
 from drftjax.setup import SetUp, setup_from_run
 from drftjax.trial import Trial
@@ -20,9 +21,9 @@ from identify.result import FitResult, RunFit, Value
 from identify.solve import Coordinates, Solution, solve
 from identify.uncertainty import covariance
 
-# Fits step with the method that does not chatter at rest, so that residuals are smooth in the
-# parameters; docs/integrator.md has its error at this step.
-FIT_METHOD, FIT_STEP = "held pace", 2e-3
+# Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
+FIT_METHOD = "held pace"
+STEPS_A_ROW = 5
 
 # Recorded sinkage and travel are averaged over this long for the start [s].
 START_WINDOW = 0.2
@@ -57,7 +58,7 @@ def candidate(
     *,
     zeta: float | None = None,
     method: str = FIT_METHOD,
-    step: float = FIT_STEP,
+    step: float | None = None,
     keep_rest: bool = False,
 ) -> Candidate:
     """A recorded run made ready: its set-up as believed, its start as recorded.
@@ -66,7 +67,8 @@ def candidate(
         name: The run, as reports call it.
         run: What was recorded.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
-        method, step: Integrator and its step [s].
+        method: Integrator.
+        step: Its step [s]; where none is given, the longest that the command allows.
         keep_rest: See `observe`.
 
     Raises:
@@ -76,7 +78,9 @@ def candidate(
         observation = observe(run, keep_rest=keep_rest)
         setup = setup_from_run(run)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
-        setup.integrator.step = step
+        setup.integrator.step = step or steady_step(
+            setup.wheel.radius, run.command.time, run.command.omega
+        )
         early = observation.time <= max(START_WINDOW, observation.time[0])
         if run.measured.z is not None and early.sum() > 1:
             setup.start.sinkage = float(-run.measured.z[early].mean())
@@ -84,7 +88,8 @@ def candidate(
             setup.start.x = float(run.measured.x[early].mean())
         if zeta is not None:
             setup.terrain.zeta = zeta
-        return Candidate(name, setup, setup.trial(), observation)
+        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
+        return Candidate(name, setup, trial, observation)
     except InputError as problem:
         raise InputError(f"{name}: {problem}") from None
 
@@ -137,12 +142,13 @@ def _problem(
         )
         problem = Problem(batch, parameters, device_mesh())
         before = _predicted(problem, problem.start())
-        diverged = ~np.isfinite(before[: len(candidates)]).all(axis=(1, 2))
-        if not diverged.any():
+        fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
+        if all(fine):
             return problem, before, failures
-        for each in np.array(candidates, dtype=object)[diverged]:
-            failures[each.name] = "its simulation diverges at the values it starts from"
-        candidates = [each for each, bad in zip(candidates, diverged, strict=True) if not bad]
+        for each, good in zip(candidates, fine, strict=True):
+            if not good:
+                failures[each.name] = "its simulation diverges at the values it starts from"
+        candidates = [each for each, good in zip(candidates, fine, strict=True) if good]
 
 
 @eqx.filter_jit

@@ -21,6 +21,8 @@ LEAST_GAIN = 0.1
 # After so many refusals in a row, each a shorter step than the last, what is left to gain lies
 # under the simulation's resolution: stops and landings make the sum of squares rough by as much.
 MOST_REFUSED = 3
+# Of the sum of squares: less is not worth a warning.
+NEGLIGIBLE = 0.01
 MOST_STEPS = 60
 
 
@@ -33,7 +35,8 @@ class Solution:
         residual: Weighted residuals there, shape (runs, channels, samples).
         blocks: Their derivative, shape (runs, channels, samples, shared + own).
         steps: Steps taken.
-        status: "converged", "stalled" (no step was accepted at all) or "out of steps".
+        status: "converged", "stalled" or "out of steps".
+        promised: Share of the sum of squares that a straight line from here says is still to gain.
     """
 
     coordinates: Coordinates
@@ -41,6 +44,7 @@ class Solution:
     blocks: np.ndarray
     steps: int
     status: str
+    promised: float
 
 
 def solve(
@@ -67,11 +71,42 @@ def solve(
             status = "converged"
             break
         if refused == MOST_REFUSED:
-            status = "converged" if number > 1 + refused else "stalled"
+            status = "stalled"
             break
         loss = min(loss, now)
-    residual, blocks = _blocks(problem, coordinates)
-    return Solution(coordinates, np.asarray(residual), np.asarray(blocks), number, status)
+    residual, blocks = map(np.asarray, _blocks(problem, coordinates))
+    promised = _promised(residual, blocks, len(problem.shared))
+    if status == "stalled" and promised < NEGLIGIBLE:
+        status = "converged"
+    return Solution(coordinates, residual, blocks, number, status, promised)
+
+
+def _promised(residual: np.ndarray, blocks: np.ndarray, shared: int) -> float:
+    """Share of the sum of squares that the derivative could still take away."""
+    information, slope = normal_equations(blocks, shared, residual)
+    gain = slope @ np.linalg.lstsq(information, slope, rcond=None)[0]
+    return float(gain / max(np.sum(residual**2), np.finfo(float).tiny))
+
+
+def normal_equations(
+    blocks: np.ndarray, shared: int, residual: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """J^T J and J^T r of all coordinates: shared ones, then each run's own.
+
+    Args:
+        blocks: Derivatives, shape (runs, channels, samples, shared + own).
+        shared: Number of shared coordinates.
+        residual: Residuals, shape (runs, channels, samples).
+    """
+    runs, own = len(blocks), blocks.shape[-1] - shared
+    size = shared + runs * own
+    information, slope = np.zeros((size, size)), np.zeros(size)
+    for run in range(runs):
+        place = np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
+        rows = blocks[run].reshape(-1, shared + own)
+        information[np.ix_(place, place)] += rows.T @ rows
+        slope[place] += rows.T @ residual[run].ravel()
+    return information, slope
 
 
 _SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=lx.QR())

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from identify.solve import normal_equations
+
 # Beyond this the inflation is no longer an estimate but a statement that the samples are one.
 LARGEST_CORRELATION = 0.9999
 
@@ -36,22 +38,15 @@ def covariance(
     Returns:
         Covariance, shape (shared + runs * own,) squared.
     """
-    runs, channels, _ = residual.shape
-    own = blocks.shape[-1] - shared
-    size = shared + runs * own
-    information = np.zeros((size, size))
-    for run in range(runs):
-        place = np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
-        for channel in range(channels):
-            here = counts[run, channel]
-            number = here.sum()
-            if number == 0:
-                continue
-            rho = lag_one_correlation(residual[run, channel], here)
-            variance = max(np.sum(residual[run, channel] ** 2) / number, 1.0)
-            inflation = variance * (1 + rho) / (1 - rho)
-            slope = blocks[run, channel][here]
-            information[np.ix_(place, place)] += slope.T @ slope / inflation
+    number = np.maximum(counts.sum(axis=2), 1)
+    variance = np.maximum((residual**2).sum(axis=2) / number, 1.0)
+    inflation = variance.copy()
+    for run, channel in np.ndindex(variance.shape):
+        rho = lag_one_correlation(residual[run, channel], counts[run, channel])
+        inflation[run, channel] *= (1 + rho) / (1 - rho)
+    scale = counts / np.sqrt(inflation)[:, :, None]
+    information, _ = normal_equations(blocks * scale[..., None], shared, residual)
+    size = len(information)
     values, vectors = np.linalg.eigh(information)
     floor = values.max() * np.finfo(float).eps * size if size else 0.0
     return (vectors / np.maximum(values, max(floor, np.finfo(float).tiny))) @ vectors.T

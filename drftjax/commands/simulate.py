@@ -52,7 +52,8 @@ def simulate(
     configure_jax()
     from rich.console import Console
 
-    from drftjax import saved, setup as setups
+    from drftjax import saved
+    from drftjax import setup as setups
     from drftjax.runlog.check import read_run_guarded
     from drftjax.runlog.hdf5 import write_run
     from drftjax.runlog.replace import make_folder
