@@ -107,19 +107,23 @@ def test_the_seal_is_cut_off_by_a_program_that_edits_the_file(good, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("deed", "reason"),
+    ("deed", "limit", "reason"),
     [
-        ("import time; time.sleep(60)", "could not be read in 0.5 s"),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", r"crashed .*\(SIGSEGV\)"),
-        ("import os; os._exit(3)", "ended with code 3"),
-        ("from drftjax.runlog import guard; guard._limit_memory(); x = bytes(5 * 2**30)", "ended"),
+        ("import time; time.sleep(60)", 0.5, "could not be read in 0.5 s"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", 60, r"crashed .*\(SIGSEGV\)"),
+        ("import os; os._exit(3)", 60, "ended with code 3"),
+        (
+            "from drftjax.runlog import guard; guard._limit_memory(); x = bytes(5 * 2**30)",
+            60,
+            "ended",
+        ),
     ],
     ids=["hangs", "crashes", "leaves", "wants memory"],
 )
-def test_a_reader_that_is_lost_is_reported_and_replaced(good, monkeypatch, deed, reason):
+def test_a_reader_that_is_lost_is_reported_and_replaced(good, monkeypatch, deed, limit, reason):
     honest = guard._START
     root = Path(guard.__file__).parents[2]
-    with GuardedReader(0.5) as reader:
+    with GuardedReader(limit) as reader:
         monkeypatch.setattr(guard, "_START", f"import sys; sys.path.append({str(root)!r}); {deed}")
         content, (violation,) = reader.survey(good)
         assert content is None
