@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drftjax.arrays import require_between
 from drftjax.errors import InputError
@@ -26,6 +27,9 @@ from drftjax.structfile import read_document, to_structure
 from drftjax.terrain import Terrain
 from drftjax.trial import ROW_INTERVAL, Trial
 from drftjax.wheel import DEFAULT_PLATE_SIZE, AbstractWheel, GrouserWheel, PlainWheel
+
+# Hours of a run at the default step; more is a slip of units, and would fill the memory.
+MOST_STEPS = 2e7
 
 INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
     "rosenbrock": Rosenbrock,
@@ -54,6 +58,10 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
     plate_size: float = DEFAULT_PLATE_SIZE
 
     def build(self) -> AbstractWheel:
+        if self.shape != "outline" and (self.outline is not None or self.points is not None):
+            raise InputError(
+                f"[wheel] gives an outline, but its shape is {self.shape!r}; say shape = 'outline'"
+            )
         if self.shape == "plain":
             return PlainWheel(self.radius, self.width, plate_size=self.plate_size)
         if self.shape == "outline":
@@ -157,14 +165,20 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
     def build(self) -> RunCommand:
         omega = np.asarray(self.omega, dtype=float)
         omega = np.radians(omega) if self.omega_unit == "deg/s" else omega
-        require_between("command omega", omega, -100.0, 100.0, " rad/s")
+        require_between("command omega", _farthest(omega), -100.0, 100.0, " rad/s")
         if self.vx is not None:
-            require_between("command vx", self.vx, -10.0, 10.0, " m/s")
+            require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
         command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
         if len(command.time) < 2:
             raise InputError("the command has one knot in time, needs two or more")
         return command
+
+
+def _farthest(values: ArrayLike) -> float:
+    """The value farthest from zero, or one that is not finite: what a refusal should show."""
+    given = np.asarray(values, dtype=float)
+    return float(given[np.argmax(np.abs(given))]) if given.size else 0.0
 
 
 class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -204,7 +218,19 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         command = self.command.build()
         if self.rig.carriage == "driven" and command.vx is None:
             raise InputError("the carriage is driven, so [command] needs vx in m/s")
-        require_between("start sinkage", self.start.sinkage, -self.wheel.radius, self.wheel.radius)
+        if self.rig.carriage == "free" and command.vx is not None:
+            raise InputError("[command] gives vx, but the carriage of [rig] is free, not 'driven'")
+        radius = self.wheel.radius
+        require_between("start sinkage", self.start.sinkage, -radius, radius, " m")
+        require_between("start x", self.start.x, -1e3, 1e3, " m")
+        require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
+        require_between(
+            "the number of steps",
+            (command.time[-1] - command.time[0]) / self.integrator.step,
+            0,
+            MOST_STEPS,
+            " (times are in seconds)",
+        )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle)
         return Trial.of(simulator, start, command, self.integrator.step, interval)
 
@@ -219,7 +245,13 @@ def read_setup(path: str | Path) -> SetUp:
     setup = to_structure(read_document(path), SetUp, path)
     wheel = setup.wheel
     if wheel.outline is not None:
+        if wheel.points is not None:
+            raise InputError(f"{path}: [wheel] has both points and an outline; give one of them")
         wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    try:
+        setup.trial()
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
     return setup
 
 

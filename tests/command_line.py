@@ -1,0 +1,45 @@
+"""`drft` run inside the test's own process: what it printed, and the code it left with."""
+
+import sys
+from dataclasses import dataclass
+
+import jax
+import pytest
+
+from drftjax.commands.main import main
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a program said."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def refusal(self) -> str:
+        """The one sentence of a refusal, without its "drft: "."""
+        assert self.code == 2, self
+        assert self.err.startswith("drft: "), self
+        assert self.err.count("\n") == 1, self
+        assert self.err.endswith("\n"), self
+        return self.err.removeprefix("drft: ").rstrip("\n")
+
+
+class Drft:
+    """`drft`, called with its arguments."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+        self._monkeypatch, self._capsys = monkeypatch, capsys
+        monkeypatch.setenv("COLUMNS", "200")
+        jax.devices()  # so that no command splits the CPU anew, and programs compile once
+
+    def __call__(self, *arguments: object) -> Answer:
+        self._monkeypatch.setattr(sys, "argv", ["drft", *map(str, arguments)])
+        self._capsys.readouterr()
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = self._capsys.readouterr()
+        code = end.value.code
+        return Answer(code if isinstance(code, int) else int(code is not None), out, err)
