@@ -94,10 +94,10 @@ def test_lifted_wheel_falls_freely_until_it_touches():
     assert float(jnp.max(jnp.abs(rows.fz[in_air]))) == 0
 
 
-@pytest.mark.parametrize(("integrator", "step"), [(HeldPace(), 5e-4), (Rosenbrock(), 1e-4)])
-def test_dropped_wheel_comes_to_rest_where_it_lands(integrator, step):
-    # The exact derivative needs a finer step here: docs/integrator.md.
-    rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=step)
+@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
+def test_dropped_wheel_comes_to_rest_where_it_lands(integrator):
+    # At longer steps a fall ends in chatter: docs/integrator.md has the table.
+    rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=1e-4)
     landed = int(jnp.argmin(rows.z))
     assert 0.1 < float(rows.time[landed]) < 0.3
     assert -float(rows.z[landed]) == pytest.approx(LANDING_DEPTH, abs=LANDING)

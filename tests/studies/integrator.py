@@ -204,6 +204,22 @@ def study_references() -> None:
     )
 
 
+def study_falls() -> None:
+    """How far a wheel dropped from 50 mm climbs out of the sand again, which no sand can do."""
+    lines = []
+    for zeta in (0.3, 0.7823, 2.0):
+        for integrator in INTEGRATORS:
+            simulator = Simulator(terrain=Terrain(ConstantZeta(zeta)), integrator=integrator)
+            run = profile(simulator, (0, 1), (0, 0), sinkage=-0.05)
+            cells = []
+            for step in STEPS:
+                z = run.rows(step, 0.004).z
+                cells.append(f"{1e3 * float(z[-1] - jnp.min(z)):.2f}")
+            lines.append([f"{zeta:g}", LABELS[name_of(integrator)], *cells])
+    heads = ["zeta", "integrator", *(f"{milliseconds(step)} ms" for step in STEPS)]
+    table("Climb in the 0.8 s after a fall from 50 mm, in mm", heads, lines)
+
+
 def support_at(sinkage: float, vx: np.ndarray, vz: np.ndarray) -> np.ndarray:
     """Vertical force [N] on the paper's wheel that does not turn, over axle velocities [m/s]."""
     simulator = Simulator().prepared()
@@ -313,6 +329,7 @@ def main() -> None:
     fine = {case: run.rows(FINE_STEP, INTERVAL) for case, run in cases().items()}
     by_step = study_steps(fine)
     study_references()
+    study_falls()
     study_rest()
     by_gradient = study_gradients()
     study_precision()
