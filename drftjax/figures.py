@@ -11,14 +11,23 @@ from drftjax.runlog.replace import make_folder, replace_file
 KINDS = (".png", ".pdf", ".svg")
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, PDF or SVG, whole or not at all; folders are made.
+def check_figure_name(path: Path) -> None:
+    """Refuse a name that no figure can have, before the work that leads to the figure.
 
     Raises:
         InputError: names the file and what must hold.
     """
     if path.suffix.lower() not in KINDS:
         raise InputError(f"{path}: a figure's name must end in {', '.join(KINDS)}")
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, PDF or SVG, whole or not at all; folders are made.
+
+    Raises:
+        InputError: names the file and what must hold.
+    """
+    check_figure_name(path)
     make_folder(path.parent)
     image = io.BytesIO()
     figure.savefig(image, format=path.suffix.lower()[1:], dpi=130)

@@ -10,6 +10,7 @@ import numpy as np
 from drftjax import __version__
 from drftjax.errors import InputError
 from drftjax.runlog import record
+from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import read_result
 from drftjax.runlog.result import ResultGroup
 from drftjax.setup import CommandSetUp, SetUp
@@ -49,6 +50,8 @@ def read_model(path: str | Path, run: str | None = None) -> SetUp:
     path = Path(path)
     fitted = _from_hdf5(path) if path.suffix in HDF5_ENDINGS else _from_json(path)
     names = list(fitted)
+    if not names:
+        raise InputError(f"{path} holds no runs")
     if run is None and len(names) == 1:
         return fitted[names[0]]
     if run is None:
@@ -139,11 +142,13 @@ def simulated_run(
     Args:
         setup: What is simulated.
         interval: Time between rows [s]; rounded to whole steps.
-        at: Times of the rows [s] in place of that.
+        at: Times of the rows [s] in place of that, met by interpolation.
 
     Raises:
         InputError: where the set-up cannot be, or the run leaves what the model covers.
     """
+    if at is not None and len(at) > 1:
+        interval = min(interval, float(np.median(np.diff(at))))
     trial = setup.trial(interval)
     output = _run(trial)
     check_output(output, trial.simulator)
@@ -190,7 +195,7 @@ def summary(run: record.RunLog) -> str:
     assert measured.x is not None
     assert measured.z is not None
     return (
-        f"{run.title}: {measured.time[-1]:.4g} s, "
+        f"{printable(run.title)}: {measured.time[-1]:.4g} s, "
         f"deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
         f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, "
         f"travel {measured.x[-1] - measured.x[0]:.4f} m"

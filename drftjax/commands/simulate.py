@@ -50,8 +50,6 @@ def simulate(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
-    from rich.console import Console
-
     from drftjax import saved
     from drftjax import setup as setups
     from drftjax.runlog.check import read_run_guarded
@@ -61,12 +59,19 @@ def simulate(
     given = [each for each in (setup, like, source) if each is not None]
     if len(given) != 1:
         raise InputError(
-            f"{len(given)} sources were given; name one set-up file, --like RUN or --from RESULT"
+            f"{len(given) or 'no'} sources were given; name one set-up file, --like RUN or "
+            "--from RESULT"
         )
     if not 0 < rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz, must lie between 0 and 100000 Hz")
     if run is not None and source is None:
         raise InputError("--run goes with --from, to name one run of a fit")
+    if output is not None and output.suffix not in saved.HDF5_ENDINGS:
+        raise InputError(f"{output}: a run log's name must end in {', '.join(saved.HDF5_ENDINGS)}")
+    if plot is not None:
+        from drftjax.figures import check_figure_name
+
+        check_figure_name(plot)
     sampled = None
     if setup is not None:
         chosen = setups.read_setup(setup)
@@ -85,15 +90,14 @@ def simulate(
         chosen.integrator.step = step
     log = saved.simulated_run(chosen, interval=1 / rate, at=sampled)
 
-    console = Console()
-    console.print(saved.summary(log))
+    typer.echo(saved.summary(log))
     if output is not None:
         make_folder(output.parent)
         write_run(output, log)
-        console.print(f"run log written to {output}")
+        typer.echo(f"run log written to {output}")
     if plot is not None:
         from drftjax.figures import save_figure
         from drftjax.runlog.figure import plot_run
 
         save_figure(plot_run(log), plot)
-        console.print(f"figure written to {plot}")
+        typer.echo(f"figure written to {plot}")
