@@ -1,6 +1,7 @@
 """Writing a figure to a file, with errors that help."""
 
 import io
+import warnings
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -30,5 +31,8 @@ def save_figure(figure: Figure, path: Path) -> None:
     check_figure_name(path)
     make_folder(path.parent)
     image = io.BytesIO()
-    figure.savefig(image, format=path.suffix.lower()[1:], dpi=130)
+    with warnings.catch_warnings():
+        # A name may be in a script that the font lacks; it is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure.savefig(image, format=path.suffix.lower()[1:], dpi=130)
     replace_file(path, image.getvalue())

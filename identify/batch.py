@@ -17,8 +17,10 @@ from jaxtyping import Array, Float, Int
 from drftjax.errors import InputError
 from drftjax.simulator import Output
 from drftjax.trial import Trial
-from identify.observation import Observation
+from identify.observation import CHANNELS, Observation
 from identify.parameter import Parameter
+
+OTHER_KIND = "has another kind of wheel, terrain, carriage or integrator"
 
 
 class Observed(eqx.Module):
@@ -43,7 +45,7 @@ class Batch(eqx.Module):
     Attributes:
         trials: Trials stacked along a leading axis of runs.
         observed: Their recordings.
-        channels: Names of the channels compared.
+        channels: Names of the channels compared; one that a run lacks weighs nothing there.
         runs: Number of true runs; the rest are padding that weighs nothing.
     """
 
@@ -64,34 +66,38 @@ def make_batch(
         multiple: The number of runs is padded to a multiple of this.
 
     Raises:
-        InputError: where the trials are not alike, or share no channel.
+        InputError: where the trials are not alike.
     """
-    first = jax.tree.structure(_without_lengths(trials[0], 1, 1))
     for number, trial in enumerate(trials[1:], start=2):
-        if jax.tree.structure(_without_lengths(trial, 1, 1)) != first:
-            raise InputError(
-                f"run {number} has another kind of wheel, terrain, carriage or integrator than "
-                "the first; fit such runs apart"
-            )
-    channels = tuple(
-        each for each in observations[0].channels if all(each in o.channels for o in observations)
-    )
-    if not channels:
-        raise InputError("the runs have no channel in common that a fit could compare")
+        if not alike(trial, trials[0]):
+            raise InputError(f"run {number} {OTHER_KIND} than the first; fit such runs apart")
+    channels = tuple(c for c in CHANNELS if any(c in o.channels for o in observations))
     rows = max(trial.rows for trial in trials)
     knots = max(len(trial.time) for trial in trials)
     samples = max(len(o.time) for o in observations)
-    alike = [_without_lengths(trial, rows, knots) for trial in trials]
+    padded = [_without_lengths(trial, rows, knots) for trial in trials]
     recorded = [
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
     ]
     padding = -len(trials) % multiple
-    alike += alike[:1] * padding
+    padded += padded[:1] * padding
     silent = eqx.tree_at(lambda o: o.weight, recorded[0], 0 * recorded[0].weight)
     recorded += [silent] * padding
     stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
-    return Batch(jax.tree.map(stack, *alike), jax.tree.map(stack, *recorded), channels, len(trials))
+    return Batch(
+        jax.tree.map(stack, *padded), jax.tree.map(stack, *recorded), channels, len(trials)
+    )
+
+
+def alike(trial: Trial, other: Trial) -> bool:
+    """Whether one compiled program runs both: the same kind of wheel, terrain, rig and method."""
+
+    def kind(trial: Trial) -> tuple:
+        parts = jax.tree.leaves((trial.simulator, trial.start))
+        return jax.tree.structure(_without_lengths(trial, 1, 1)), [each.shape for each in parts]
+
+    return kind(trial) == kind(other)
 
 
 def _without_lengths(trial: Trial, rows: int, knots: int) -> Trial:
@@ -118,19 +124,18 @@ def _observed(
     place = np.clip(observation.time / interval, 0, None)
     row = np.clip(np.floor(place + 1e-9), 0, trial.rows - 1)
     share = np.clip(place - row, 0, 1)
-    picked = [observation.channels.index(each) for each in channels]
     extra = samples - len(observation.time)
-    # Times past the command's end are not simulated, so they weigh nothing.
-    counts = observation.counts & (place <= trial.rows + 1)
-    weight = counts / observation.noise[picked][:, None]
+    values = np.zeros((len(channels), len(observation.time)))
+    weight = np.zeros_like(values)
+    for channel, (recorded, noise) in observation.by_channel().items():
+        values[channels.index(channel)] = recorded
+        weight[channels.index(channel)] = observation.counts / noise
 
     def padded(values: np.ndarray, dtype: type = float) -> Array:
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
         return jnp.asarray(np.pad(values, width), dtype)
 
-    return Observed(
-        padded(row, int), padded(share), padded(observation.values[picked]), padded(weight)
-    )
+    return Observed(padded(row, int), padded(share), padded(values), padded(weight))
 
 
 def sampled(output: Output, observed: Observed, channels: tuple[str, ...]) -> Array:

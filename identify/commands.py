@@ -59,7 +59,9 @@ def fit(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax(devices=os.cpu_count())
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.content import printable
+    from drftjax.runlog.guard import GuardedReader
+    from drftjax.runlog.layout import run_from
     from drftjax.setup import INTEGRATORS
     from identify.fit import candidate
     from identify.fit import fit as fit_runs
@@ -75,23 +77,32 @@ def fit(
     twice = {name for name in named if named.count(name) > 1}
     if twice:
         raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
+    stem = None if output is None else _stem(output)
 
     console = Console()
+
+    def say(text: str, style: str | None = None) -> None:
+        # File names may hold brackets, and are to be copied from one line.
+        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     failures: dict[str, str] = {}
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar, GuardedReader() as reader:
         task = bar.add_task(f"reading {len(runs)} runs", total=None)
         candidates = []
-        for name, path in zip(_names(runs), runs, strict=True):
+        for name, path, surveyed in zip(_names(runs), runs, reader.surveys(runs), strict=True):
             try:
-                run = read_run_guarded(path)
+                run = run_from(*surveyed)
                 candidates.append(
                     candidate(name, run, zeta=zeta, method=method, step=step, keep_rest=keep_rest)
                 )
             except InputError as problem:
-                failures[str(path)] = str(problem)
-        for path, why in failures.items():
-            console.print(f"left out: {why if path in why else f'{path}: {why}'}", style="yellow")
+                why = str(problem).removeprefix(f"{name}: ")
+                failures[name] = why if str(path) in why else f"{path}: {why}"
+        if not candidates and len(runs) == 1:
+            raise InputError(*failures.values())
+        for why in failures.values():
+            say(f"left out: {why}", "yellow")
         if not candidates:
             raise InputError(f"none of the {len(runs)} files can be fitted")
         bar.update(task, description=f"compiling for {len(candidates)} runs")
@@ -103,28 +114,41 @@ def fit(
 
     console.print(result.table())
     for value in result.shared.values():
-        console.print(str(value))
+        say(str(value))
     for name, why in result.failures.items():
         if name not in failures:
-            console.print(f"left out: {name}: {why}", style="yellow")
+            say(f"left out: {name}: {why}", "yellow")
     if result.status != "converged":
-        console.print(f"the solver is {result.status} after {result.steps} steps", style="red")
-    if output is not None:
+        say(f"the solver is {result.status} after {result.steps} steps", "red")
+    if stem is not None:
         from drftjax.figures import save_figure
         from identify.figure import plot_fit
 
-        written = result.write(output)
-        picture = output.with_suffix(".png")
+        written = result.write(stem)
+        picture = stem.with_name(stem.name + ".png")
         save_figure(plot_fit(result), picture)
-        console.print(f"written: {', '.join(str(each) for each in [*written, picture])}")
+        say(f"written: {', '.join(str(each) for each in [*written, picture])}")
+
+
+def _stem(output: Path) -> Path:
+    """The result's name without the ending that one of its files has."""
+    if output.is_dir() or not output.name:
+        raise InputError(f"{output} is a folder; name the result too, such as {output / 'fit'}")
+    return output.with_suffix("") if output.suffix in (".json", ".h5", ".png") else output
 
 
 def _names(paths: list[Path]) -> list[str]:
-    """Each run's file stem, with its folders where two are the same."""
+    """Each run's file stem, with its folder where two are the same, then numbered."""
     stems = [path.stem for path in paths]
-    if len(set(stems)) == len(stems):
-        return stems
-    return [
-        "_".join(path.with_suffix("").parts[-2:]) if stems.count(path.stem) > 1 else path.stem
-        for path in paths
-    ]
+    names: list[str] = []
+    for path in paths:
+        several = stems.count(path.stem) > 1
+        wanted = "_".join(path.with_suffix("").parts[-2:]) if several else path.stem
+        # A name becomes a group of an HDF5 file.
+        wanted = wanted.replace("/", "").strip(".") or "run"
+        name, number = wanted, 1
+        while name in names:
+            number += 1
+            name = f"{wanted}_{number}"
+        names.append(name)
+    return names

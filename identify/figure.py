@@ -11,13 +11,17 @@ MOST_RUNS = 12
 def plot_fit(result: FitResult) -> Figure:
     """One row for each run (the first twelve), one column for each channel, residuals below."""
     runs = result.runs[:MOST_RUNS]
-    channels = runs[0].channels
+    channels = result.channels
     figure = Figure(figsize=(5.2 * len(channels), 2.1 * len(runs) + 0.6), layout="constrained")
     grid = figure.subplots(len(runs), len(channels), squeeze=False)
     for run, row in zip(runs, grid, strict=True):
-        for index, axes in enumerate(row):
-            _draw(axes, run, index)
-    grid[0][0].legend(fontsize=7, loc="best")
+        for channel, axes in zip(channels, row, strict=True):
+            if channel in run.channels:
+                _draw(axes, run, run.channels.index(channel))
+            else:
+                axes.set_axis_off()
+    first = next(axes for axes in grid.flat if axes.lines)
+    first.legend(fontsize=7, loc="best")
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
     left_out = len(result.runs) - len(runs)
@@ -46,4 +50,4 @@ def _draw(axes: Axes, run: RunFit, index: int) -> None:
     axes.plot(run.time, scale * run.after[index], color="C0", lw=1.1, marker=marker, label="fitted")
     rmse = scale * run.rmse()[channel]
     axes.set_ylabel(f"{channel} [{unit}]")
-    axes.set_title(f"{run.name}  RMSE {rmse:.3f} {unit}", fontsize=8)
+    axes.set_title(f"{run.name}  RMSE {rmse:.3f} {unit}", fontsize=8, parse_math=False)

@@ -14,7 +14,7 @@ from drftjax.integrator import steady_step
 from drftjax.runlog.record import RunLog
 from drftjax.setup import SetUp, setup_from_run
 from drftjax.trial import Trial
-from identify.batch import Problem, device_mesh, make_batch
+from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
 from identify.observation import Observation, observe
 from identify.parameter import Parameter
 from identify.result import FitResult, RunFit, Value
@@ -78,8 +78,10 @@ def candidate(
         observation = observe(run, keep_rest=keep_rest)
         setup = setup_from_run(run)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
-        setup.integrator.step = step or steady_step(
-            setup.wheel.radius, run.command.time, run.command.omega
+        setup.integrator.step = (
+            steady_step(setup.wheel.radius, run.command.time, run.command.omega)
+            if step is None
+            else step
         )
         early = observation.time <= max(START_WINDOW, observation.time[0])
         if run.measured.z is not None and early.sum() > 1:
@@ -105,12 +107,12 @@ def fit(
     is mostly far larger, by what each channel's residuals were over all runs.
 
     Args:
-        candidates: Runs, of the same kind of wheel, law and carriage.
+        candidates: Runs; those of another kind of wheel, law or carriage than most are left out.
         parameters: What to fit, shared or for each run.
         progress: Called with the stage, the solver's step and the sum of squares.
 
     Raises:
-        InputError: where no run is left, or the runs do not belong together.
+        InputError: where no run is left, or two have the same name.
     """
     problem, before, failures = _problem(list(candidates), tuple(parameters))
     kept = [each for each in candidates if each.name not in failures]
@@ -130,7 +132,7 @@ def _problem(
     candidates: list[Candidate], parameters: tuple[Parameter, ...]
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
-    failures: dict[str, str] = {}
+    candidates, failures = _of_one_kind(candidates, parameters)
     while True:
         if not candidates:
             named = "; ".join(f"{name}: {why}" for name, why in failures.items())
@@ -149,6 +151,41 @@ def _problem(
             if not good:
                 failures[each.name] = "its simulation diverges at the values it starts from"
         candidates = [each for each, good in zip(candidates, fine, strict=True) if good]
+
+
+def _of_one_kind(
+    candidates: list[Candidate], parameters: tuple[Parameter, ...]
+) -> tuple[list[Candidate], dict[str, str]]:
+    """The largest set of runs that one program fits, and why the others are left out."""
+    names = [each.name for each in candidates]
+    if len(set(names)) < len(names):
+        raise InputError(f"two runs have one name among {', '.join(names)}; names must differ")
+    failures: dict[str, str] = {}
+    kinds: list[list[Candidate]] = []
+    for each in candidates:
+        try:
+            for parameter in parameters:
+                _require_start(parameter, each.trial)
+        except InputError as problem:
+            failures[each.name] = str(problem)
+            continue
+        for kind in kinds:
+            if alike(each.trial, kind[0].trial):
+                kind.append(each)
+                break
+        else:
+            kinds.append([each])
+    largest = max(kinds, key=len, default=[])
+    for each in (each for kind in kinds if kind is not largest for each in kind):
+        failures[each.name] = f"it {OTHER_KIND} than {largest[0].name}; fit it apart"
+    return largest, failures
+
+
+def _require_start(parameter: Parameter, trial: Trial) -> None:
+    quantity = parameter.quantity
+    value = quantity.read(trial)
+    if not np.isfinite(quantity.bijector.coordinate(value)):
+        raise InputError(f"its {quantity.name} is {float(value):g}, where no fit can start")
 
 
 @eqx.filter_jit
@@ -199,6 +236,8 @@ def _result(
             name = parameter.quantity.name
             parameter.quantity.put(setup, (shared | own)[name].value)
         length = len(each.observation.time)
+        channels = each.observation.channels
+        picked = [problem.batch.channels.index(channel) for channel in channels]
         runs.append(
             RunFit(
                 name=each.name,
@@ -206,10 +245,10 @@ def _result(
                 values=own,
                 time=each.observation.time,
                 counts=each.observation.counts,
-                channels=problem.batch.channels,
-                recorded=recorded[index, :, :length],
-                before=before[index, :, :length],
-                after=after[index, :, :length],
+                channels=channels,
+                recorded=recorded[index, picked, :length],
+                before=before[index, picked, :length],
+                after=after[index, picked, :length],
             )
         )
     return FitResult(

@@ -7,6 +7,7 @@ import numpy as np
 from drftjax.errors import InputError
 from drftjax.runlog.record import RunLog
 
+CHANNELS = ("x", "z", "fx", "fz", "torque")
 FREE_CHANNELS = ("x", "z")
 DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 
@@ -14,6 +15,9 @@ DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
 # A median absolute second difference of white noise is this many standard deviations.
 SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
+
+# Two clocks that write the same time may differ by this [s].
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,13 @@ class Observation:
     noise: np.ndarray
     counts: np.ndarray
 
+    def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
+        """Values and noise by the channel's name."""
+        return {
+            name: (values, float(noise))
+            for name, values, noise in zip(self.channels, self.values, self.noise, strict=True)
+        }
+
 
 def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     """The channels of a run that its simulation predicts.
@@ -47,7 +58,7 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
             sand's parameters, and what a rig does at rest is not the model's matter.
 
     Raises:
-        InputError: where the run has none of them, or never moves.
+        InputError: where the run has none of them, never moves, or was not recorded meanwhile.
     """
     wanted = FREE_CHANNELS if run.command.vx is None else DRIVEN_CHANNELS
     channels = tuple(each for each in wanted if getattr(run.measured, each) is not None)
@@ -59,7 +70,11 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     values = np.stack([getattr(run.measured, each) for each in channels])
     noise = [max(white_noise(v), SMALLEST_NOISE[c]) for v, c in zip(values, channels, strict=True)]
     time = run.measured.time - run.command.time[0]
-    counts = np.ones(len(time), bool) if keep_rest else time <= _last_motion(run)
+    # Past the command's end nothing is simulated.
+    end = float(run.command.time[-1] - run.command.time[0])
+    counts = time <= (end if keep_rest else min(end, _last_motion(run))) + ROUNDING
+    if not counts.any():
+        raise InputError("nothing to compare; no sample lies within the commanded profile")
     return Observation(time, channels, values, np.array(noise), counts)
 
 

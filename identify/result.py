@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drftjax import __version__
+from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
@@ -94,17 +95,23 @@ class FitResult:
         """The same with further runs named as left out."""
         return replace(self, failures={**more, **self.failures})
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that any run compares."""
+        return tuple(c for c in SHOWN if any(c in run.channels for run in self.runs))
+
     def rmse(self, fitted: bool = True) -> dict[str, float]:
         """Root mean square over all samples of all runs, by channel [m, N, N m]."""
         pooled = {}
-        for channel in self.runs[0].channels:
-            power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in self.runs)
-            pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in self.runs)))
+        for channel in self.channels:
+            runs = [run for run in self.runs if channel in run.channels]
+            power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in runs)
+            pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in runs)))
         return pooled
 
     def table(self) -> Table:
         """RMSE before and after, by run and channel, with each run's own values."""
-        channels = self.runs[0].channels
+        channels = self.channels
         table = Table(title="simulated minus recorded, RMSE before → after the fit")
         table.add_column("run")
         own = list(self.runs[0].values)
@@ -115,12 +122,15 @@ class FitResult:
 
         def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
             return [
-                f"{before[c] * SHOWN[c][1]:.3f} → {after[c] * SHOWN[c][1]:.3f}" for c in channels
+                f"{before[c] * SHOWN[c][1]:.3f} → {after[c] * SHOWN[c][1]:.3f}"
+                if c in before
+                else "-"
+                for c in channels
             ]
 
         for run in self.runs:
             values = [f"{run.values[n].value:.5g} ± {run.values[n].error:.2g}" for n in own]
-            table.add_row(run.name, *values, *cells(run.rmse(False), run.rmse()))
+            table.add_row(escape(printable(run.name)), *values, *cells(run.rmse(False), run.rmse()))
         table.add_section()
         table.add_row("all runs", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
         return table
@@ -157,7 +167,7 @@ class FitResult:
         Raises:
             InputError: where they cannot be written.
         """
-        text, binary = stem.with_suffix(".json"), stem.with_suffix(".h5")
+        text, binary = (stem.with_name(stem.name + ending) for ending in (".json", ".h5"))
         make_folder(stem.parent)
         encoded = msgspec.json.format(msgspec.json.encode(self.document()), indent=1)
         replace_file(text, encoded + b"\n")
