@@ -1,0 +1,188 @@
+r"""The online tuner of Fuke, Ishikawa & Ishigami 2024, eq. 7: zeta follows the measured sinkage.
+
+On each control tick the sinkage that the rig measures is held against the simulated one, and zeta
+is moved by one fixed step where they differ by more than a tolerance:
+
+$$H_{real} - H_{sim} < -\epsilon_H:\ \zeta \to \zeta + \Delta\zeta \qquad
+  H_{real} - H_{sim} > \epsilon_H:\ \zeta \to \zeta - \Delta\zeta$$
+
+Angular velocity and the simulated speed drive the rig, and nothing but $H_{real}$ comes back, so a
+recorded run can be replayed: `replay` steps the very loop that runs online.
+"""
+
+import abc
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.arrays import Real, as_real, require_between
+from drftjax.command import Command, command_at
+from drftjax.rollout import step_times
+from drftjax.scaling import LARGEST_ZETA, PerStepZeta
+from drftjax.simulator import Output, Simulator, State
+
+# Ticks of the paper's kind; longer ones are a slip of units [s].
+LONGEST_TICK = 10.0
+
+
+class AbstractTuner(eqx.Module):
+    """Moves zeta by what the sinkage's error says, once a tick.
+
+    Attributes:
+        tick: Control period [s].
+    """
+
+    tick: eqx.AbstractVar[Float[Array, ""]]
+
+    @abc.abstractmethod
+    def tune(self, zeta: Float[Array, ""], error: Float[Array, ""]) -> Float[Array, ""]:
+        """zeta [-] after one tick.
+
+        Args:
+            zeta: Before it [-].
+            error: Recorded minus simulated sinkage [m]; NaN where nothing was recorded.
+        """
+
+
+class StepTuner(AbstractTuner):
+    """Eq. 7: one fixed step up or down, or none.
+
+    Attributes:
+        tick: Control period [s].
+        zeta_step: Change of zeta on one tick [-]; zero holds zeta.
+        tolerance: Error of the sinkage that is left alone [m].
+    """
+
+    tick: Float[Array, ""] = eqx.field(converter=as_real, default=0.01)
+    zeta_step: Float[Array, ""] = eqx.field(converter=as_real, default=1e-3)
+    tolerance: Float[Array, ""] = eqx.field(converter=as_real, default=1e-4)
+
+    def __check_init__(self):
+        require_between("tick", self.tick, 1e-5, LONGEST_TICK, " s")
+        require_between("zeta-step", self.zeta_step, 0.0, LARGEST_ZETA)
+        require_between("tolerance", self.tolerance, 0.0, 1.0, " m")
+
+    def tune(self, zeta: Float[Array, ""], error: Float[Array, ""]) -> Float[Array, ""]:
+        # Comparisons with NaN are false: a tick without a measurement leaves zeta alone.
+        up, down = error < -self.tolerance, error > self.tolerance
+        step = jnp.where(up, self.zeta_step, jnp.where(down, -self.zeta_step, 0.0))
+        # Eq. 7 has no bound; sand that pulls has no meaning.
+        return jnp.maximum(zeta + step, 0.0)
+
+
+class Loop(eqx.Module):
+    """What the next tick needs.
+
+    Attributes:
+        state: State of the simulated wheel.
+        zeta: Scaling factor as last tuned [-].
+    """
+
+    state: State
+    zeta: Float[Array, ""]
+
+
+class Tick(eqx.Module):
+    """What an observer wants of a tick; with a leading time axis, of a run.
+
+    Attributes:
+        error: Recorded minus simulated sinkage at the tick's start [m]; NaN without a measurement.
+        zeta: Scaling factor over the tick [-].
+        output: Of the simulator, at the tick's end.
+    """
+
+    error: Float[Array, "*ticks"]
+    zeta: Float[Array, "*ticks"]
+    output: Output
+
+
+def tunable(simulator: Simulator) -> Simulator:
+    """The same simulator, its wheel cut, that takes zeta from each step's command."""
+    terrain = dataclasses.replace(simulator.terrain, zeta=PerStepZeta())
+    return dataclasses.replace(simulator, terrain=terrain).prepared()
+
+
+def tuned_tick(
+    simulator: Simulator,
+    tuner: AbstractTuner,
+    loop: Loop,
+    commands: Command,
+    recorded: Float[Array, ""],
+) -> tuple[Loop, Tick]:
+    """One tick: compare the sinkages, tune zeta, and simulate to the next tick.
+
+    Args:
+        simulator: A `tunable` one.
+        tuner: How zeta is moved.
+        loop: At the tick's start.
+        commands: One for each of the tick's steps, shape (substeps,); their zeta is not read.
+        recorded: Newest sinkage known at the tick's start [m]; NaN where there is none.
+    """
+    error = recorded + loop.state.position[1]
+    zeta = tuner.tune(loop.zeta, error)
+    dt = tuner.tick / commands.omega.shape[0]
+
+    def advance(state: State, command: Command) -> tuple[State, Output]:
+        return simulator.step(state, dataclasses.replace(command, zeta=zeta), dt)
+
+    state, outputs = jax.lax.scan(advance, loop.state, commands)
+    last = jax.tree.map(lambda values: values[-1], outputs)
+    return Loop(state, zeta), Tick(error, zeta, last)
+
+
+def replay(
+    simulator: Simulator,
+    start: Loop,
+    commands: Command,
+    recorded: Float[Array, " ticks"],
+    tuner: AbstractTuner,
+) -> tuple[Loop, Tick]:
+    """The tuner beside a recorded run, as it would have tuned while the run was made.
+
+    Args:
+        simulator: Every number of wheel, terrain and rig; its own zeta is not used.
+        start: State and zeta at the first tick.
+        commands: For every step, shape (ticks, substeps); see `tick_commands`.
+        recorded: Sinkage known at each tick [m], shape (ticks,); see `known_sinkage`.
+        tuner: How zeta is moved.
+
+    Returns:
+        The loop at the end, and every tick.
+    """
+    simulator = tunable(simulator)
+
+    def tick(loop: Loop, inputs: tuple[Command, Array]) -> tuple[Loop, Tick]:
+        return tuned_tick(simulator, tuner, loop, *inputs)
+
+    return jax.lax.scan(tick, start, (commands, recorded))
+
+
+def tick_commands(
+    ticks: int,
+    substeps: int,
+    tick: Real,
+    time: Float[Array, " knots"],
+    omega: Float[Array, " knots"],
+    vx: Float[Array, " knots"] | None = None,
+) -> Command:
+    """A recorded command for every step of every tick, shape (ticks, substeps)."""
+    times = step_times(ticks * substeps, as_real(tick) / substeps)
+    commands = command_at(times, time, omega, vx)
+    return jax.tree.map(lambda values: values.reshape(ticks, substeps), commands)
+
+
+def known_sinkage(tick_time: np.ndarray, time: np.ndarray, sinkage: np.ndarray) -> np.ndarray:
+    """The newest recorded sinkage [m] at or before each tick; NaN before the first.
+
+    Args:
+        tick_time: Starts of the ticks [s].
+        time: Times of the record [s], increasing.
+        sinkage: What was recorded [m].
+    """
+    # A sample of the tick's own instant counts, whatever the rounding of either clock.
+    newest = np.searchsorted(time, tick_time + 1e-9, side="right") - 1
+    return np.where(newest >= 0, np.asarray(sinkage)[np.maximum(newest, 0)], np.nan)
