@@ -121,6 +121,13 @@ def test_moving_knots_and_the_same_zeta_given_step_by_step_agree():
     assert float(jnp.max(by_knots.zeta)) > 0.85
 
 
+def test_wheel_turns_by_the_integral_of_its_speed():
+    # The paper's profile: two ramps of 5 s and 10 s at 30 deg/s.
+    rows = profile().rows(DEFAULT_STEP)
+    assert float(jnp.degrees(rows.angle[-1])) == pytest.approx(450.0, rel=1e-9)
+    assert float(rows.time[-1]) == pytest.approx(24.0, rel=1e-9)
+
+
 def test_first_row_is_the_start():
     run = profile()
     rows = run.rows(DEFAULT_STEP)

@@ -65,9 +65,10 @@ def in_single_precision(run: Run, step: float) -> Output:
     def single(leaf):
         return leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf
 
-    given = jax.tree.map(single, (run.simulator, run.start(), run.commands(step)))
+    given = (run.simulator, run.start(), run.commands(step))
+    simulator, start, commands = jax.tree.map(single, given)
     with jax.enable_x64(False):
-        _, rows = roll(*given, step, every=round(INTERVAL / step))
+        _, rows = roll(simulator, start, commands, step, every=round(INTERVAL / step))
     return jax.tree.map(lambda leaf: np.asarray(leaf, float), rows)
 
 

@@ -83,19 +83,24 @@ def reference(
     The rows of `Run.rows` are the reference's without its first.
     """
     log = read_run(folder / "reference" / f"{name}.h5")
-    given = log.setup
-    wheel = PlainWheel if given.grouser_count == 0 else GrouserWheel
+    radius, width, mass_x, mass_z, zeta, sinkage = log.setup.require(
+        "wheel_radius",
+        "wheel_width",
+        "mass_x",
+        "mass_z",
+        "scaling_factor_initial",
+        "sinkage_static",
+    )
+    wheel = PlainWheel if log.setup.grouser_count == 0 else GrouserWheel
     law = QuasiStatic() if name == "paper_quasistatic" else Dynamic()
     damping_x, damping_z = (30.0, 300.0) if name == "damped" else (0.0, 0.0)
     simulator = Simulator(
-        wheel(given.wheel_radius, given.wheel_width, plate_size=plate_size),
-        Terrain(ConstantZeta(given.scaling_factor_initial), law),
-        Rig(given.mass_x, given.mass_z, damping_x, damping_z),
+        wheel(radius, width, plate_size=plate_size),
+        Terrain(ConstantZeta(zeta), law),
+        Rig(mass_x, mass_z, damping_x, damping_z),
     )
-    run = Run(
-        simulator,
-        given.sinkage_static,
-        jnp.asarray(log.command.time),
-        jnp.asarray(log.command.omega),
-    )
-    return run, np.asarray(log.measured.z[1:]), np.asarray(log.measured.x[1:])
+    time, omega = jnp.asarray(log.command.time), jnp.asarray(log.command.omega)
+    z, x = log.measured.z, log.measured.x
+    assert z is not None, name
+    assert x is not None, name
+    return Run(simulator, sinkage, time, omega), z[1:], x[1:]
