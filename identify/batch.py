@@ -151,11 +151,14 @@ class Problem(eqx.Module):
     Attributes:
         batch: Trials and recordings.
         parameters: What is fitted.
+        correlation: Share of the last sample's residual that a sample carries on [-], taken off
+            before it counts.
         mesh: Devices that share the runs.
     """
 
     batch: Batch
     parameters: tuple[Parameter, ...]
+    correlation: Float[Array, " channels"]
     mesh: Mesh = eqx.field(static=True)
 
     @property
@@ -170,7 +173,7 @@ class Problem(eqx.Module):
         """Coordinates of the trials as they stand; shared ones from the first run."""
 
         def coordinates(parameters: tuple[Parameter, ...], trials: Trial) -> Array:
-            columns = [p.quantity.bijector.coordinate(p.quantity.read(trials)) for p in parameters]
+            columns = [jax.vmap(p.coordinate)(trials) for p in parameters]
             runs = trials.time.shape[0]
             return jnp.stack(columns, axis=1) if columns else jnp.zeros((runs, 0))
 
@@ -185,9 +188,22 @@ class Problem(eqx.Module):
         for parameter, coordinate in zip(
             self.shared + self.own, jnp.concatenate([shared, own]), strict=True
         ):
-            quantity = parameter.quantity
-            trial = quantity.write(trial, quantity.bijector.value(coordinate))
+            trial = parameter.quantity.write(trial, parameter.bijector.value(coordinate))
         return trial
+
+    def beliefs(
+        self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
+    ) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
+        """Residuals of the priors, shaped like the coordinates; zero where there is none."""
+        true_run = jnp.arange(own.shape[0]) < self.batch.runs
+
+        def of(parameters: tuple[Parameter, ...], values: Array) -> Array:
+            if not parameters:
+                return values
+            columns = [p.belief(values[..., k]) for k, p in enumerate(parameters)]
+            return jnp.stack(columns, axis=-1)
+
+        return of(self.shared, shared), of(self.own, own) * true_run[:, None]
 
     def predicted(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
@@ -198,7 +214,7 @@ class Problem(eqx.Module):
     def residual(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
-        """(Simulated minus recorded) / noise; zero where nothing was recorded."""
+        """(Simulated minus recorded) / noise, whitened; zero where nothing was recorded."""
         return self._over_runs(self._residual_one, shared, own)
 
     def blocks(
@@ -228,7 +244,11 @@ class Problem(eqx.Module):
 
     def _residual_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
         simulated = self._predict_one(trial, observed, shared, own)
-        return observed.weight * (simulated - observed.values)
+        raw = observed.weight * (simulated - observed.values)
+        before = jnp.pad(raw[:, :-1], ((0, 0), (1, 0)))
+        follows = jnp.pad(observed.weight[:, :-1] > 0, ((0, 0), (1, 0))) & (observed.weight > 0)
+        carried = self.correlation[:, None]
+        return jnp.where(follows, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
 
     def _over_runs(self, one, shared: Array, own: Array):
         spread, whole = PartitionSpec("runs"), PartitionSpec()

@@ -15,6 +15,7 @@ from drftjax.runlog.record import RunLog
 from drftjax.setup import SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
+from identify.noise import AbstractNoise, White
 from identify.observation import Observation, observe
 from identify.parameter import Parameter
 from identify.result import FitResult, RunFit, Value
@@ -31,6 +32,8 @@ START_WINDOW = 0.2
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
 REWEIGHTINGS = 2
+
+WHITE = White()
 
 Progress = Callable[[str, int, float], None]
 
@@ -100,6 +103,7 @@ def fit(
     candidates: Sequence[Candidate],
     parameters: Sequence[Parameter],
     progress: Progress | None = None,
+    noise: AbstractNoise = WHITE,
 ) -> FitResult:
     """Fit `parameters` to all runs together.
 
@@ -110,6 +114,7 @@ def fit(
         candidates: Runs; those of another kind of wheel, law or carriage than most are left out.
         parameters: What to fit, shared or for each run.
         progress: Called with the stage, the solver's step and the sum of squares.
+        noise: How residuals scatter.
 
     Raises:
         InputError: where no run is left, or two have the same name.
@@ -120,7 +125,7 @@ def fit(
     report = progress or (lambda stage, step, loss: None)
     solution = solve(problem, coordinates, lambda s, v: report("fit", s, v))
     for turn in range(REWEIGHTINGS):
-        problem = _reweighted(problem, np.asarray(solution.residual))
+        problem = _reweighted(problem, _predicted(problem, solution.coordinates), noise)
         stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
         solution = solve(
             problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v)
@@ -142,7 +147,8 @@ def _problem(
             [each.observation for each in candidates],
             jax.device_count(),
         )
-        problem = Problem(batch, parameters, device_mesh())
+        white = jnp.zeros(len(batch.channels))
+        problem = Problem(batch, parameters, white, device_mesh())
         before = _predicted(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
         if all(fine):
@@ -182,10 +188,10 @@ def _of_one_kind(
 
 
 def _require_start(parameter: Parameter, trial: Trial) -> None:
-    quantity = parameter.quantity
-    value = quantity.read(trial)
-    if not np.isfinite(quantity.bijector.coordinate(value)):
-        raise InputError(f"its {quantity.name} is {float(value):g}, where no fit can start")
+    if not np.isfinite(parameter.coordinate(trial)):
+        quantity = parameter.quantity
+        value = float(quantity.read(trial))
+        raise InputError(f"its {quantity.name} is {value:g}, where no fit within its bounds starts")
 
 
 @eqx.filter_jit
@@ -197,16 +203,20 @@ def _predicted(problem: Problem, coordinates: Coordinates) -> np.ndarray:
     return np.asarray(_predicted_jit(problem, coordinates))
 
 
-def _reweighted(problem: Problem, residual: np.ndarray) -> Problem:
-    """The problem with each channel weighed by its residuals' root mean square over all runs."""
+def _reweighted(problem: Problem, predicted: np.ndarray, noise: AbstractNoise) -> Problem:
+    """The problem with each channel weighed, and whitened, by its residuals over all runs."""
     weight = np.asarray(problem.batch.observed.weight)
     counts = weight > 0
-    raw = np.divide(residual, weight, out=np.zeros_like(residual), where=counts)
+    raw = np.where(counts, predicted - np.asarray(problem.batch.observed.values), 0)
     power = (raw**2).sum(axis=(0, 2)) / np.maximum(counts.sum(axis=(0, 2)), 1)
     # A channel that is met better than its instrument can tell must not rule the others.
     finest = 1 / weight.max(axis=(0, 2))
     fresh = counts / np.maximum(np.sqrt(power), finest)[:, None]
-    return eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(fresh))
+    return eqx.tree_at(
+        lambda p: (p.batch.observed.weight, p.correlation),
+        problem,
+        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts))),
+    )
 
 
 def _result(
@@ -218,7 +228,7 @@ def _result(
 ) -> FitResult:
     counts = np.asarray(problem.batch.observed.weight) > 0
     spread = covariance(
-        np.asarray(solution.residual), np.asarray(solution.blocks), counts, len(problem.shared)
+        solution.residual, solution.blocks, counts, len(problem.shared), solution.belief_slope
     )
     error = np.sqrt(np.diag(spread))
     shared_coordinates, own_coordinates = solution.coordinates
@@ -234,7 +244,7 @@ def _result(
         setup = copy.deepcopy(each.setup)
         for parameter in problem.parameters:
             name = parameter.quantity.name
-            parameter.quantity.put(setup, (shared | own)[name].value)
+            parameter.quantity.record(setup, (shared | own)[name].value)
         length = len(each.observation.time)
         channels = each.observation.channels
         picked = [problem.batch.channels.index(channel) for channel in channels]
@@ -268,8 +278,8 @@ def _values(
     for parameter, coordinate, error in zip(parameters, coordinates, errors, strict=True):
         quantity = parameter.quantity
         values[quantity.name] = Value(
-            value=float(quantity.bijector.value(coordinate)),
-            error=float(abs(quantity.bijector.slope(coordinate)) * error),
+            value=float(parameter.bijector.value(coordinate)),
+            error=float(abs(parameter.bijector.slope(coordinate)) * error),
             unit=quantity.unit,
             label=quantity.label,
         )

@@ -1,16 +1,21 @@
-"""Parameters: which numbers of a trial are fitted, and under what name."""
+"""Parameters: which numbers of a trial are fitted, under what name, within what bounds."""
 
+import math
 from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.errors import InputError
 from drftjax.setup import SetUp
 from drftjax.trial import Trial
 from identify.bijector import AbstractBijector, Interval, Positive, Scaled
+
+Get = Callable[[Trial], Float[Array, ""]]
+Put = Callable[[Trial, Float[Array, ""]], Trial]
 
 
 class Quantity(eqx.Module):
@@ -19,13 +24,14 @@ class Quantity(eqx.Module):
     Attributes:
         name: As users write it: its place in a set-up file.
         unit: Its unit, "-" for none.
-        where: The number in a trial.
-        bijector: Its bounds.
+        get, put: The number in a trial, and the trial with another number in its place.
+        bijector: Its natural bounds.
     """
 
     name: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
-    where: Callable[[Trial], Float[Array, ""]] = eqx.field(static=True)
+    get: Get = eqx.field(static=True)
+    put: Put = eqx.field(static=True)
     bijector: AbstractBijector
 
     @property
@@ -33,7 +39,7 @@ class Quantity(eqx.Module):
         """The short name in reports, where there is one."""
         return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
 
-    def put(self, setup: SetUp, value: float) -> None:
+    def record(self, setup: SetUp, value: float) -> None:
         """Write the number into a set-up."""
         section, field = self.name.split(".")
         setattr(getattr(setup, section), field, value)
@@ -45,52 +51,69 @@ class Quantity(eqx.Module):
             InputError: where the trial's wheel, terrain or rig has no such number.
         """
         try:
-            return self.where(trial)
+            return self.get(trial)
         except AttributeError:
             raise InputError(f"this set-up has no {self.name} to fit") from None
 
     def write(self, trial: Trial, value: Float[Array, ""]) -> Trial:
         """The trial with another number in this place."""
-        return eqx.tree_at(self.where, trial, value)
+        return self.put(trial, value)
+
+
+def _leaf(
+    name: str, unit: str, where: Callable[[Any], Any], bijector: AbstractBijector
+) -> Quantity:
+    """A quantity that is one leaf of the trial."""
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        return eqx.tree_at(where, trial, value)
+
+    return Quantity(name, unit, where, put, bijector)
+
+
+def _put_sinkage(trial: Trial, value: Float[Array, ""]) -> Trial:
+    place = trial.start.position
+    return eqx.tree_at(lambda t: t.start.position, trial, place.at[1].set(-value))
 
 
 # lambda may leave the physical range a little, so that a fit can say that it does not matter.
 LAMBDA_BOUNDS = Interval(-20.0, 50.0)
 
-
-def _law(trial: Trial) -> Any:
-    return trial.simulator.terrain.law
-
-
-def _wheel(trial: Trial) -> Any:
-    return trial.simulator.wheel
-
-
-def _zeta(trial: Trial) -> Any:
-    return trial.simulator.terrain.zeta
-
-
 QUANTITIES: dict[str, Quantity] = {
     each.name: each
     for each in (
-        Quantity("terrain.zeta", "-", lambda t: _zeta(t).value, Positive()),
-        Quantity(
+        _leaf("terrain.zeta", "-", lambda t: t.simulator.terrain.zeta.value, Positive()),
+        _leaf(
             "terrain.inertial_coefficient",
             "-",
-            lambda t: _law(t).inertial_coefficient,
+            lambda t: t.simulator.terrain.law.inertial_coefficient,
             LAMBDA_BOUNDS,
         ),
-        Quantity("terrain.bulk_density", "kg/m3", lambda t: _law(t).bulk_density, Positive()),
-        Quantity("terrain.height_decrease", "-", lambda t: _law(t).height_decrease, Scaled(0.1)),
-        Quantity("wheel.radius", "m", lambda t: _wheel(t).radius, Positive()),
-        Quantity("wheel.width", "m", lambda t: _wheel(t).width, Positive()),
-        Quantity("wheel.grouser_height", "m", lambda t: _wheel(t).grouser_height, Positive()),
-        Quantity("wheel.grouser_fraction", "-", lambda t: _wheel(t).grouser_fraction, Positive()),
-        Quantity("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
-        Quantity("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
-        Quantity("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
-        Quantity("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
-        Quantity("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
+        _leaf(
+            "terrain.bulk_density",
+            "kg/m3",
+            lambda t: t.simulator.terrain.law.bulk_density,
+            Positive(),
+        ),
+        _leaf(
+            "terrain.height_decrease",
+            "-",
+            lambda t: t.simulator.terrain.law.height_decrease,
+            Scaled(0.1),
+        ),
+        _leaf("wheel.radius", "m", lambda t: t.simulator.wheel.radius, Positive()),
+        _leaf("wheel.width", "m", lambda t: t.simulator.wheel.width, Positive()),
+        _leaf("wheel.grouser_height", "m", lambda t: t.simulator.wheel.grouser_height, Positive()),
+        _leaf(
+            "wheel.grouser_fraction", "-", lambda t: t.simulator.wheel.grouser_fraction, Positive()
+        ),
+        _leaf("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
+        _leaf("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
+        _leaf("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
+        _leaf("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
+        _leaf("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
+        Quantity("start.sinkage", "m", lambda t: -t.start.position[1], _put_sinkage, Scaled(1e-3)),
+        _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
     )
 }
 SHORT_NAMES = {"zeta": "terrain.zeta", "lambda": "terrain.inertial_coefficient"}
@@ -102,14 +125,39 @@ class Parameter(eqx.Module):
     Attributes:
         quantity: What is fitted.
         shared: One number for all runs.
+        bijector: The bounds it is fitted within.
+        prior_mean, prior_error: A Gaussian belief held before the runs, in the quantity's unit;
+            an infinite error is no belief.
+        start: Where the fit starts; the set-up's value where it is NaN.
     """
 
     quantity: Quantity
     shared: bool = eqx.field(static=True)
+    bijector: AbstractBijector
+    prior_mean: float = 0.0
+    prior_error: float = math.inf
+    start: float = math.nan
+
+    def coordinate(self, trial: Trial) -> Float[Array, ""]:
+        """The solver's coordinate to start from."""
+        value = self.quantity.read(trial)
+        return self.bijector.coordinate(value if math.isnan(self.start) else 0 * value + self.start)
+
+    def belief(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Residual of the prior: how many of its errors the value lies from its mean."""
+        return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
+
+    def near_bound(self, coordinate: float) -> bool:
+        """Whether the value has run into one of its bounds."""
+        if not isinstance(self.bijector, Interval):
+            return False
+        low, high = self.bijector.low, self.bijector.high
+        value = float(self.bijector.value(jnp.asarray(coordinate)))
+        return min(value - low, high - value) < 1e-3 * (high - low)
 
 
-def parameter(name: str, *, shared: bool) -> Parameter:
-    """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
+def quantity(name: str) -> Quantity:
+    """A quantity by its name, such as "terrain.zeta", or by a short one, such as "zeta".
 
     Raises:
         InputError: for an unknown name, with the nearest known ones.
@@ -119,4 +167,44 @@ def parameter(name: str, *, shared: bool) -> Parameter:
         near = get_close_matches(name, [*QUANTITIES, *SHORT_NAMES], n=3, cutoff=0.4)
         known = " or ".join(near) if near else ", ".join(QUANTITIES)
         raise InputError(f"there is no parameter {name!r}; did you mean {known}?")
-    return Parameter(QUANTITIES[full], shared)
+    return QUANTITIES[full]
+
+
+def parameter(
+    name: str,
+    *,
+    shared: bool,
+    bounds: tuple[float, float] | None = None,
+    prior: tuple[float, float] | None = None,
+    start: float | None = None,
+) -> Parameter:
+    """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
+
+    Args:
+        name: See `QUANTITIES`; "zeta" and "lambda" are short for two of them.
+        shared: One number for all runs, or one for each.
+        bounds: Lowest and highest value; the quantity's natural ones where none are given.
+        prior: Mean and standard error of what is believed before the runs.
+        start: Where the fit starts; the set-up's value where none is given.
+
+    Raises:
+        InputError: for an unknown name, bounds that leave nothing or exclude the start, or a
+            prior without a positive error.
+    """
+    what = quantity(name)
+    bijector = what.bijector
+    if bounds is not None:
+        low, high = bounds
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InputError(
+                f"the bounds of {name} are {low:g} to {high:g}; the first must be less"
+            )
+        if start is not None and not low < start < high:
+            raise InputError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
+        bijector = Interval(low, high)
+    elif start is not None and isinstance(bijector, Positive) and start <= 0:
+        raise InputError(f"{name} starts at {start:g}, must be positive")
+    mean, error = prior or (0.0, math.inf)
+    if not error > 0 or not math.isfinite(mean):
+        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be positive")
+    return Parameter(what, shared, bijector, mean, error, math.nan if start is None else start)

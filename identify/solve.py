@@ -34,6 +34,8 @@ class Solution:
         coordinates: Shared coordinates, and each run's own.
         residual: Weighted residuals there, shape (runs, channels, samples).
         blocks: Their derivative, shape (runs, channels, samples, shared + own).
+        belief: Residuals of the priors of all coordinates: shared, then each run's own.
+        belief_slope: Their derivative, each by its own coordinate.
         steps: Steps taken.
         status: "converged", "stalled" or "out of steps".
         promised: Share of the sum of squares that a straight line from here says is still to gain.
@@ -42,6 +44,8 @@ class Solution:
     coordinates: Coordinates
     residual: np.ndarray
     blocks: np.ndarray
+    belief: np.ndarray
+    belief_slope: np.ndarray
     steps: int
     status: str
     promised: float
@@ -74,16 +78,18 @@ def solve(
             status = "stalled"
             break
         loss = min(loss, now)
-    residual, blocks = map(np.asarray, _blocks(problem, coordinates))
-    promised = _promised(residual, blocks, len(problem.shared))
+    residual, blocks, belief, belief_slope = map(np.asarray, _ending(problem, coordinates))
+    information, slope = normal_equations(blocks, len(problem.shared), residual)
+    information += np.diag(belief_slope**2)
+    slope += belief_slope * belief
+    promised = _promised(residual, information, slope)
     if status == "stalled" and promised < NEGLIGIBLE:
         status = "converged"
-    return Solution(coordinates, residual, blocks, number, status, promised)
+    return Solution(coordinates, residual, blocks, belief, belief_slope, number, status, promised)
 
 
-def _promised(residual: np.ndarray, blocks: np.ndarray, shared: int) -> float:
+def _promised(residual: np.ndarray, information: np.ndarray, slope: np.ndarray) -> float:
     """Share of the sum of squares that the derivative could still take away."""
-    information, slope = normal_equations(blocks, shared, residual)
     gain = slope @ np.linalg.lstsq(information, slope, rcond=None)[0]
     return float(gain / max(np.sum(residual**2), np.finfo(float).tiny))
 
@@ -112,8 +118,8 @@ def normal_equations(
 _SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=lx.QR())
 
 
-def _function(coordinates: Coordinates, problem: Problem) -> tuple[Array, None]:
-    return structured_residual(problem, coordinates), None
+def _function(coordinates: Coordinates, problem: Problem) -> tuple[tuple[Array, ...], None]:
+    return (structured_residual(problem, coordinates), *problem.beliefs(*coordinates)), None
 
 
 @eqx.filter_jit
@@ -125,12 +131,18 @@ def _initial(problem: Problem, start: Coordinates):
 @eqx.filter_jit
 def _step(problem: Problem, coordinates: Coordinates, state):
     coordinates, state, _ = _SOLVER.step(_function, coordinates, problem, {}, state, frozenset())
-    return coordinates, state, jnp.sum(state.f_info.residual**2)
+    return coordinates, state, sum(jnp.sum(part**2) for part in state.f_info.residual)
 
 
 @eqx.filter_jit
-def _blocks(problem: Problem, coordinates: Coordinates):
-    return problem.blocks(*coordinates)
+def _ending(problem: Problem, coordinates: Coordinates):
+    def beliefs(coordinates: Coordinates) -> Array:
+        shared, own = problem.beliefs(*coordinates)
+        return jnp.concatenate([shared, own.ravel()])
+
+    ones = jax.tree.map(jnp.ones_like, coordinates)
+    # Each belief bears on one coordinate, so a single sweep gives every slope.
+    return *problem.blocks(*coordinates), *jax.jvp(beliefs, (coordinates,), (ones,))
 
 
 @eqx.filter_custom_jvp

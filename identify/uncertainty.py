@@ -21,7 +21,11 @@ def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
 
 
 def covariance(
-    residual: np.ndarray, blocks: np.ndarray, counts: np.ndarray, shared: int
+    residual: np.ndarray,
+    blocks: np.ndarray,
+    counts: np.ndarray,
+    shared: int,
+    belief_slope: np.ndarray,
 ) -> np.ndarray:
     """Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
 
@@ -34,6 +38,7 @@ def covariance(
         blocks: Their derivative by (shared, own) coordinates, shape (..., shared + own).
         counts: True for samples that were recorded, shape (runs, channels, samples).
         shared: Number of shared coordinates.
+        belief_slope: Derivative of each coordinate's prior residual; zero where it has none.
 
     Returns:
         Covariance, shape (shared + runs * own,) squared.
@@ -46,6 +51,7 @@ def covariance(
         inflation[run, channel] *= (1 + rho) / (1 - rho)
     scale = counts / np.sqrt(inflation)[:, :, None]
     information, _ = normal_equations(blocks * scale[..., None], shared, residual)
+    information += np.diag(belief_slope**2)
     size = len(information)
     values, vectors = np.linalg.eigh(information)
     floor = values.max() * np.finfo(float).eps * size if size else 0.0
