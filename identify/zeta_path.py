@@ -1,0 +1,521 @@
+r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
+
+The run is simulated with zeta linear between knots, and the logarithms u of its values there are
+fitted to recorded sinkage and travel. The prior is a discrete cubic smoothing spline's,
+
+$$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
+
+and each channel's residual is first-order autoregressive, with a variance and a correlation of its
+own. With the simulation linearised by its exact derivative, the data's probability given w and the
+noise (the evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its
+largest value over a grid of w, with the noise found by expectation-maximisation at each, chooses w;
+Gauss-Newton steps move the linearisation to where it settles.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from msgspec.structs import replace as replace_struct
+
+from drftjax.command import Command
+from drftjax.errors import InputError
+from drftjax.scaling import KnotZeta
+from drftjax.setup import SetUp, ZetaKnots
+from drftjax.trial import Trial
+from identify.batch import Batch, Observed, make_batch, sampled
+from identify.fit import Candidate
+from identify.observation import SMALLEST_NOISE
+
+CHANNELS = ("z", "x")
+KNOT_SPACING = 1.0
+
+# From knots that scatter by a factor e^10 to a straight line for as long as any run.
+WEIGHTS = np.logspace(-2, 10, 25)
+# Evidence is flat in the noise near its best; more rounds move no error by a percent.
+NOISE_ROUNDS = 15
+LARGEST_CORRELATION = 0.9999
+# Standard deviation of the prior of log zeta itself: a factor e^5, so as good as none.
+LEVEL_SPREAD = 5.0
+# Standard deviation of the start's sinkage and travel about their recorded means [m].
+START_SPREAD = 1e-3
+# A step of log zeta that the linearisation is trusted for.
+LONGEST_MOVE = 0.3
+MOST_STEPS = 25
+# Steps end where no knot moves by so much of its standard error.
+SMALL_MOVE = 0.3
+# They also end where the log probability changes by less than this from one to the next.
+SMALL_GAIN = 0.5
+# So many refusals in a row, each a step half as long: what is left lies under the simulation's
+# resolution, as stops make the misfit rough.
+MOST_REFUSED = 3
+# Of the first step's second differences: as good as a straight line.
+FIRST_WEIGHT = 1e7
+# The noise is the instruments' own to fit only once a step is shorter than this.
+NEAR = 1.0
+DEBUG = True
+# A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
+# more than this: zeta within a factor e.
+TELLS_NOTHING = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ZetaPath:
+    """zeta(t) of one run.
+
+    Attributes:
+        name: The run, as reports call it.
+        time: Knots from the run's start [s], shape (knots,).
+        value: zeta there [-].
+        error: Standard errors [-]; infinite where no sample depends on a knot.
+        told: Whether the knot's own samples tell anything of it.
+        weight: Weight w of the squared second differences of log zeta.
+        noise: Standard deviation and lag-one correlation of the residual, by channel [m], [-].
+        rmse: Root mean square of simulated minus recorded where compared, by channel [m].
+        steps: Gauss-Newton steps taken.
+        converged: Whether they settled.
+        trial: The fitted trial.
+        setup: Its set-up.
+    """
+
+    name: str
+    time: np.ndarray
+    value: np.ndarray
+    error: np.ndarray
+    told: np.ndarray
+    weight: float
+    noise: dict[str, tuple[float, float]]
+    rmse: dict[str, float]
+    steps: int
+    converged: bool
+    trial: Trial
+    setup: SetUp
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """zeta at `time` [s]."""
+        return np.interp(time, self.time, self.value)
+
+    def error_at(self, time: np.ndarray) -> np.ndarray:
+        """Standard error at `time` [s], between knots the larger of the two beside it."""
+        before = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1)
+        after = np.minimum(before + 1, len(self.time) - 1)
+        return np.maximum(self.error[before], self.error[after])
+
+
+def zeta_paths(
+    candidates: Sequence[Candidate], knot_spacing: float = KNOT_SPACING
+) -> list[ZetaPath]:
+    """zeta(t) of each run; the runs are simulated side by side.
+
+    Args:
+        candidates: Runs of the same kind of wheel, law and carriage.
+        knot_spacing: Time from knot to knot [s]; stretched a little, so that they end with the
+            samples compared.
+
+    Raises:
+        InputError: where a run has no sinkage, is too short, or cannot be simulated.
+    """
+    grids = [_knots(each, knot_spacing) for each in candidates]
+    most = max(len(grid) for grid in grids)
+    trials = [
+        _with_knots(each.trial, _padded(grid, most))
+        for each, grid in zip(candidates, grids, strict=True)
+    ]
+    batch = make_batch(trials, [_compared(each) for each in candidates])
+    fits = [
+        _Fit(each, batch, number, len(grid))
+        for number, (each, grid) in enumerate(zip(candidates, grids, strict=True))
+    ]
+    while not all(fit.settled for fit in fits):
+        coordinates = jnp.asarray(np.stack([_padded_coordinates(fit, most) for fit in fits]))
+        predicted, derivative = map(np.asarray, _evaluate(batch, coordinates))
+        for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
+            if not fit.settled:
+                fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
+    return [fit.path(grid) for fit, grid in zip(fits, grids, strict=True)]
+
+
+def _knots(each: Candidate, spacing: float) -> np.ndarray:
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"the knot spacing is {spacing:g} s, must be positive")
+    duration = float(each.observation.time[each.observation.counts].max(initial=0.0))
+    duration = min(duration, float(each.trial.time[-1]))
+    intervals = max(2, round(duration / spacing))
+    samples = int(each.observation.counts.sum())
+    if samples < 2 * intervals:
+        raise InputError(
+            f"{each.name}: has {samples} samples to compare, too few for {intervals + 1} knots "
+            "of zeta; give a longer knot spacing"
+        )
+    return np.linspace(0.0, duration, intervals + 1)
+
+
+def _padded(grid: np.ndarray, length: int) -> np.ndarray:
+    """Further knots after the run, which nothing depends on."""
+    return np.concatenate([grid, grid[-1] + np.arange(1.0, length - len(grid) + 1)])
+
+
+def _with_knots(trial: Trial, grid: np.ndarray) -> Trial:
+    start = trial.simulator.terrain.zeta
+    first = Command(trial.omega[0], trial.vx[0], trial.omega[0])  # no set-up's zeta reads it
+    zeta = [float(start(jnp.asarray(t), first)) for t in grid]
+    return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(grid, zeta))
+
+
+def _compared(each: Candidate):
+    """Sinkage and travel of a run, where it has them."""
+    observation = each.observation
+    channels = tuple(name for name in CHANNELS if name in observation.channels)
+    if "z" not in channels:
+        raise InputError(f"{each.name}: the run has no /measured/z, so its sinkage is not known")
+    picked = [observation.channels.index(name) for name in channels]
+    return replace(
+        observation,
+        channels=channels,
+        values=observation.values[picked],
+        noise=observation.noise[picked],
+    )
+
+
+# The simulation and its derivative ----------------------------------------------------------------
+
+
+def placed(trial: Trial, coordinates: Float[Array, " all"]) -> Trial:
+    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD]."""
+    knots = trial.simulator.terrain.zeta.value.shape[0]  # pyright: ignore
+    trial = eqx.tree_at(
+        lambda t: t.simulator.terrain.zeta.value, trial, jnp.exp(coordinates[:knots])
+    )
+    moved = trial.start.position + START_SPREAD * coordinates[knots:]
+    return eqx.tree_at(lambda t: t.start.position, trial, moved)
+
+
+def predicted(
+    trial: Trial, observed: Observed, channels: tuple[str, ...], coordinates: Float[Array, " all"]
+) -> Float[Array, "channels samples"]:
+    """Simulated channels of one run at its recorded times [m]."""
+    return sampled(placed(trial, coordinates).run(), observed, channels)
+
+
+@eqx.filter_jit
+def _evaluate(batch: Batch, coordinates: Float[Array, "runs all"]):
+    def one(trial: Trial, observed: Observed, at: Float[Array, " all"]):
+        def both(at):
+            values = predicted(trial, observed, batch.channels, at)
+            return values, values
+
+        derivative, values = jax.jacfwd(both, has_aux=True)(at)
+        return values, derivative
+
+    return jax.vmap(one)(batch.trials, batch.observed, coordinates)
+
+
+def _padded_coordinates(fit: "_Fit", most: int) -> np.ndarray:
+    knots, start = fit.coordinates[: fit.knots], fit.coordinates[fit.knots :]
+    return np.concatenate([knots, np.repeat(knots[-1], most - fit.knots), start])
+
+
+# The linear-Gaussian problem ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Noise:
+    """First-order autoregressive noise of one channel: standard deviation [m], correlation [-]."""
+
+    spread: float
+    correlation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Sums of products of one channel's columns [derivative | data], all of shape (n, n).
+
+    The inverse covariance of autoregressive noise needs no other numbers of them:
+
+    $$a^T C^{-1} b = (S_0 - \\rho S_1 + \\rho^2 S_2) / (\\sigma^2 (1 - \\rho^2))$$
+
+    Attributes:
+        same: S0, of each sample with itself.
+        next: S1, with its neighbours on both sides.
+        inner: S2, like S0 without the first and the last sample.
+        samples: Number of samples.
+    """
+
+    same: np.ndarray
+    next: np.ndarray
+    inner: np.ndarray
+    samples: int
+
+    @classmethod
+    def of(cls, columns: np.ndarray) -> "Products":
+        """Of columns in time, shape (samples, n)."""
+        lagged = columns[1:].T @ columns[:-1]
+        middle = columns[1:-1]
+        return cls(columns.T @ columns, lagged + lagged.T, middle.T @ middle, len(columns))
+
+    def whitened(self, noise: Noise) -> np.ndarray:
+        """columns^T C^-1 columns."""
+        rho = noise.correlation
+        bare = self.same - rho * self.next + rho**2 * self.inner
+        return bare / (noise.spread**2 * (1 - rho**2))
+
+    def noise(self, residual: np.ndarray, covariance: np.ndarray, floor: float) -> Noise:
+        """The noise that makes this residual, known to a covariance, most probable.
+
+        Args:
+            residual: Its coefficients in the columns, shape (n,).
+            covariance: Of the derivative's coordinates.
+            floor: Smallest standard deviation [m].
+        """
+
+        def power(sums: np.ndarray) -> float:
+            spread = np.sum(sums[:-1, :-1] * covariance)
+            return float(residual @ sums @ residual + spread)
+
+        same, inner = power(self.same), power(self.inner)
+        rho = np.clip(power(self.next) / 2 / max(inner, 1e-300), 0.0, LARGEST_CORRELATION)
+        left = same - 2 * rho * power(self.next) / 2 + rho**2 * inner
+        variance = left / (self.samples * (1 - rho**2))
+        return Noise(max(float(np.sqrt(variance)), floor), float(rho))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Mean and covariance of the coordinates, given weight and noise, and their log evidence."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    information: np.ndarray
+    evidence: float
+    weight: float
+    noise: tuple[Noise, ...]
+
+
+def posterior(
+    products: Sequence[Products], knots: int, level: float, weight: float, noise: Sequence[Noise]
+) -> Posterior:
+    """Gaussian posterior of a linearised run.
+
+    Args:
+        products: Of each channel.
+        knots: Number of coordinates that are log zeta; the rest are the start's.
+        level: Mean of the prior of log zeta.
+        weight: Weight of squared second differences.
+        noise: Of each channel.
+    """
+    whitened = np.sum([p.whitened(n) for p, n in zip(products, noise, strict=True)], axis=0)
+    information, slope, power = whitened[:-1, :-1], whitened[:-1, -1], whitened[-1, -1]
+    prior = _prior(knots, len(information), weight)
+    # Second differences do not see a level, so it is their mean that the prior needs to be told.
+    centre = np.r_[np.full(knots, level), np.zeros(len(information) - knots)]
+    precision = information + prior
+    covariance = np.linalg.inv(precision)
+    covariance = (covariance + covariance.T) / 2
+    mean = covariance @ (slope + prior @ centre)
+    misfit = power - 2 * mean @ slope + mean @ information @ mean
+    away = (mean - centre) @ prior @ (mean - centre)
+    noise_volume = sum(
+        p.samples * np.log(n.spread**2) + (p.samples - 1) * np.log1p(-(n.correlation**2))
+        for p, n in zip(products, noise, strict=True)
+    )
+    volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(prior)[1] + noise_volume
+    evidence = -0.5 * float(misfit + away + volume)
+    return Posterior(mean, covariance, information, evidence, weight, tuple(noise))
+
+
+def _prior(knots: int, size: int, weight: float) -> np.ndarray:
+    bends = np.diff(np.eye(knots), 2, axis=0)
+    prior = np.eye(size)
+    prior[:knots, :knots] = weight * bends.T @ bends + np.eye(knots) / (LEVEL_SPREAD**2 * knots)
+    return prior
+
+
+def smoothest_given(
+    products: Sequence[Products],
+    knots: int,
+    level: float,
+    noise: Sequence[Noise],
+    least: float,
+) -> Posterior:
+    """The posterior at the weight of largest evidence, no less than `least`, for a given noise."""
+    weights = WEIGHTS[least <= WEIGHTS]
+    found = [posterior(products, knots, level, weight, noise) for weight in weights]
+    return max(found, key=lambda each: each.evidence)
+
+
+def most_probable(
+    products: Sequence[Products],
+    knots: int,
+    level: float,
+    noise: Sequence[Noise],
+    floors: Sequence[float],
+) -> Posterior:
+    """The posterior at the weight and noise of largest evidence, over `WEIGHTS`.
+
+    From the smoothest path to the roughest, each weight's noise starting from its neighbour's, and
+    once more from the instruments' own: a path may be rough, or the noise may last.
+    """
+    found = []
+    for weights, first in ((WEIGHTS[::-1], noise), (WEIGHTS, [Noise(f, 0.0) for f in floors])):
+        now = list(first)
+        for weight in weights:
+            for _ in range(NOISE_ROUNDS):
+                state = posterior(products, knots, level, weight, now)
+                residual = np.r_[state.mean, -1.0]
+                now = [
+                    p.noise(residual, state.covariance, floor)
+                    for p, floor in zip(products, floors, strict=True)
+                ]
+            found.append(posterior(products, knots, level, weight, now))
+    return max(found, key=lambda each: each.evidence)
+
+
+# One run's Gauss-Newton ---------------------------------------------------------------------------
+
+
+class _Fit:
+    """One run on its way: where it is, and what its last linearisation said."""
+
+    def __init__(self, candidate: Candidate, batch: Batch, number: int, knots: int):
+        self.candidate = candidate
+        self.knots = knots
+        self.trial: Trial = jax.tree.map(lambda leaf: leaf[number], batch.trials)
+        self.channels = batch.channels
+        self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
+        self.values = np.asarray(batch.observed.values[number])[:, self.counts]
+        zeta = np.asarray(self.trial.simulator.terrain.zeta.value)[:knots]  # pyright: ignore
+        self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
+        self.level = float(np.log(zeta).mean())
+        compared = _compared(candidate)
+        self.floors = [max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels)]
+        self.near = False
+        self.refused = 0
+        self.last: Posterior | None = None
+        self.noise: Sequence[Noise] = ()
+        self.objective = np.inf
+        self.origin = self.coordinates
+        self.move = np.zeros_like(self.coordinates)
+        self.residual = np.zeros_like(self.values)
+        self.steps = 0
+        self.settled = self.converged = False
+
+    def advance(self, predicted: np.ndarray, derivative: np.ndarray) -> None:
+        """One step: weight, noise and the next linearisation, from this one's numbers."""
+        residual = predicted[:, self.counts] - self.values
+        if not (np.isfinite(residual).all() and np.isfinite(derivative[:, self.counts]).all()):
+            if self.steps == 0:
+                raise InputError(
+                    f"{self.candidate.name}: its simulation diverges at the zeta it starts from"
+                )
+            self._shorten()
+            return
+        if self.last is not None and self._objective(residual) > self.objective + 1.0:
+            self._shorten()
+            return
+        self.steps += 1
+        self.refused = 0
+        self.residual = residual
+        products = [
+            Products.of(np.c_[slopes, slopes @ self.coordinates - left])
+            for slopes, left in zip(derivative[:, self.counts], residual, strict=True)
+        ]
+        if self.near:
+            self.last = most_probable(products, self.knots, self.level, self.noise, self.floors)
+        else:
+            # Far off, a misfit would pass for noise that lasts; white noise of its size pulls on.
+            size = np.sqrt((residual**2).mean(axis=1))
+            noise = [Noise(max(s, f), 0.0) for s, f in zip(size, self.floors, strict=True)]
+            # A standing wheel does not rise: a path that swings too far at a stop is not drawn
+            # back, so paths start straight and bend a little more with every step.
+            least = FIRST_WEIGHT / 10.0**self.steps
+            self.noise = noise
+            self.last = smoothest_given(products, self.knots, self.level, noise, least)
+        self.origin = self.coordinates
+        before, self.objective = self.objective, self._objective(residual)
+        move = self.last.mean - self.coordinates
+        share = move / np.sqrt(np.diag(self.last.covariance))
+        told = self._own_error() <= TELLS_NOTHING
+        farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
+        still = farthest < SMALL_MOVE or abs(self.objective - before) < SMALL_GAIN
+        self.converged = bool(self.near and still)
+        self.near = self.near or farthest < NEAR
+        self.move = move * min(1.0, LONGEST_MOVE / max(np.abs(move).max(), 1e-300))
+        if self.converged or self.steps == MOST_STEPS:
+            self.settled = True
+        else:
+            self.coordinates = self.origin + self.move
+
+    def _shorten(self) -> None:
+        """Half the last step: the straight line promised what the simulation does not keep."""
+        self.move = self.move / 2
+        self.coordinates = self.origin + self.move
+        self.steps += 1
+        self.refused += 1
+        if self.refused == MOST_REFUSED or self.steps >= MOST_STEPS:
+            self.coordinates = self.origin
+            self.settled = self.near or self.steps >= MOST_STEPS
+            self.converged = self.near and self.steps < MOST_STEPS
+            # White noise was not the way on; from here the noise is found with the path.
+            self.near, self.refused = True, 0
+            self.last = self.last if self.settled else None
+
+    def _objective(self, residual: np.ndarray) -> float:
+        """Half the misfit and the bends at the last weight and noise."""
+        assert self.last is not None
+        misfit = sum(
+            float(Products.of(left[:, None]).whitened(noise)[0, 0])
+            for left, noise in zip(residual, self.last.noise, strict=True)
+        )
+        centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
+        away = self.coordinates - centre
+        prior = _prior(self.knots, len(centre), self.last.weight)
+        return 0.5 * (misfit + float(away @ prior @ away))
+
+    def _own_error(self) -> np.ndarray:
+        assert self.last is not None
+        own = np.diag(self.last.information)[: self.knots]
+        return 1 / np.sqrt(np.maximum(own, np.finfo(float).tiny))
+
+    def path(self, grid: np.ndarray) -> ZetaPath:
+        assert self.last is not None
+        own = self._own_error()
+        told = own <= TELLS_NOTHING
+        spread = np.sqrt(np.diag(self.last.covariance)[: self.knots])
+        # The prior would draw its line on through a standstill, and be sure of it.
+        spread = np.where(told, spread, np.hypot(spread, own))
+        value = np.exp(self.coordinates[: self.knots])
+        trial = placed(
+            eqx.tree_at(lambda t: t.simulator.terrain.zeta, self.trial, KnotZeta(grid, value)),
+            jnp.asarray(self.coordinates),
+        )
+        place = np.asarray(trial.start.position)
+        terrain = replace_struct(
+            self.candidate.setup.terrain, zeta=ZetaKnots(grid.tolist(), value.tolist())
+        )
+        start = replace_struct(
+            self.candidate.setup.start, x=float(place[0]), sinkage=float(-place[1])
+        )
+        return ZetaPath(
+            name=self.candidate.name,
+            time=grid,
+            value=value,
+            error=np.where(spread < 1e6, value * spread, np.inf),
+            told=told,
+            weight=float(self.last.weight),
+            noise={
+                c: (n.spread, n.correlation)
+                for c, n in zip(self.channels, self.last.noise, strict=True)
+            },
+            rmse={
+                c: float(np.sqrt(np.mean(left**2)))
+                for c, left in zip(self.channels, self.residual, strict=True)
+            },
+            steps=self.steps,
+            converged=self.converged,
+            trial=trial,
+            setup=replace_struct(self.candidate.setup, terrain=terrain, start=start),
+        )
