@@ -195,7 +195,7 @@ class Problem(eqx.Module):
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
         """Residuals of the priors, shaped like the coordinates; zero where there is none."""
-        true_run = jnp.arange(own.shape[0]) < self.batch.runs
+        true_run = (jnp.arange(own.shape[0]) < self.batch.runs).astype(own.dtype)
 
         def of(parameters: tuple[Parameter, ...], values: Array) -> Array:
             if not parameters:
