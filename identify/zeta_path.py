@@ -391,7 +391,9 @@ class _Fit:
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
         compared = _compared(candidate)
-        self.floors = [max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels)]
+        self.floors = [
+            max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels, strict=True)
+        ]
         self.near = False
         self.refused = 0
         self.last: Posterior | None = None
