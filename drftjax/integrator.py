@@ -62,8 +62,9 @@ class HeldPace(AbstractIntegrator):
     """The derivative at held speeds of the plates near rest: it comes to rest without chatter.
 
     Directions are p / |p|. Under `HELD_SPEED` only p is moved along and |p| stays: where a plate
-    stops, the exact derivative does not see the force turn over and overshoots; this cannot. Faster
-    plates have the exact derivative, so smooth motion is as accurate as with `Rosenbrock`.
+    stops, the exact derivative does not see the force turn over and overshoots; this does not.
+    Faster plates have the exact derivative, so smooth motion is as accurate as with `Rosenbrock`,
+    and a wheel that is dropped still needs a step as short as its.
     """
 
     def linearise(

@@ -62,7 +62,8 @@ def zeta_from_sinkage(
         simulator: Wheel, terrain and rig.
         sinkage: H = -z [m].
         load: Vertical load [N]; the rig's weight m_z g where none is given.
-        angle: Wheel angle [rad].
+        angle: Wheel angle [rad]. At 0 both faces of the lowest grouser stand upright and carry, as
+            n.p = 0 on them; turned ever so little, only one of them leads.
         descent: As in `vertical_support`.
 
     Raises:

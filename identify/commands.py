@@ -18,6 +18,13 @@ Examples:
 
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
 
+  drft fit runs/*.h5 --parameters fit.toml          names, bounds and priors from a file:
+
+      [[parameter]]
+      name = "zeta"                # one for each run; shared = true for all
+      bounds = [0.3, 2.0]
+      prior = [0.78, 0.1]          # mean and standard error believed before the runs
+
 The result is out/fit.json, out/fit.h5 and out/fit.png; `drft simulate --from out/fit.json --run
 NAME` simulates a fitted run again.
 """
@@ -36,6 +43,13 @@ def fit(
         list[str] | None,
         typer.Option(help="A parameter shared by all runs. [default: lambda, if none is named]"),
     ] = None,
+    parameters: Annotated[
+        Path | None, typer.Option(help="A TOML file of parameters, over --own and --share.")
+    ] = None,
+    autoregressive: Annotated[
+        bool,
+        typer.Option("--autoregressive", help="Whiten residuals that follow one another."),
+    ] = False,
     zeta: Annotated[
         float | None, typer.Option(help="Scaling factor to start from, over the run logs'.")
     ] = None,
@@ -65,15 +79,20 @@ def fit(
     from drftjax.setup import INTEGRATORS
     from identify.fit import candidate
     from identify.fit import fit as fit_runs
+    from identify.noise import Autoregressive, White
     from identify.parameter import parameter
+    from identify.parameter_file import read_parameters
 
     if method not in INTEGRATORS:
         raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
     shared_names = share if share is not None else ([] if own else ["lambda"])
     own_names = own if own is not None else ([] if "zeta" in shared_names else ["zeta"])
-    parameters = [parameter(n, shared=True) for n in shared_names]
-    parameters += [parameter(n, shared=False) for n in own_names]
-    named = [each.quantity.name for each in parameters]
+    if parameters is not None and (own or share):
+        raise InputError("--parameters lists every parameter; leave --own and --share out")
+    fitted = [parameter(n, shared=True) for n in shared_names]
+    fitted += [parameter(n, shared=False) for n in own_names]
+    fitted = fitted if parameters is None else read_parameters(parameters)
+    named = [each.quantity.name for each in fitted]
     twice = {name for name in named if named.count(name) > 1}
     if twice:
         raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
@@ -110,11 +129,14 @@ def fit(
         def report(stage: str, number: int, loss: float) -> None:
             bar.update(task, description=f"{stage}: step {number}, sum of squares {loss:.6g}")
 
-        result = fit_runs(candidates, parameters, report).with_failures(failures)
+        noise = Autoregressive() if autoregressive else White()
+        result = fit_runs(candidates, fitted, report, noise).with_failures(failures)
 
     console.print(result.table())
     for value in result.shared.values():
         say(str(value))
+    for finding in result.findings:
+        say(finding)
     for name, why in result.failures.items():
         if name not in failures:
             say(f"left out: {name}: {why}", "yellow")

@@ -12,9 +12,11 @@ import numpy as np
 from drftjax.errors import InputError
 from drftjax.integrator import steady_step
 from drftjax.runlog.record import RunLog
+from drftjax.saved import thinned
 from drftjax.setup import SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
+from identify.findings import findings
 from identify.noise import AbstractNoise, White
 from identify.observation import Observation, observe
 from identify.parameter import Parameter
@@ -34,6 +36,10 @@ START_WINDOW = 0.2
 REWEIGHTINGS = 2
 
 WHITE = White()
+
+# How far the simulation may be off by a constant over a phase of the command [m, N, N m]: what its
+# plates and step leave open in sinkage (docs/integrator.md), and the same share of the rest.
+MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
 
 Progress = Callable[[str, int, float], None]
 
@@ -228,7 +234,13 @@ def _result(
 ) -> FitResult:
     counts = np.asarray(problem.batch.observed.weight) > 0
     spread = covariance(
-        solution.residual, solution.blocks, counts, len(problem.shared), solution.belief_slope
+        solution.residual,
+        solution.blocks,
+        counts,
+        len(problem.shared),
+        solution.belief_slope,
+        _offset(problem),
+        _phases(candidates, counts),
     )
     error = np.sqrt(np.diag(spread))
     shared_coordinates, own_coordinates = solution.coordinates
@@ -261,13 +273,35 @@ def _result(
                 after=after[index, picked, :length],
             )
         )
+    ends = [*zip(problem.shared, shared_coordinates, strict=True)]
+    ends += [*zip(problem.own, own_coordinates[: len(runs)].T, strict=True)]
+    bounded = [p.quantity.label for p, at in ends if np.any(p.near_bound(at))]
     return FitResult(
         shared=shared,
         runs=runs,
         status=solution.status,
         steps=solution.steps,
         failures=failures,
+        findings=findings(problem.parameters, shared, runs, spread, bounded),
     )
+
+
+def _offset(problem: Problem) -> np.ndarray:
+    """Weighted residual that the simulation's own error makes, held over a phase."""
+    error = np.array([MODEL_ERROR[channel] for channel in problem.batch.channels])[:, None]
+    carried = np.asarray(problem.correlation)[:, None]
+    whitened = (1 - carried) / np.sqrt(1 - carried**2)
+    return np.asarray(problem.batch.observed.weight) * error * whitened
+
+
+def _phases(candidates: list[Candidate], counts: np.ndarray) -> np.ndarray:
+    """Number of the phase of the command (a straight piece of it) that each sample falls in."""
+    phases = np.zeros((counts.shape[0], counts.shape[2]), int)
+    for index, each in enumerate(candidates):
+        knots = np.asarray(thinned(each.setup.command).time)
+        time = each.observation.time + knots[0]
+        phases[index, : len(time)] = np.searchsorted(knots, time, side="right")
+    return phases
 
 
 def _values(

@@ -7,7 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from drftjax.errors import InputError
 from drftjax.setup import SetUp
@@ -147,13 +147,13 @@ class Parameter(eqx.Module):
         """Residual of the prior: how many of its errors the value lies from its mean."""
         return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
 
-    def near_bound(self, coordinate: float) -> bool:
+    def near_bound(self, coordinate: Float[Array, "*n"]) -> Bool[Array, "*n"]:
         """Whether the value has run into one of its bounds."""
         if not isinstance(self.bijector, Interval):
-            return False
+            return jnp.zeros(coordinate.shape, bool)
         low, high = self.bijector.low, self.bijector.high
-        value = float(self.bijector.value(jnp.asarray(coordinate)))
-        return min(value - low, high - value) < 1e-3 * (high - low)
+        value = self.bijector.value(coordinate)
+        return jnp.minimum(value - low, high - value) < 1e-3 * (high - low)
 
 
 def quantity(name: str) -> Quantity:

@@ -1,7 +1,7 @@
 """What a fit found: values with errors, residuals by run and channel, and the models as files."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -83,6 +83,7 @@ class FitResult:
         status: How the solver ended: "converged", "stalled" or "out of steps".
         steps: Steps of the last solve.
         failures: Runs that were left out, and why.
+        findings: What the numbers mean, in sentences.
     """
 
     shared: Mapping[str, Value]
@@ -90,6 +91,7 @@ class FitResult:
     status: str
     steps: int
     failures: Mapping[str, str]
+    findings: list[str] = field(default_factory=list)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """The same with further runs named as left out."""
@@ -147,6 +149,7 @@ class FitResult:
             "rmse_before": self.rmse(False),
             "rmse_after": self.rmse(),
             "failures": dict(self.failures),
+            "findings": self.findings,
             "runs": [
                 {
                     "name": run.name,

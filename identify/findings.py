@@ -1,0 +1,91 @@
+"""What a fit's numbers mean, in sentences: what these runs can tell, and what they cannot."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identify.parameter import Parameter
+from identify.repeats import noise_floor
+from identify.result import SHOWN, RunFit, Value
+
+# A standard error of so much of the value, or more, tells little but the order of size.
+UNTOLD = 0.5
+# Two parameters closer than this move the runs alike.
+ALIKE = 0.999
+
+
+def findings(
+    parameters: Sequence[Parameter],
+    shared: dict[str, Value],
+    runs: Sequence[RunFit],
+    spread: np.ndarray,
+    bounded: Sequence[str],
+) -> list[str]:
+    """Sentences on identifiability, bounds, scatter between runs and the noise floor.
+
+    Args:
+        parameters: What was fitted, shared ones first.
+        shared: Their values.
+        runs: Fitted runs.
+        spread: Covariance of all coordinates: shared, then each run's own.
+        bounded: Labels of values that ran into a bound.
+    """
+    told = [
+        f"{value.label} cannot be identified from these runs: {value}"
+        for value in shared.values()
+        if value.error > UNTOLD * abs(value.value)
+    ]
+    told += [
+        f"{run.name}: {value.label} cannot be identified from this run: {value}"
+        for run in runs
+        for value in run.values.values()
+        if value.error > UNTOLD * abs(value.value)
+    ]
+    told += [f"{label} has run into its bound" for label in bounded]
+    told += _collinear(parameters, len(shared), runs, spread)
+    told += _scatter(runs)
+    floor = noise_floor(runs)
+    if floor:
+        each = ", ".join(f"{c} {v * SHOWN[c][1]:.3g} {SHOWN[c][0]}" for c, v in floor.items())
+        told.append(f"repeated runs differ by {each} beyond their own values: the noise floor")
+    return told
+
+
+def _collinear(
+    parameters: Sequence[Parameter], shared: int, runs: Sequence[RunFit], spread: np.ndarray
+) -> list[str]:
+    """Pairs of parameters that these runs cannot tell apart, in the first run or among shared."""
+    if not runs:
+        return []
+    own = len(parameters) - shared
+    seen = np.r_[0 : shared + own]
+    error = np.sqrt(np.diag(spread)[seen])
+    alike = np.abs(spread[np.ix_(seen, seen)] / np.outer(error, error))
+    ordered = [p.quantity.label for p in parameters if p.shared]
+    ordered += [p.quantity.label for p in parameters if not p.shared]
+    return [
+        f"{ordered[i]} and {ordered[j]} cannot be told apart by these runs: they see only a "
+        "combination of the two"
+        for i in range(len(seen))
+        for j in range(i)
+        if alike[i, j] > ALIKE
+    ]
+
+
+def _scatter(runs: Sequence[RunFit]) -> list[str]:
+    """Spread of each run's own values beyond their errors: a random effect between runs."""
+    if len(runs) < 2:
+        return []
+    told = []
+    for name, first in runs[0].values.items():
+        values = np.array([run.values[name].value for run in runs])
+        errors = np.array([run.values[name].error for run in runs])
+        chance = values.var(ddof=1) - np.mean(errors**2)
+        mean = values.mean()
+        if chance > 0 and mean != 0:
+            share = 100 * np.sqrt(chance) / abs(mean)
+            told.append(
+                f"{first.label} is {mean:.4g} on average and scatters by {share:.2g} % from run "
+                "to run beyond its errors"
+            )
+    return told
