@@ -1,0 +1,164 @@
+"""`drft design`: a set-up in, the run to make next out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identify.design import Design
+
+app = typer.Typer(add_completion=False)
+
+EXAMPLES = """
+Examples:
+
+  drft design data/paper.toml --parameter lambda --max-speed 300 -o out/design
+
+  drft design --like run.h5 --nuisance zeta --nuisance rig.damping_x --loads 150 220
+
+  drft simulate out/design.toml -o out/design.h5
+
+The result is out/design.toml (the run to make), out/design.json and out/design.png.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+def design(
+    setup: Annotated[
+        Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)
+    ] = None,
+    like: Annotated[Path | None, typer.Option(help="A run log instead: its set-up.")] = None,
+    parameter: Annotated[str, typer.Option(help="The parameter to identify.")] = "lambda",
+    nuisance: Annotated[
+        list[str] | None,
+        typer.Option(help="What the same run must also tell. [default: zeta, lambda]"),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
+    ] = None,
+    max_speed: Annotated[float, typer.Option(help="Largest speed [deg/s].")] = 300.0,
+    max_acceleration: Annotated[
+        float, typer.Option(help="Largest angular acceleration [deg/s2].")
+    ] = 50.0,
+    duration: Annotated[
+        float | None, typer.Option(help="Of the run [s]. [default: the given profile's]")
+    ] = None,
+    loads: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Lowest and highest load that may be put on the wheel [N]."),
+    ] = None,
+    noise_x: Annotated[float, typer.Option(help="White noise of x [um].")] = 50.0,
+    noise_z: Annotated[float, typer.Option(help="White noise of z [um].")] = 20.0,
+    noise_fx: Annotated[float, typer.Option(help="White noise of fx [N].")] = 0.5,
+    noise_fz: Annotated[float, typer.Option(help="White noise of fz [N].")] = 0.5,
+    noise_torque: Annotated[float, typer.Option(help="White noise of torque [N m].")] = 0.05,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="A channel that is recorded. [default: x, z]")
+    ] = None,
+    wanted: Annotated[
+        float, typer.Option(help="Standard error that counts as identified [% of the value].")
+    ] = 10.0,
+    model_error: Annotated[
+        float, typer.Option(help="Error of the model itself in x and z, RMS [mm].")
+    ] = 0.05,
+    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 6,
+) -> None:
+    """Say which run to make next, so that a parameter becomes identifiable."""
+    import math
+    import os
+
+    from rich.console import Console
+
+    from drftjax.commands.runtime import configure_jax
+
+    if (setup is None) == (like is None):
+        raise InputError("name one set-up file, or --like RUN, and not both")
+    configure_jax(devices=os.cpu_count())
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.setup import read_setup, setup_from_run
+    from identify.design import Instrument, Limits, Search
+    from identify.design import design as design_run
+
+    if setup is not None:
+        chosen = read_setup(setup)
+    else:
+        assert like is not None
+        chosen = setup_from_run(read_run_guarded(like))
+    time = chosen.command.time
+    limits = Limits(
+        math.radians(max_speed),
+        math.radians(max_acceleration),
+        time[-1] - time[0] if duration is None else duration,
+        loads,
+    )
+    noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
+    noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
+    console = Console()
+    with console.status("compiling") as status:
+        result = design_run(
+            chosen,
+            parameter,
+            nuisances=nuisance or None,
+            limits=limits,
+            instrument=Instrument(noise, tuple(channel or ("x", "z"))),
+            search=Search(steps=steps),
+            wanted=wanted / 100,
+            model_error=model_error * 1e-3,
+            progress=status.update,
+        )
+    if result.seen:
+        console.print(result.table())
+    console.print(result.summary(), soft_wrap=True)
+    if output is not None and result.seen:
+        written = _write(result, output)
+        console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
+
+
+def _write(result: "Design", output: Path) -> list[Path]:
+    import msgspec
+
+    from drftjax.figures import save_figure
+    from drftjax.runlog.replace import make_folder, replace_file
+
+    names = [output.with_name(f"{output.name}{ending}") for ending in (".toml", ".json", ".png")]
+    make_folder(output.parent)
+    replace_file(names[0], result.toml().encode())
+    encoded = msgspec.json.format(msgspec.json.encode(result.document()), indent=1)
+    replace_file(names[1], encoded + b"\n")
+    save_figure(plot_design(result), names[2])
+    return names
+
+
+def plot_design(result: "Design") -> "Figure":
+    """The given and the best profile, and the standard error over peak speeds."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    profile, scan = figure.subplots(1, 2)
+    for each, name, colour in ((result.now, "given", "0.4"), (result.best, "best", "C0")):
+        command = each.setup.command.build()
+        label = f"{name}: ±{each.knows.error:.2g}"
+        profile.plot(command.time, np.degrees(command.omega), ".-", color=colour, label=label)
+    profile.set_xlabel("time [s]")
+    profile.set_ylabel("angular velocity [deg/s]")
+    profile.legend(title=f"standard error of {result.parameter}", fontsize=8)
+    peaks = np.degrees(result.peaks)
+    errors = np.array([each.knows.error for each in result.scan])
+    shifts = np.array([result.shift(each) for each in result.scan])
+    scan.loglog(peaks, errors, "o-", label="standard error, white noise")
+    label = f"shift by a model error of {result.model_error * 1e3:.3g} mm"
+    scan.loglog(peaks, shifts, "s--", label=label)
+    value = abs(result.now.knows.value)
+    if value:
+        scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":")
+        scan.annotate(f"{result.wanted:.0%} of the value", (peaks[0], result.wanted * value))
+    scan.set_xlabel("peak speed of a trapezoid [deg/s]")
+    scan.set_ylabel(result.parameter)
+    scan.legend(fontsize=8)
+    return figure
