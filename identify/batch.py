@@ -5,6 +5,7 @@ a padded row weighs nothing. The batch is spread over the machine's devices, a s
 on each.
 """
 
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -52,7 +53,7 @@ class Batch(eqx.Module):
     trials: Trial
     observed: Observed
     channels: tuple[str, ...] = eqx.field(static=True)
-    runs: int = eqx.field(static=True)
+    runs: Int[Array, ""]
 
 
 def make_batch(
@@ -72,22 +73,35 @@ def make_batch(
         if not alike(trial, trials[0]):
             raise InputError(f"run {number} {OTHER_KIND} than the first; fit such runs apart")
     channels = tuple(c for c in CHANNELS if any(c in o.channels for o in observations))
-    rows = max(trial.rows for trial in trials)
-    knots = max(len(trial.time) for trial in trials)
-    samples = max(len(o.time) for o in observations)
+    rows = roomy(max(trial.rows for trial in trials))
+    knots = roomy(max(len(trial.time) for trial in trials))
+    samples = roomy(max(len(o.time) for o in observations))
     padded = [_without_lengths(trial, rows, knots) for trial in trials]
     recorded = [
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
     ]
-    padding = -len(trials) % multiple
+    padding = multiple * roomy(math.ceil(len(trials) / multiple)) - len(trials)
     padded += padded[:1] * padding
     silent = eqx.tree_at(lambda o: o.weight, recorded[0], 0 * recorded[0].weight)
     recorded += [silent] * padding
     stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
     return Batch(
-        jax.tree.map(stack, *padded), jax.tree.map(stack, *recorded), channels, len(trials)
+        jax.tree.map(stack, *padded),
+        jax.tree.map(stack, *recorded),
+        channels,
+        jnp.asarray(len(trials)),
     )
+
+
+def roomy(count: int) -> int:
+    """The next of 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, ...: a size that batches share.
+
+    A program is compiled for sizes; padded to these, batches of about one size share it, for at
+    most a quarter more to compute.
+    """
+    unit = 2 ** max(0, (count - 1).bit_length() - 3)
+    return unit * math.ceil(count / unit)
 
 
 def alike(trial: Trial, other: Trial) -> bool:
