@@ -57,9 +57,9 @@ MOST_REFUSED = 3
 FIRST_WEIGHT = 1e7
 # The noise is the instruments' own to fit only once a step is shorter than this.
 NEAR = 1.0
-DEBUG = True
 # A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
-# more than this: zeta within a factor e.
+# more than this, zeta within a factor e. Nor does one where the wheel stands: its derivative says
+# how it would sink further, but a stronger sand would leave it where it is.
 TELLS_NOTHING = 1.0
 
 
@@ -179,6 +179,15 @@ def _compared(each: Candidate):
         values=observation.values[picked],
         noise=observation.noise[picked],
     )
+
+
+def _moves(trial: Trial, grid: np.ndarray) -> np.ndarray:
+    """Whether wheel or carriage is asked to move anywhere between a knot's two neighbours."""
+    edges = np.r_[grid[0], grid, grid[-1]]
+    inside = np.linspace(edges[:-2], edges[2:], 65)[1:-1]
+    time = np.asarray(trial.time)
+    asked = [np.interp(inside, time, np.abs(np.asarray(v))) > 0 for v in (trial.omega, trial.vx)]
+    return np.any(asked, axis=(0, 1))
 
 
 # The simulation and its derivative ----------------------------------------------------------------
@@ -394,6 +403,9 @@ class _Fit:
         self.floors = [
             max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels, strict=True)
         ]
+        self.moves = _moves(
+            candidate.trial, np.asarray(self.trial.simulator.terrain.zeta.time)[:knots]
+        )  # pyright: ignore
         self.near = False
         self.refused = 0
         self.last: Posterior | None = None
@@ -440,7 +452,7 @@ class _Fit:
         before, self.objective = self.objective, self._objective(residual)
         move = self.last.mean - self.coordinates
         share = move / np.sqrt(np.diag(self.last.covariance))
-        told = self._own_error() <= TELLS_NOTHING
+        told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
         still = farthest < SMALL_MOVE or abs(self.objective - before) < SMALL_GAIN
         self.converged = bool(self.near and still)
@@ -485,10 +497,10 @@ class _Fit:
     def path(self, grid: np.ndarray) -> ZetaPath:
         assert self.last is not None
         own = self._own_error()
-        told = own <= TELLS_NOTHING
+        told = self.moves & (own <= TELLS_NOTHING)
         spread = np.sqrt(np.diag(self.last.covariance)[: self.knots])
         # The prior would draw its line on through a standstill, and be sure of it.
-        spread = np.where(told, spread, np.hypot(spread, own))
+        spread = np.where(told, spread, np.hypot(spread, np.maximum(own, TELLS_NOTHING)))
         value = np.exp(self.coordinates[: self.knots])
         trial = placed(
             eqx.tree_at(lambda t: t.simulator.terrain.zeta, self.trial, KnotZeta(grid, value)),

@@ -1,0 +1,168 @@
+"""Offline zeta(t): a known path comes back within its errors, and a standstill says nothing."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.errors import InputError
+from drftjax.scaling import KnotZeta
+from drftjax.setup import IntegratorSetUp
+from identify.batch import make_batch
+from identify.fit import Candidate, candidate
+from identify.zeta_path import (
+    WEIGHTS,
+    Noise,
+    Products,
+    ZetaPath,
+    posterior,
+    predicted,
+    zeta_paths,
+)
+from tests.studies.crosscheck import known_run, known_setup
+
+# Coarse plates and the fit's own integrator: the program is tested, not the step's error.
+PLATE_SIZE, STEP = 8e-3, 1e-3
+TIME, OMEGA = (0.0, 0.5, 2.0, 4.0, 5.5, 6.0), (0.0, 0.0, 45.0, 45.0, 0.0, 0.0)
+LATE_TIME, LATE_OMEGA = (0.0, 3.0, 4.0, 5.0, 5.9, 6.0), (0.0, 0.0, 30.0, 30.0, 0.0, 0.0)
+KNOTS = np.linspace(0.0, 5.5, 7)
+SPACING = 5.5 / 6
+RUNS = 6
+# Steps have corners, where plates begin to lead, and derivatives jump there: differences over so
+# small a change cross none. What is left is their rounding.
+DIFFERENCES = 1e-4
+# Two-sided 90 % of a normal distribution, in standard errors.
+BAND = 1.645
+
+
+def path_of(number: int):
+    values = 0.75 + 0.05 * np.sin(0.9 * KNOTS + number) + 0.01 * (number % 3)
+    return lambda t: np.interp(t, KNOTS, values)
+
+
+def made(name: str, path, seed: int, time=TIME, omega=OMEGA) -> Candidate:
+    setup = known_setup(name, path, KNOTS, time, omega, PLATE_SIZE)
+    setup.integrator = IntegratorSetUp("held pace", STEP)
+    run = known_run(setup, np.random.default_rng(seed))
+    each = candidate(name, run, step=STEP)
+    each.setup.wheel.plate_size = PLATE_SIZE
+    return dataclasses.replace(each, trial=each.setup.trial(5 * STEP))
+
+
+@pytest.fixture(scope="module")
+def candidates() -> list[Candidate]:
+    runs = [made(f"run {number}", path_of(number), number) for number in range(RUNS)]
+    return [*runs, made("stands long", lambda t: 0.74 + 0 * t, RUNS, LATE_TIME, LATE_OMEGA)]
+
+
+@pytest.fixture(scope="module")
+def paths(candidates) -> list[ZetaPath]:
+    return zeta_paths(candidates, SPACING)
+
+
+# A known path -----------------------------------------------------------------------------------
+
+
+def test_known_path_lies_within_its_band(paths):
+    """Of 42 knots over 6 runs, nine in ten; fewer than 33 would be chance once in 200 times."""
+    inside = [
+        np.abs(each.value - path_of(number)(each.time)) <= BAND * each.error
+        for number, each in enumerate(paths[:RUNS])
+    ]
+    assert np.concatenate(inside).sum() >= 33
+    # And the band is no wide one: in the moving part a thousandth or two of zeta.
+    assert np.median([each.error[2:5] for each in paths[:RUNS]]) < 2e-3
+
+
+def test_fit_comes_down_to_the_noise(paths):
+    for each in paths[:RUNS]:
+        assert each.converged
+        assert each.rmse["z"] == pytest.approx(20e-6, rel=0.25)
+        assert each.rmse["x"] == pytest.approx(20e-6, rel=0.25)
+        assert all(spread == pytest.approx(20e-6, rel=0.4) for spread, _ in each.noise.values())
+
+
+def test_fitted_setup_and_trial_are_the_path(paths):
+    each = paths[0]
+    zeta = each.trial.simulator.terrain.zeta
+    assert isinstance(zeta, KnotZeta)
+    np.testing.assert_allclose(zeta.value, each.value, rtol=1e-12)
+    np.testing.assert_allclose(each.setup.terrain.zeta.value, each.value, rtol=1e-12)
+    np.testing.assert_allclose(each.at(each.time), each.value)
+    assert np.all(each.error_at(each.time[:-1] + 0.1) >= each.error[:-1])
+
+
+def test_standstill_tells_nothing_of_zeta(paths):
+    path = paths[-1]
+    standing, moving = path.time < 2.0, (path.time > 3.5) & (path.time < 5.5)
+    np.testing.assert_allclose(path.value[moving], 0.74, atol=4e-3)
+    assert path.error[moving].max() < 5e-3
+    assert path.told[moving].all()
+    assert not path.told[standing].any()
+    # Not even the first digit.
+    assert path.error[standing].min() > 0.5
+
+
+# Derivatives and algebra --------------------------------------------------------------------------
+
+
+def test_derivative_by_the_knots_is_exact(candidates):
+    each = candidates[1]
+    values = path_of(1)(KNOTS)
+    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, each.trial, KnotZeta(KNOTS, values))
+    batch = make_batch([trial], [each.observation])
+    observed = jax.tree.map(lambda leaf: leaf[0], batch.observed)
+    at = jnp.concatenate([jnp.log(jnp.asarray(values)), jnp.zeros(2)])
+
+    @jax.jit
+    def simulated(coordinates):
+        return predicted(trial, observed, batch.channels, coordinates)
+
+    # Knots of the moving part: a standing wheel sinks into weaker sand, but does not rise in
+    # stronger sand, so its differences are not its derivative.
+    along = jnp.zeros(len(at)).at[2:5].set(jnp.array([1.0, -0.6, 0.8]))
+    _, forward = jax.jit(lambda a, d: jax.jvp(simulated, (a,), (d,)))(at, along)
+    small = 1e-7
+    differences = (simulated(at + small * along) - simulated(at - small * along)) / (2 * small)
+    counts = (observed.weight > 0).astype(float)
+    far = counts * (forward - differences)
+    assert jnp.sqrt(jnp.sum(far**2) / jnp.sum((counts * forward) ** 2)) < DIFFERENCES
+
+
+def test_whitening_is_the_inverse_covariance():
+    random = np.random.default_rng(0)
+    columns, noise = random.standard_normal((40, 3)), Noise(0.3, 0.8)
+    lags = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
+    dense = columns.T @ np.linalg.solve(0.3**2 * 0.8**lags, columns)
+    np.testing.assert_allclose(Products.of(columns).whitened(noise), dense, rtol=1e-10)
+
+
+def test_evidence_is_largest_near_the_weight_that_made_the_path():
+    random = np.random.default_rng(2)
+    knots, weight = 40, 1e3
+    found = []
+    for _ in range(8):
+        bends = random.standard_normal(knots - 2) / np.sqrt(weight)
+        path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
+        seen = np.repeat(np.eye(knots), 10, axis=0)
+        data = seen @ path + 0.02 * random.standard_normal(len(seen))
+        products = [Products.of(np.c_[seen, data])]
+        best = max(
+            WEIGHTS,
+            key=lambda w, p=products: posterior(p, knots, 0.0, w, [Noise(0.02, 0.0)]).evidence,
+        )
+        found.append(np.log10(best))
+    assert np.mean(found) == pytest.approx(3.0, abs=0.3)
+
+
+# Refusals -----------------------------------------------------------------------------------------
+
+
+def test_a_path_that_cannot_be_fitted_is_refused(candidates):
+    with pytest.raises(InputError, match="knot spacing is 0 s, must be positive"):
+        zeta_paths(candidates[:1], 0.0)
+    with pytest.raises(InputError, match=r"run 0: has \d+ samples to compare, too few for"):
+        zeta_paths(candidates[:1], 0.01)
