@@ -41,6 +41,8 @@ SUSTAINED = 10
 # A lag is looked for up to so long, and up to a third of the moving part [s].
 LONGEST_LAG = 5.0
 LEAST_CORRELATION = 0.5
+# By so much the best lag must beat the longest ones: a straight line is like itself at any lag.
+LEAST_PEAK = 0.02
 
 Path = Callable[[np.ndarray], np.ndarray]
 
@@ -422,8 +424,7 @@ def comparison(
 def lag(late: np.ndarray, early: np.ndarray, tick: float) -> tuple[float | None, float | None]:
     """How long after `early` `late` does the same [s], and their correlation then.
 
-    None where nothing changes, they are unlike, or the best lag is the longest one tried: of a
-    straight line, for one, any lag is as good as another.
+    None where nothing changes, they are unlike, or the longest lags tried are as good.
     """
     most = int(min(LONGEST_LAG / tick, len(late) // 3))
     count = len(late)
@@ -435,7 +436,9 @@ def lag(late: np.ndarray, early: np.ndarray, tick: float) -> tuple[float | None,
         ]
     )
     best = int(np.argmax(found)) if len(found) else 0
-    if most == 0 or found[best] < LEAST_CORRELATION or best in (0, len(shifts) - 1):
+    ends = (0, len(shifts) - 1)
+    peaked = most > 0 and found[best] > max(found[list(ends)]) + LEAST_PEAK
+    if not peaked or found[best] < LEAST_CORRELATION:
         return None, None
     return float(shifts[best] * tick), float(found[best])
 

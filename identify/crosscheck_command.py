@@ -87,6 +87,9 @@ def crosscheck(
 
     for table in tables(result):
         console.print(table)
+    for run in result.runs:
+        if not run.offline.converged:
+            console.print(f"{run.name}: the offline zeta(t) has not settled", style="yellow")
     if output is not None:
         written = write(result, output)
         console.print(f"written: {', '.join(str(each) for each in written)}")

@@ -99,6 +99,19 @@ def test_replay_is_the_loop_that_runs_tick_by_tick(simulator):
     np.testing.assert_allclose(loop.state.position, last.state.position, rtol=0, atol=SAME)
 
 
+def test_ticks_without_a_measurement_make_a_longer_tick(simulator):
+    tuner, fine = StepTuner(), StepTuner(tick=0.01 / 4)
+    time, omega = jnp.array([0.0, 0.2, 1.0]), jnp.radians(jnp.array([0.0, 0.0, 30.0]))
+    asked = tick_commands(40, 8, tuner.tick, time, omega)
+    recorded = START + 2e-3 * jnp.sin(jnp.arange(40.0) / 5.0)
+    _, ticks = roll(simulator, begin(), asked, recorded, tuner)
+    asked = jax.tree.map(lambda values: values.reshape(160, 2), asked)
+    recorded = jnp.full(160, jnp.nan).at[::4].set(recorded)
+    _, found = roll(simulator, begin(), asked, recorded, fine)
+    np.testing.assert_allclose(found.zeta, jnp.repeat(ticks.zeta, 4), rtol=0, atol=SAME)
+    np.testing.assert_allclose(found.output.z[3::4], ticks.output.z, rtol=0, atol=SAME)
+
+
 def test_zeta_changes_no_faster_than_one_step_a_tick(simulator):
     tuner = StepTuner(tick=0.01, zeta_step=2e-3)
     deep = jnp.full(60, START + 0.02)  # far deeper than any simulation gets in so short a time

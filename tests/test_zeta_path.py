@@ -24,13 +24,14 @@ from identify.zeta_path import (
 )
 from tests.studies.crosscheck import known_run, known_setup
 
-# Coarse plates and the fit's own integrator: the program is tested, not the step's error.
+# Coarse plates and the fit's own integrator: the program is tested, not the step's error. At longer
+# steps the misfit grows rough, by the corners that plates pass as they begin to lead.
 PLATE_SIZE, STEP = 8e-3, 1e-3
 TIME, OMEGA = (0.0, 0.5, 2.0, 4.0, 5.5, 6.0), (0.0, 0.0, 45.0, 45.0, 0.0, 0.0)
 LATE_TIME, LATE_OMEGA = (0.0, 3.0, 4.0, 5.0, 5.9, 6.0), (0.0, 0.0, 30.0, 30.0, 0.0, 0.0)
 KNOTS = np.linspace(0.0, 5.5, 7)
 SPACING = 5.5 / 6
-RUNS = 6
+RUNS = 4
 # Steps have corners, where plates begin to lead, and derivatives jump there: differences over so
 # small a change cross none. What is left is their rounding.
 DIFFERENCES = 1e-4
@@ -67,12 +68,12 @@ def paths(candidates) -> list[ZetaPath]:
 
 
 def test_known_path_lies_within_its_band(paths):
-    """Of 42 knots over 6 runs, nine in ten; fewer than 33 would be chance once in 200 times."""
+    """Of 28 knots over 4 runs, nine in ten; fewer than 22 would be chance once in 100 times."""
     inside = [
         np.abs(each.value - path_of(number)(each.time)) <= BAND * each.error
         for number, each in enumerate(paths[:RUNS])
     ]
-    assert np.concatenate(inside).sum() >= 33
+    assert np.concatenate(inside).sum() >= 22
     # And the band is no wide one: in the moving part a thousandth or two of zeta.
     assert np.median([each.error[2:5] for each in paths[:RUNS]]) < 2e-3
 
