@@ -190,7 +190,7 @@ def test_one_source_is_asked_for(drft, short, tmp_path):
         (["--step", "0"], "integrator step is 0, must lie between"),
         (["--step", "nan"], "integrator step is nan, must lie between"),
         (["--zeta", "-1"], "zeta is -1, must lie between"),
-        (["--lambda", "-1"], "inertial coefficient (lambda) is -1, must lie between"),
+        (["--lambda", "-21"], "inertial coefficient (lambda) is -21, must lie between"),
         (["-o", "run.txt"], "run.txt: a run log's name must end in .h5, .hdf5"),
         (["-o", "run"], "run: a run log's name must end in .h5, .hdf5"),
         (["--plot", "run.jpeg2000"], "run.jpeg2000: a figure's name must end in .png, .pdf, .svg"),
