@@ -99,12 +99,6 @@ class ZetaPath:
         """zeta at `time` [s]."""
         return np.interp(time, self.time, self.value)
 
-    def error_at(self, time: np.ndarray) -> np.ndarray:
-        """Standard error at `time` [s], between knots the larger of the two beside it."""
-        before = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 1)
-        after = np.minimum(before + 1, len(self.time) - 1)
-        return np.maximum(self.error[before], self.error[after])
-
 
 def zeta_paths(
     candidates: Sequence[Candidate], knot_spacing: float = KNOT_SPACING
@@ -119,6 +113,17 @@ def zeta_paths(
     Raises:
         InputError: where a run has no sinkage, is too short, or cannot be simulated.
     """
+    channels = [_compared(each).channels for each in candidates]
+    found: dict[int, ZetaPath] = {}
+    for kind in dict.fromkeys(channels):
+        alike = [number for number, own in enumerate(channels) if own == kind]
+        paths = _paths_of_alike([candidates[number] for number in alike], knot_spacing)
+        found |= dict(zip(alike, paths, strict=True))
+    return [found[number] for number in range(len(candidates))]
+
+
+def _paths_of_alike(candidates: Sequence[Candidate], knot_spacing: float) -> list[ZetaPath]:
+    """`zeta_paths` of runs that have the same channels."""
     grids = [_knots(each, knot_spacing) for each in candidates]
     most = max(len(grid) for grid in grids)
     trials = [
@@ -131,7 +136,10 @@ def zeta_paths(
         for number, (each, grid) in enumerate(zip(candidates, grids, strict=True))
     ]
     while not all(fit.settled for fit in fits):
-        coordinates = jnp.asarray(np.stack([_padded_coordinates(fit, most) for fit in fits]))
+        # Knots after a run's last one bear on nothing.
+        coordinates = jnp.asarray(
+            [np.insert(f.coordinates, [f.knots] * (most - f.knots), 0.0) for f in fits]
+        )
         predicted, derivative = map(np.asarray, _evaluate(batch, coordinates))
         for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
             if not fit.settled:
@@ -221,11 +229,6 @@ def _evaluate(batch: Batch, coordinates: Float[Array, "runs all"]):
         return values, derivative
 
     return jax.vmap(one)(batch.trials, batch.observed, coordinates)
-
-
-def _padded_coordinates(fit: "_Fit", most: int) -> np.ndarray:
-    knots, start = fit.coordinates[: fit.knots], fit.coordinates[fit.knots :]
-    return np.concatenate([knots, np.repeat(knots[-1], most - fit.knots), start])
 
 
 # The linear-Gaussian problem ----------------------------------------------------------------------
@@ -403,9 +406,8 @@ class _Fit:
         self.floors = [
             max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels, strict=True)
         ]
-        self.moves = _moves(
-            candidate.trial, np.asarray(self.trial.simulator.terrain.zeta.time)[:knots]
-        )  # pyright: ignore
+        grid = self.trial.simulator.terrain.zeta.time[:knots]  # pyright: ignore
+        self.moves = _moves(candidate.trial, np.asarray(grid))
         self.near = False
         self.refused = 0
         self.last: Posterior | None = None
@@ -422,9 +424,8 @@ class _Fit:
         residual = predicted[:, self.counts] - self.values
         if not (np.isfinite(residual).all() and np.isfinite(derivative[:, self.counts]).all()):
             if self.steps == 0:
-                raise InputError(
-                    f"{self.candidate.name}: its simulation diverges at the zeta it starts from"
-                )
+                name = self.candidate.name
+                raise InputError(f"{name}: its simulation diverges at the zeta it starts from")
             self._shorten()
             return
         if self.last is not None and self._objective(residual) > self.objective + 1.0:
@@ -513,6 +514,8 @@ class _Fit:
         start = replace_struct(
             self.candidate.setup.start, x=float(place[0]), sinkage=float(-place[1])
         )
+        noise = [(n.spread, n.correlation) for n in self.last.noise]
+        rmse = np.sqrt(np.mean(self.residual**2, axis=1)).tolist()
         return ZetaPath(
             name=self.candidate.name,
             time=grid,
@@ -520,14 +523,8 @@ class _Fit:
             error=np.where(spread < 1e6, value * spread, np.inf),
             told=told,
             weight=float(self.last.weight),
-            noise={
-                c: (n.spread, n.correlation)
-                for c, n in zip(self.channels, self.last.noise, strict=True)
-            },
-            rmse={
-                c: float(np.sqrt(np.mean(left**2)))
-                for c, left in zip(self.channels, self.residual, strict=True)
-            },
+            noise=dict(zip(self.channels, noise, strict=True)),
+            rmse=dict(zip(self.channels, rmse, strict=True)),
             steps=self.steps,
             converged=self.converged,
             trial=trial,
