@@ -1,25 +1,20 @@
 """Which run to make next, so that a named parameter becomes identifiable.
 
-The angular velocity over time, the load and the start angle are moved down the gradient of the
-parameter's standard error. That error comes of the Fisher information of the simulated run, so its
-gradient is a second derivative of the simulator: forward over forward, as a run has few of either.
+The angular velocity over time, the load and the start angle are moved down the slope of the
+parameter's standard error, which comes of the Fisher information of the simulated run.
 """
 
 import copy
-import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
-import msgspec
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
-from rich.table import Table
 
-from drftjax import __version__
 from drftjax.arrays import require_between
 from drftjax.ensemble import map_runs, stack
 from drftjax.errors import InputError
@@ -29,27 +24,30 @@ from drftjax.saved import thinned
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
 from drftjax.stress import REST_SPEED
-from drftjax.trial import ROW_INTERVAL, Trial
+from drftjax.trial import ROW_INTERVAL
 from identify.information import (
-    CHANNELS,
     MARGIN,
     SMALLEST_EFFECT,
+    Instrument,
     Knowledge,
     Objective,
     Profile,
+    alike,
+    counted,
     knowledge,
     scales,
     sensitivities,
     with_gradient,
 )
 from identify.parameter import Quantity, parameter
-from identify.result import UNITS
 
 DESIGN_SCHEMA = "drft-design"
 
 # Wheels that slow down to a stop meet plates at rest again and again; at half the step that
 # bounds derivatives on the whole, these bursts are gone from every profile tried.
 SAFETY = 2
+# Share of the run at its end that the search leaves out.
+LEFT_OUT = 0.08
 # Runs evaluated in one call: so many are padded to, and only one program is compiled.
 TOGETHER = 4
 
@@ -97,42 +95,6 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Instrument:
-    """What is measured, and how finely.
-
-    Attributes:
-        noise: Standard deviation of each channel's white noise [m, N, N m].
-        channels: Which of them a run records; the others are judged as additions.
-    """
-
-    noise: dict[str, float] = field(
-        default_factory=lambda: {"x": 5e-5, "z": 2e-5, "fx": 0.5, "fz": 0.5, "torque": 0.05}
-    )
-    channels: tuple[str, ...] = ("x", "z")
-
-    def check(self) -> None:
-        for name in (*self.noise, *self.channels):
-            if name not in CHANNELS:
-                raise InputError(f"there is no channel {name!r}; give one of {', '.join(CHANNELS)}")
-        for name, value in self.noise.items():
-            require_between(f"the noise of {name}", value, 1e-9, 1e6)
-        lacking = [name for name in self.channels if name not in self.noise]
-        if lacking or not self.channels:
-            raise InputError(
-                f"the noise of {lacking[0]} is not given" if lacking else "no channel is measured"
-            )
-
-    def weight(self, extra: str | None = None) -> np.ndarray:
-        """1 / noise of the channels recorded, with one more where named; 0 of the rest."""
-        measured = {*self.channels, extra}
-        return np.array([1 / self.noise[c] if c in measured else 0.0 for c in CHANNELS])
-
-    @property
-    def additions(self) -> list[str]:
-        return [c for c in CHANNELS if c in self.noise and c not in self.channels]
-
-
-@dataclass(frozen=True)
 class Search:
     """How hard is searched.
 
@@ -146,7 +108,7 @@ class Search:
 
     knots: int = 6
     starts: int = 2
-    steps: int = 6
+    steps: int = 4
     scan: int = 7
     plate_size: float = 8e-3
 
@@ -270,117 +232,9 @@ class Design:
             lines.append(f"Identified to {self.wanted:.0%} {words}: {speed}.")
         return "\n".join(lines)
 
-    def table(self) -> Table:
-        """Every run judged, its standard error and the factor gained over the given profile."""
-        unit = "" if self.unit == "-" else f" [{self.unit}]"
-        table = Table(title=f"standard error of {self.parameter}{unit}, beside {self._beside()}")
-        table.add_column("run")
-        table.add_column("standard error", justify="right")
-        table.add_column("of the value", justify="right")
-        table.add_column("factor gained", justify="right")
-        table.add_column(f"shift by {self.model_error * 1e3:.3g} mm", justify="right")
-
-        def add(name: str, knows: Knowledge) -> None:
-            factor = self.now.knows.error / knows.error if math.isfinite(knows.error) else 0.0
-            shift = knows.shift * self.model_error
-            share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
-            table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
-
-        for head, options in (("", [self.now]), ("best: ", [self.best])):
-            for each in options:
-                add(head + each.name, each.knows)
-                for channel, more in each.added.items():
-                    add(f"  with {channel} ({self.noise[channel]:g} {UNITS[channel]})", more)
-            table.add_section()
-        for group in (self.others, self.found, self.scan):
-            for each in group:
-                add(each.name, each.knows)
-            table.add_section()
-        return table
-
-    def _beside(self) -> str:
-        return ", ".join(self.nuisances) or "nothing else unknown"
-
-    def document(self) -> dict:
-        """The design as plain values, in the layout of the JSON file."""
-
-        def plain(option: Option) -> dict:
-            return {
-                "name": option.name,
-                **_numbers(option.knows),
-                "added": {name: _numbers(each) for name, each in option.added.items()},
-                "setup": msgspec.to_builtins(option.setup),
-            }
-
-        return {
-            "schema": DESIGN_SCHEMA,
-            "schema_version": 1,
-            "software": f"drftjax {__version__}",
-            "parameter": self.parameter,
-            "unit": self.unit,
-            "nuisances": list(self.nuisances),
-            "noise": self.noise,
-            "channels": list(self.channels),
-            "identifiable": self.seen,
-            "factor": self.factor,
-            "wanted": self.wanted,
-            "model_error": self.model_error,
-            "speed_needed": self.speed_needed(),
-            "speed_needed_with_model_error": self.speed_needed(True),
-            "summary": self.summary(),
-            "given": plain(self.now),
-            "best": plain(self.best),
-            "found": [plain(each) for each in self.found],
-            "scan": [
-                {"peak": peak, **plain(each)}
-                for peak, each in zip(self.peaks, self.scan, strict=True)
-            ],
-            "others": [plain(each) for each in self.others],
-        }
-
-    def toml(self) -> str:
-        """The run to make, as a set-up file."""
-        document = msgspec.to_builtins(self.best.setup)
-        built = self.best.setup.command.build()
-        time, omega = np.round(built.time, 3), np.round(np.degrees(built.omega), 3)
-        document["command"] |= {
-            "time": time.tolist(),
-            "omega": (omega + 0.0).tolist(),
-            "omega_unit": "deg/s",
-        }
-        document["title"] = f"{self.best.setup.title}, designed for {self.parameter}"
-        tables = {
-            name: document.pop(name) for name in list(document) if isinstance(document[name], dict)
-        }
-        lines = [f"# {line}" for line in self.summary().splitlines()]
-        lines += [f"{name} = {_toml(value)}" for name, value in document.items()]
-        for name, table in tables.items():
-            lines += ["", f"[{name}]"]
-            lines += [f"{key} = {_toml(v)}" for key, v in table.items() if v is not None]
-        return "\n".join(lines) + "\n"
-
-
-def _toml(value: object) -> str:
-    """A value of a set-up as TOML writes it."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    # Text and numbers are written alike in JSON and TOML, but for the letters beyond ASCII
-    # that JSON may escape in pairs.
-    return json.dumps(value, ensure_ascii=False)
-
 
 def _percent(knows: Knowledge) -> str:
     return f" ({knows.relative:.2%})" if math.isfinite(knows.relative) else ""
-
-
-def _numbers(knows: Knowledge) -> dict[str, float | str | None]:
-    """What a run tells; None where it tells nothing, as JSON has no infinity."""
-    values = {name: getattr(knows, name) for name in ("value", "error", "alone", "share", "effect")}
-    values["shift_per_metre"] = knows.shift
-    finite = {name: float(v) if math.isfinite(v) else None for name, v in values.items()}
-    return {**finite, "imitator": knows.imitator}
 
 
 def trapezoid(limits: Limits, peak: float) -> CommandSetUp:
@@ -468,6 +322,19 @@ def design(
     )
 
 
+def promised(
+    setup: SetUp,
+    parameter_name: str,
+    nuisances: Sequence[str] | None = None,
+    instrument: Instrument | None = None,
+) -> Option:
+    """What one run of a set-up as it stands would tell of a parameter; see `design`."""
+    instrument = instrument or Instrument()
+    instrument.check()
+    judge = _Judge(setup, _quantities(parameter_name, nuisances), instrument, Limits())
+    return judge.options([setup.title], [judge.setup_of(thinned(setup.command))])[0]
+
+
 def _trapezoid_name(peak: float) -> str:
     return f"trapezoid to {math.degrees(peak):.0f} deg/s"
 
@@ -507,7 +374,7 @@ class _Judge:
         built = command.build()
         setup.integrator.method = "held pace"
         step = steady_step(setup.wheel.radius, built.time, built.omega)
-        setup.integrator.step = max(step / SAFETY, STEPS[-1])
+        setup.integrator.step = float(max(step / SAFETY, STEPS[-1]))
         if "angle" in start:
             setup.start.angle = start["angle"]
         if "load" in start:
@@ -533,7 +400,7 @@ class _Judge:
         finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
         longest = max(each.command.time[-1] - each.command.time[0] for each in setups)
-        trials = [_alike(each, finest, knots, longest) for each in setups]
+        trials = [alike(each, finest, knots, longest) for each in setups]
         scale = scales(trials[0], self.quantities)
         options = []
         for first in range(0, len(trials), TOGETHER):
@@ -555,29 +422,6 @@ class _Judge:
         return Option(name, setup, told(), {each: told(each) for each in self.instrument.additions})
 
 
-def counted(setup: SetUp, rows: int) -> np.ndarray:
-    """1 for the rows until the wheel has stopped for good, as a fit compares them; else 0."""
-    command = setup.command.build()
-    time = command.time - command.time[0]
-    moving = np.flatnonzero(command.omega != 0)
-    end = time[min(moving[-1] + 1, len(time) - 1)] if len(moving) else time[-1]
-    return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
-
-
-def _alike(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
-    """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
-    setup = copy.deepcopy(setup)
-    setup.integrator.step = step
-    trial = setup.trial()
-    missing = knots - len(trial.time)
-    later = trial.time[-1] + jnp.arange(1.0, missing + 1)
-    rows = math.ceil(duration / (trial.every * step) - 1e-9)
-    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
-    time = jnp.concatenate([trial.time, later])
-    known = trial.simulator, trial.start, time, hold(trial.omega), hold(trial.vx)
-    return Trial(*known, trial.step, trial.every, rows)
-
-
 def _descend(
     start: Float[Array, " free"], objective: Objective, steps: int
 ) -> Float[Array, " free"]:
@@ -594,7 +438,8 @@ def _objective(judge: _Judge, search: Search) -> Objective:
     limit = judge.limits
     profile = Profile(search.knots, limit.speed, limit.acceleration, limit.duration, limit.rest)
     setup.command = CommandSetUp(profile.time.tolist(), np.zeros(search.knots + 4).tolist())
-    # Coarse plates reach rest one by one less often, and bear the whole step.
+    # The whole step is fast, and the rows of the last slow-down, where it is too long, are not
+    # needed to tell profiles apart.
     setup.integrator.step = steady_step(
         setup.wheel.radius, np.array([0.0, 1.0]), np.array([0.0, limit.acceleration])
     )
@@ -603,12 +448,22 @@ def _objective(judge: _Judge, search: Search) -> Objective:
     if limit.loads is not None:
         loads = np.array(limit.loads) / setup.rig.gravity
         depths = np.array([judge.deeper(each) for each in limit.loads])
-    ends = np.concatenate([step_times(trial.rows, ROW_INTERVAL)])
-    counts = np.concatenate([[1.0], ends <= limit.duration - limit.rest + 1e-9]).astype(float)
+    ends = np.asarray(step_times(trial.rows, ROW_INTERVAL))
+    until = (limit.duration - limit.rest) * (1 - LEFT_OUT)
+    counts = np.concatenate([[1.0], ends <= until]).astype(float)
     scale = scales(trial, judge.quantities)
     weight = judge.instrument.weight()
-    numbers = [jnp.asarray(each) for each in (loads, depths, scale, weight, counts)]
-    return Objective(trial, profile, *numbers, tuple(judge.quantities))
+    real = jnp.asarray
+    return Objective(
+        trial,
+        profile,
+        real(loads),
+        real(depths),
+        real(scale),
+        real(weight),
+        real(counts),
+        tuple(judge.quantities),
+    )
 
 
 def _descended(
@@ -627,10 +482,10 @@ def _descended(
             extra = [math.log(share / (1 - share)), *extra]
         points.append(np.concatenate([profile.coordinates(speeds), extra]))
     report(f"descending from {len(starts)} peak speeds, {search.steps} steps each")
-    descend = eqx.filter_jit(eqx.filter_vmap(_descend, in_axes=(0, None, None)))
-    ends = descend(jnp.asarray(np.array(points)), objective, search.steps)
+    descend = eqx.filter_jit(_descend)
+    ends = [descend(jnp.asarray(each), objective, search.steps) for each in points]
     options = []
-    for start, end in zip(starts, np.asarray(ends), strict=True):
+    for start, end in zip(starts, map(np.asarray, ends), strict=True):
         if not np.isfinite(end).all():
             continue
         knots = profile.knots

@@ -1,5 +1,6 @@
 """`drft design`: a set-up in, the run to make next out."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,8 +10,10 @@ from drftjax.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.table import Table
 
-    from identify.design import Design
+    from identify.design import Design, Option
+    from identify.information import Knowledge
 
 app = typer.Typer(add_completion=False)
 
@@ -66,7 +69,7 @@ def design(
     model_error: Annotated[
         float, typer.Option(help="Error of the model itself in x and z, RMS [mm].")
     ] = 0.05,
-    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 6,
+    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 4,
 ) -> None:
     """Say which run to make next, so that a parameter becomes identifiable."""
     import math
@@ -112,7 +115,7 @@ def design(
             progress=status.update,
         )
     if result.seen:
-        console.print(result.table())
+        console.print(design_table(result))
     console.print(result.summary(), soft_wrap=True)
     if output is not None and result.seen:
         written = _write(result, output)
@@ -127,8 +130,8 @@ def _write(result: "Design", output: Path) -> list[Path]:
 
     names = [output.with_name(f"{output.name}{ending}") for ending in (".toml", ".json", ".png")]
     make_folder(output.parent)
-    replace_file(names[0], result.toml().encode())
-    encoded = msgspec.json.format(msgspec.json.encode(result.document()), indent=1)
+    replace_file(names[0], design_toml(result).encode())
+    encoded = msgspec.json.format(msgspec.json.encode(design_document(result)), indent=1)
     replace_file(names[1], encoded + b"\n")
     save_figure(plot_design(result), names[2])
     return names
@@ -162,3 +165,127 @@ def plot_design(result: "Design") -> "Figure":
     scan.set_ylabel(result.parameter)
     scan.legend(fontsize=8)
     return figure
+
+
+def design_table(result: "Design") -> "Table":
+    """Every run judged, its standard error and the factor gained over the given profile."""
+    import math
+
+    from rich.table import Table
+
+    from identify.result import UNITS
+
+    unit = "" if result.unit == "-" else f" [{result.unit}]"
+    beside = ", ".join(result.nuisances) or "nothing else unknown"
+    table = Table(title=f"standard error of {result.parameter}{unit}, beside {beside}")
+    table.add_column("run")
+    table.add_column("standard error", justify="right")
+    table.add_column("of the value", justify="right")
+    table.add_column("factor gained", justify="right")
+    table.add_column(f"shift by {result.model_error * 1e3:.3g} mm", justify="right")
+
+    def add(name: str, knows: "Knowledge") -> None:
+        factor = result.now.knows.error / knows.error if math.isfinite(knows.error) else 0.0
+        shift = knows.shift * result.model_error
+        share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
+        table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
+
+    for head, options in (("", [result.now]), ("best: ", [result.best])):
+        for each in options:
+            add(head + each.name, each.knows)
+            for channel, more in each.added.items():
+                add(f"  with {channel} ({result.noise[channel]:g} {UNITS[channel]})", more)
+        table.add_section()
+    for group in (result.others, result.found, result.scan):
+        for each in group:
+            add(each.name, each.knows)
+        table.add_section()
+    return table
+
+
+def design_document(result: "Design") -> dict:
+    """The design as plain values, in the layout of the JSON file."""
+    import msgspec
+
+    from drftjax import __version__
+    from identify.design import DESIGN_SCHEMA
+
+    def plain(option: "Option") -> dict:
+        return {
+            "name": option.name,
+            **_numbers(option.knows),
+            "added": {name: _numbers(each) for name, each in option.added.items()},
+            "setup": msgspec.to_builtins(option.setup),
+        }
+
+    return {
+        "schema": DESIGN_SCHEMA,
+        "schema_version": 1,
+        "software": f"drftjax {__version__}",
+        "parameter": result.parameter,
+        "unit": result.unit,
+        "nuisances": list(result.nuisances),
+        "noise": result.noise,
+        "channels": list(result.channels),
+        "identifiable": result.seen,
+        "factor": result.factor,
+        "wanted": result.wanted,
+        "model_error": result.model_error,
+        "speed_needed": result.speed_needed(),
+        "speed_needed_with_model_error": result.speed_needed(True),
+        "summary": result.summary(),
+        "given": plain(result.now),
+        "best": plain(result.best),
+        "found": [plain(each) for each in result.found],
+        "scan": [
+            {"peak": peak, **plain(each)}
+            for peak, each in zip(result.peaks, result.scan, strict=True)
+        ],
+        "others": [plain(each) for each in result.others],
+    }
+
+
+def _numbers(knows: "Knowledge") -> dict[str, float | str | None]:
+    """What a run tells; None where it tells nothing, as JSON has no infinity."""
+    import math
+
+    values = {name: getattr(knows, name) for name in ("value", "error", "alone", "share", "effect")}
+    values["shift_per_metre"] = knows.shift
+    finite = {name: float(v) if math.isfinite(v) else None for name, v in values.items()}
+    return {**finite, "imitator": knows.imitator}
+
+
+def design_toml(result: "Design") -> str:
+    """The run to make, as a set-up file."""
+    import msgspec
+    import numpy as np
+
+    document = msgspec.to_builtins(result.best.setup)
+    built = result.best.setup.command.build()
+    time, omega = np.round(built.time, 3), np.round(np.degrees(built.omega), 3)
+    document["command"] |= {
+        "time": time.tolist(),
+        "omega": (omega + 0.0).tolist(),
+        "omega_unit": "deg/s",
+    }
+    document["title"] = f"{result.best.setup.title}, designed for {result.parameter}"
+    tables = {
+        name: document.pop(name) for name in list(document) if isinstance(document[name], dict)
+    }
+    lines = [f"# {line}" for line in result.summary().splitlines()]
+    lines += [f"{name} = {_toml(value)}" for name, value in document.items()]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]"]
+        lines += [f"{key} = {_toml(v)}" for key, v in table.items() if v is not None]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: object) -> str:
+    """A value of a set-up as TOML writes it."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    # Text and numbers are written alike in JSON and TOML, but for the letters beyond ASCII
+    # that JSON may escape in pairs.
+    return json.dumps(value, ensure_ascii=False)

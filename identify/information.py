@@ -6,9 +6,10 @@ for one parameter once the others (nuisances) must be found from the same run is
 complement $s = F_{tt} - F_{tn} F_{nn}^{-1} F_{nt}$, and its standard error $1 / \sqrt{s}$.
 """
 
+import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
@@ -16,8 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from drftjax.arrays import require_between
+from drftjax.ensemble import map_runs
 from drftjax.errors import InputError
-from drftjax.trial import Trial
+from drftjax.setup import SetUp
+from drftjax.trial import ROW_INTERVAL, Trial
 from identify.parameter import Quantity
 
 CHANNELS = ("x", "z", "fx", "fz", "torque")
@@ -29,7 +33,9 @@ SMALLEST_SHARE = 1e-5
 # The same for the effect itself, in standard deviations over the whole run.
 SMALLEST_EFFECT = 1e-9
 # Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
-MARGIN = 0.03
+MARGIN = 0.01
+# Over so much of a coordinate slopes are taken [-]: many plates turn over in between.
+GRADIENT_WIDTH = 0.1
 
 
 def scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
@@ -138,7 +144,7 @@ def knowledge(
     whitened = derivatives * weight[:, None, None] * counts[None, :, None]
     columns = whitened.reshape(-1, len(quantities))
     target, others = columns[:, 0], columns[:, 1:]
-    effect = float(np.linalg.norm(target))
+    scale, effect = float(scale), float(np.linalg.norm(target))
     sizes = np.linalg.norm(others, axis=0)
     seen = np.flatnonzero(sizes > SMALLEST_EFFECT)
     basis = others[:, seen] / sizes[seen]
@@ -166,6 +172,65 @@ def knowledge(
     return Knowledge(
         value, scale / remains, scale / effect, share, imitator, effect, scale * float(worst)
     )
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """What is measured, and how finely.
+
+    Attributes:
+        noise: Standard deviation of each channel's white noise [m, N, N m].
+        channels: Which of them a run records; the others are judged as additions.
+    """
+
+    noise: dict[str, float] = field(
+        default_factory=lambda: {"x": 5e-5, "z": 2e-5, "fx": 0.5, "fz": 0.5, "torque": 0.05}
+    )
+    channels: tuple[str, ...] = ("x", "z")
+
+    def check(self) -> None:
+        for name in (*self.noise, *self.channels):
+            if name not in CHANNELS:
+                raise InputError(f"there is no channel {name!r}; give one of {', '.join(CHANNELS)}")
+        for name, value in self.noise.items():
+            require_between(f"the noise of {name}", value, 1e-9, 1e6)
+        lacking = [name for name in self.channels if name not in self.noise]
+        if lacking or not self.channels:
+            raise InputError(
+                f"the noise of {lacking[0]} is not given" if lacking else "no channel is measured"
+            )
+
+    def weight(self, extra: str | None = None) -> np.ndarray:
+        """1 / noise of the channels recorded, with one more where named; 0 of the rest."""
+        measured = {*self.channels, extra}
+        return np.array([1 / self.noise[c] if c in measured else 0.0 for c in CHANNELS])
+
+    @property
+    def additions(self) -> list[str]:
+        return [c for c in CHANNELS if c in self.noise and c not in self.channels]
+
+
+def counted(setup: SetUp, rows: int) -> np.ndarray:
+    """1 for the rows until the wheel has stopped for good, as a fit compares them; else 0."""
+    command = setup.command.build()
+    time = command.time - command.time[0]
+    moving = np.flatnonzero(command.omega != 0)
+    end = time[min(moving[-1] + 1, len(time) - 1)] if len(moving) else time[-1]
+    return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
+
+
+def alike(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
+    """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
+    setup = copy.deepcopy(setup)
+    setup.integrator.step = step
+    trial = setup.trial()
+    missing = knots - len(trial.time)
+    later = trial.time[-1] + jnp.arange(1.0, missing + 1)
+    rows = math.ceil(duration / (trial.every * step) - 1e-9)
+    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
+    time = jnp.concatenate([trial.time, later])
+    known = trial.simulator, trial.start, time, hold(trial.omega), hold(trial.vx)
+    return Trial(*known, trial.step, trial.every, rows)
 
 
 class Profile(eqx.Module):
@@ -274,9 +339,22 @@ def _with_gradient_jvp(primals, tangents):
 
 
 def value_and_gradient(
-    objective: Objective, coordinates: Float[Array, " free"]
+    objective: Objective, coordinates: Float[Array, " free"], width: float = GRADIENT_WIDTH
 ) -> tuple[Float[Array, ""], Float[Array, " free"]]:
+    """The objective and its slope over `width` either way of each coordinate.
+
+    Exact derivatives make the information, but differences of it make the slope: a run's
+    derivatives jump a little at every plate that enters the sand or begins to lead. When it does
+    depends on the profile. `exact_gradient` sees the way between jumps and not the jumps, and is
+    wrong by far more than the slope itself; `docs/design.md` has the numbers.
+    """
+    steps = width * jnp.eye(len(coordinates), dtype=coordinates.dtype)
+    points = jnp.concatenate([coordinates[None], coordinates + steps, coordinates - steps])
+    values = map_runs(lambda point, objective: objective(point), points, objective)
+    ahead, behind = jnp.split(values[1:], 2)
+    return values[0], (ahead - behind) / (2 * width)
+
+
+def exact_gradient(objective: Objective, coordinates: Float[Array, " free"]) -> Array:
     """Forward over forward: one sweep carries every pair of parameter and free coordinate."""
-    value_twice = lambda c: (value := objective(c), value)  # noqa: E731
-    gradient, value = jax.jacfwd(value_twice, has_aux=True)(coordinates)
-    return value, gradient
+    return jax.jacfwd(objective)(coordinates)

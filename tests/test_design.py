@@ -1,0 +1,171 @@
+"""Designing a run: what it would tell is what fits to it scatter by, and limits are kept."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from command_line import Drft
+from studies.design import fitted
+
+from drftjax.errors import InputError
+from drftjax.setup import SetUp, WheelSetUp, read_setup
+from identify.design import Limits, Search, design, promised, trapezoid
+from identify.design_command import design_document, design_toml
+from identify.information import (
+    CHANNELS,
+    Instrument,
+    Profile,
+    information,
+    knowledge,
+    log_error,
+    scales,
+    sensitivities,
+)
+from identify.parameter import parameter
+
+# Corners of the step: plates that enter the sand or begin to lead as the parameter changes.
+CORNERS = 2e-2
+# Four runs tell a standard deviation to two fifths; twice that either way.
+SCATTER = (0.2, 1.9)
+
+LIMITS = Limits(math.radians(80), math.radians(50), 4.0)
+SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.02)
+
+
+def given(peak: float = 30.0) -> SetUp:
+    limits = Limits(LIMITS.speed, LIMITS.acceleration, LIMITS.duration)
+    command = trapezoid(limits, math.radians(peak))
+    return SetUp(command, wheel=WheelSetUp(plate_size=0.02), title="a short run")
+
+
+def test_sensitivities_and_information_are_those_of_central_differences():
+    setup = given(80.0)
+    setup.integrator.method, setup.integrator.step = "held pace", 5e-4
+    trial = setup.trial()
+    quantities = [parameter(name, shared=True).quantity for name in ("lambda", "zeta")]
+    scale = jnp.asarray(scales(trial, quantities))
+    exact = eqx.filter_jit(lambda t: sensitivities(t, quantities, scale))(trial)
+    run = eqx.filter_jit(lambda t: t.run())
+
+    columns = []
+    for quantity, size, step in zip(quantities, scale, (3e-3, 1e-7), strict=True):
+        ends = [
+            run(quantity.write(trial, quantity.read(trial) + sign * step * size))
+            for sign in (1, -1)
+        ]
+        ahead, behind = (jnp.stack([end.x, end.z]) for end in ends)
+        columns.append((ahead - behind) / (2 * step))
+    differences = jnp.stack(columns, axis=2)
+
+    weight, counts = jnp.array([1 / 5e-5, 1 / 2e-5]), jnp.ones(exact.shape[1])
+    by_derivatives = information(exact[:2], weight, counts)
+    by_differences = information(differences, weight, counts)
+    assert np.asarray(by_derivatives) == pytest.approx(np.asarray(by_differences), rel=CORNERS)
+    assert float(log_error(by_derivatives)) == pytest.approx(
+        float(log_error(by_differences)), abs=CORNERS
+    )
+    told = knowledge(
+        np.asarray(exact),
+        Instrument().weight(),
+        np.asarray(counts),
+        quantities,
+        1.1,
+        float(scale[0]),
+    )
+    assert math.log(told.error / told.value) == pytest.approx(float(log_error(by_derivatives)))
+
+
+def test_fits_scatter_by_the_standard_error_that_was_promised():
+    option = promised(given(80.0), "lambda", ["zeta"])
+    values = fitted(option.setup, seeds=4)
+    assert SCATTER[0] < values.std(ddof=1) / option.knows.error < SCATTER[1]
+    assert abs(values.mean() - 1.1) < 3 * option.knows.error / math.sqrt(len(values))
+
+
+def test_every_profile_keeps_the_limits():
+    limits = Limits(math.radians(300), math.radians(50), 24.0)
+    profile = Profile(8, limits.speed, limits.acceleration, limits.duration, limits.rest)
+    random = np.random.default_rng(1)
+    for size in (0.1, 3.0, 30.0):
+        omega = np.asarray(profile.omega(jnp.asarray(size * random.normal(size=8))))
+        slope = np.diff(omega) / np.diff(profile.time)
+        assert omega.min() >= 0
+        assert omega.max() <= limits.speed + 1e-12
+        assert np.abs(slope).max() <= limits.acceleration + 1e-9
+        assert omega[[0, 1, -2, -1]].tolist() == [0, 0, 0, 0]
+
+
+def test_a_profile_within_reach_is_met_by_its_coordinates():
+    profile = Profile(5, 5.0, 1.0, 20.0, 1.0)
+    wanted = np.array([1.0, 2.5, 3.0, 2.0, 1.5])
+    omega = profile.omega(jnp.asarray(profile.coordinates(wanted)))
+    assert np.asarray(omega)[2:-2] == pytest.approx(wanted)
+
+
+def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
+    found = design(given(), limits=LIMITS, search=SMALL)
+    assert found.factor > 2
+    assert found.parameter == "lambda"
+    assert found.best.knows.error == min(each.knows.error for each in (*found.found, *found.scan))
+    assert "standard error" in found.summary()
+    assert design_document(found)["schema"] == "drft-design"
+    path = tmp_path / "design.toml"
+    path.write_text(design_toml(found), encoding="utf-8")
+    command = read_setup(path).command.build()
+    assert np.max(command.omega) <= LIMITS.speed + 1e-6
+    slope = np.diff(command.omega) / np.diff(command.time)
+    assert np.abs(slope).max() <= LIMITS.acceleration * (1 + 1e-3)
+
+
+def test_a_width_that_scaling_factors_imitate_is_said_to_be_so():
+    found = design(given(), "wheel.width", limits=LIMITS, search=SMALL)
+    assert not found.seen
+    assert "cannot be told from" in found.summary()
+    assert "zeta" in found.summary()
+
+
+def test_unknown_names_are_answered_with_near_ones():
+    with pytest.raises(InputError, match=r"did you mean .*lambda"):
+        design(given(), "lamda")
+    with pytest.raises(InputError, match="nuisance as well"):
+        design(given(), "lambda", nuisances=["lambda"])
+    with pytest.raises(InputError, match="there is no channel 'y'"):
+        design(given(), instrument=Instrument(channels=("y",)))
+
+
+def test_a_driven_carriage_is_refused():
+    setup = given()
+    setup.rig.carriage = "driven"
+    with pytest.raises(InputError, match="free carriage"):
+        design(setup)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--max-speed", "-3"), "speed"),
+        (("--max-speed", "nan"), "speed"),
+        (("--max-acceleration", "5000"), "acceleration"),
+        (("--duration", "0"), "duration"),
+        (("--loads", "220", "150"), "loads"),
+        (("--noise-z", "0"), "noise of z"),
+        (("--wanted", "0"), "wanted"),
+        (("--parameter", "lamda"), "lambda"),
+        (("--channel", "y"), "channel"),
+    ],
+)
+def test_nonsense_is_refused_in_one_sentence(monkeypatch, capsys, tmp_path, arguments, said):
+    path = tmp_path / "short.toml"
+    path.write_text("[command]\ntime = [0, 1, 2]\nomega = [0, 0.1, 0]\n")
+    assert said in Drft(monkeypatch, capsys)("design", path, *arguments).refusal
+
+
+def test_one_source_is_asked_for(monkeypatch, capsys):
+    assert "--like" in Drft(monkeypatch, capsys)("design").refusal
+
+
+def test_channels_keep_their_order():
+    weight = Instrument().weight("torque")
+    assert [c for c, w in zip(CHANNELS, weight, strict=True) if w] == ["x", "z", "torque"]
