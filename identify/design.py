@@ -108,7 +108,7 @@ class Search:
 
     knots: int = 6
     starts: int = 2
-    steps: int = 4
+    steps: int = 3
     scan: int = 7
     plate_size: float = 8e-3
 

@@ -69,7 +69,7 @@ def design(
     model_error: Annotated[
         float, typer.Option(help="Error of the model itself in x and z, RMS [mm].")
     ] = 0.05,
-    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 4,
+    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 3,
 ) -> None:
     """Say which run to make next, so that a parameter becomes identifiable."""
     import math

@@ -26,23 +26,23 @@ from identify.information import (
 from identify.parameter import parameter
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes.
-CORNERS = 2e-2
+CORNERS = 1e-3
 # Four runs tell a standard deviation to two fifths; twice that either way.
 SCATTER = (0.2, 1.9)
 
 LIMITS = Limits(math.radians(80), math.radians(50), 4.0)
-SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.02)
+SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
 
 
 def given(peak: float = 30.0) -> SetUp:
     limits = Limits(LIMITS.speed, LIMITS.acceleration, LIMITS.duration)
     command = trapezoid(limits, math.radians(peak))
-    return SetUp(command, wheel=WheelSetUp(plate_size=0.02), title="a short run")
+    return SetUp(command, wheel=WheelSetUp(plate_size=0.008), title="a short run")
 
 
 def test_sensitivities_and_information_are_those_of_central_differences():
     setup = given(80.0)
-    setup.integrator.method, setup.integrator.step = "held pace", 5e-4
+    setup.integrator.method, setup.integrator.step = "held pace", 2.5e-4
     trial = setup.trial()
     quantities = [parameter(name, shared=True).quantity for name in ("lambda", "zeta")]
     scale = jnp.asarray(scales(trial, quantities))
