@@ -12,16 +12,9 @@ from drftjax.errors import InputError
 from drftjax.scaling import KnotZeta
 from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
+from identify.evidence import WEIGHTS, Noise, Products, posterior
 from identify.fit import Candidate, candidate
-from identify.zeta_path import (
-    WEIGHTS,
-    Noise,
-    Products,
-    ZetaPath,
-    posterior,
-    predicted,
-    zeta_paths,
-)
+from identify.zeta_path import ZetaPath, predicted, zeta_paths
 from tests.studies.crosscheck import known_run, known_setup
 
 # Coarse plates and the fit's own integrator: the program is tested, not the step's error. At longer
