@@ -20,9 +20,9 @@ DEFAULT_STEP = 5e-4
 
 # Steps that divide a row of 10 ms evenly [s].
 STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
-# A step may change the rim's speed by so many times the regulariser's width and no more: beyond,
+# A step may change the rim's speed by this share of the regulariser's width and no more: beyond,
 # plates near rest are thrown across it at every step, and derivatives grow without bound.
-LARGEST_CHANGE = 1.5
+LARGEST_CHANGE = 0.75
 
 Wrench = Callable[[Float[Array, "2"], Float[Array, "2"]], Float[Array, "3"]]
 

@@ -7,12 +7,13 @@ on each.
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import AxisType, Mesh, PartitionSpec
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from drftjax.errors import InputError
@@ -20,6 +21,8 @@ from drftjax.simulator import Output
 from drftjax.trial import Trial
 from identify.observation import CHANNELS, Observation
 from identify.parameter import Parameter
+
+Values = TypeVar("Values")
 
 OTHER_KIND = "has another kind of wheel, terrain, carriage or integrator"
 
@@ -191,9 +194,12 @@ class Problem(eqx.Module):
             runs = trials.time.shape[0]
             return jnp.stack(columns, axis=1) if columns else jnp.zeros((runs, 0))
 
-        return coordinates(self.shared, self.batch.trials)[0], coordinates(
-            self.own, self.batch.trials
-        )
+        shared = coordinates(self.shared, self.batch.trials)[0]
+        return self.everywhere((shared, coordinates(self.own, self.batch.trials)))
+
+    def everywhere(self, values: Values) -> Values:
+        """`values` on every device; where they lie is part of what a program is compiled for."""
+        return eqx.filter_shard(values, NamedSharding(self.mesh, PartitionSpec()))
 
     def placed(
         self, trial: Trial, shared: Float[Array, " shared"], own: Float[Array, " own"]

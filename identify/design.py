@@ -18,12 +18,11 @@ from jaxtyping import Array, Float
 from drftjax.arrays import require_between
 from drftjax.ensemble import map_runs, stack
 from drftjax.errors import InputError
-from drftjax.integrator import LARGEST_CHANGE, STEPS, steady_step
+from drftjax.integrator import steady_step
 from drftjax.rollout import step_times
 from drftjax.saved import thinned
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
-from drftjax.stress import REST_SPEED
 from drftjax.trial import ROW_INTERVAL
 from identify.information import (
     MARGIN,
@@ -39,59 +38,17 @@ from identify.information import (
     sensitivities,
     with_gradient,
 )
+from identify.limits import Limits
 from identify.parameter import Quantity, parameter
 
 DESIGN_SCHEMA = "drft-design"
 
-# Wheels that slow down to a stop meet plates at rest again and again; at half the step that
-# bounds derivatives on the whole, these bursts are gone from every profile tried.
-SAFETY = 2
 # Share of the run at its end that the search leaves out.
 LEFT_OUT = 0.08
 # Runs evaluated in one call: so many are padded to, and only one program is compiled.
 TOGETHER = 4
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the rig can do.
-
-    Attributes:
-        speed: Largest angular velocity [rad/s].
-        acceleration: Largest angular acceleration [rad/s2].
-        duration: Of the run, its rests included [s].
-        loads: Lowest and highest vertical load [N]; the set-up's own only where None.
-    """
-
-    speed: float = math.radians(300.0)
-    acceleration: float = math.radians(50.0)
-    duration: float = 24.0
-    loads: tuple[float, float] | None = None
-
-    @property
-    def rest(self) -> float:
-        """Rest before and after the motion [s]."""
-        return min(1.0, self.duration / 20)
-
-    def check(self, radius: float) -> None:
-        """Refuse limits that no run can keep, or that no step can simulate."""
-        require_between("the largest speed", math.degrees(self.speed), 1.0, 3000.0, " deg/s")
-        fastest = math.degrees(LARGEST_CHANGE * REST_SPEED / (SAFETY * STEPS[-1] * radius))
-        require_between(
-            "the largest acceleration",
-            math.degrees(self.acceleration),
-            0.1,
-            round(fastest, 1),
-            " deg/s2, beyond which derivatives of the simulation are not bounded",
-        )
-        require_between("the duration", self.duration, 1.0, 600.0, " s")
-        if self.loads is not None:
-            low, high = self.loads
-            require_between("the loads", [low, high], 1.0, 1e4, " N")
-            if low >= high:
-                raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")
 
 
 @dataclass(frozen=True)
@@ -373,8 +330,7 @@ class _Judge:
         setup.command = command
         built = command.build()
         setup.integrator.method = "held pace"
-        step = steady_step(setup.wheel.radius, built.time, built.omega)
-        setup.integrator.step = float(max(step / SAFETY, STEPS[-1]))
+        setup.integrator.step = steady_step(setup.wheel.radius, built.time, built.omega)
         if "angle" in start:
             setup.start.angle = start["angle"]
         if "load" in start:

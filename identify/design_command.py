@@ -84,8 +84,9 @@ def design(
     configure_jax(devices=os.cpu_count())
     from drftjax.runlog.check import read_run_guarded
     from drftjax.setup import read_setup, setup_from_run
-    from identify.design import Instrument, Limits, Search
+    from identify.design import Instrument, Search
     from identify.design import design as design_run
+    from identify.limits import Limits
 
     if setup is not None:
         chosen = read_setup(setup)

@@ -125,12 +125,14 @@ def _function(coordinates: Coordinates, problem: Problem) -> tuple[tuple[Array, 
 @eqx.filter_jit
 def _initial(problem: Problem, start: Coordinates):
     shape, nothing = jax.eval_shape(_function, start, problem)
-    return _SOLVER.init(_function, start, problem, {}, shape, nothing, frozenset())
+    state = _SOLVER.init(_function, start, problem, {}, shape, nothing, frozenset())
+    return problem.everywhere(state)
 
 
 @eqx.filter_jit
 def _step(problem: Problem, coordinates: Coordinates, state):
     coordinates, state, _ = _SOLVER.step(_function, coordinates, problem, {}, state, frozenset())
+    coordinates, state = problem.everywhere((coordinates, state))
     return coordinates, state, sum(jnp.sum(part**2) for part in state.f_info.residual)
 
 

@@ -11,7 +11,7 @@ from studies.design import fitted
 
 from drftjax.errors import InputError
 from drftjax.setup import SetUp, WheelSetUp, read_setup
-from identify.design import Limits, Search, design, promised, trapezoid
+from identify.design import Search, design, promised, trapezoid
 from identify.design_command import design_document, design_toml
 from identify.information import (
     CHANNELS,
@@ -23,6 +23,7 @@ from identify.information import (
     scales,
     sensitivities,
 )
+from identify.limits import Limits
 from identify.parameter import parameter
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes.

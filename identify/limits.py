@@ -1,0 +1,49 @@
+"""What a rig can do: the bounds that a designed run keeps."""
+
+import math
+from dataclasses import dataclass
+
+from drftjax.arrays import require_between
+from drftjax.errors import InputError
+from drftjax.integrator import LARGEST_CHANGE, STEPS
+from drftjax.stress import REST_SPEED
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the rig can do.
+
+    Attributes:
+        speed: Largest angular velocity [rad/s].
+        acceleration: Largest angular acceleration [rad/s2].
+        duration: Of the run, its rests included [s].
+        loads: Lowest and highest vertical load [N]; the set-up's own only where None.
+    """
+
+    speed: float = math.radians(300.0)
+    acceleration: float = math.radians(50.0)
+    duration: float = 24.0
+    loads: tuple[float, float] | None = None
+
+    @property
+    def rest(self) -> float:
+        """Rest before and after the motion [s]."""
+        return min(1.0, self.duration / 20)
+
+    def check(self, radius: float) -> None:
+        """Refuse limits that no run can keep, or that no step can simulate."""
+        require_between("the largest speed", math.degrees(self.speed), 1.0, 3000.0, " deg/s")
+        fastest = math.degrees(LARGEST_CHANGE * REST_SPEED / (STEPS[-1] * radius))
+        require_between(
+            "the largest acceleration",
+            math.degrees(self.acceleration),
+            0.1,
+            round(fastest, 1),
+            " deg/s2, beyond which derivatives of the simulation are not bounded",
+        )
+        require_between("the duration", self.duration, 1.0, 600.0, " s")
+        if self.loads is not None:
+            low, high = self.loads
+            require_between("the loads", [low, high], 1.0, 1e4, " N")
+            if low >= high:
+                raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")
