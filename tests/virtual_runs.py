@@ -13,13 +13,18 @@ from identify.fit import FIT_METHOD, STEPS_A_ROW, Candidate, candidate
 # Knots in time [s] and omega [rad/s]: the paper's wheel speed, and eight times as much.
 SLOW = ([0.0, 0.25, 1.0, 1.5], [0.0, 0.0, 0.5, 0.5])
 FAST = ([0.0, 0.25, 1.25, 2.25], [0.0, 0.0, 4.0, 4.0])
-# The longest steps at which the derivatives of these stay bounded [s].
+# The longest steps at which the derivatives of these stay bounded [s]: no wheel slows down here.
 SLOW_STEP, FAST_STEP = 1e-3, 2.5e-4
 
 # Coarse plates, so that tests are quick; longer ones make the derivatives rough.
 PLATE = 0.010
 NOISE = 20e-6
 BELIEVED_ZETA = 0.7823
+
+
+def step_for(omega) -> float:
+    """The step that a virtual run of these speeds is made and fitted with [s]."""
+    return FAST_STEP if max(omega) > 1 else SLOW_STEP
 
 
 def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) -> SetUp:
@@ -29,7 +34,7 @@ def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) ->
     setup.wheel.plate_size = PLATE
     setup.terrain.zeta = zeta
     setup.integrator.method = FIT_METHOD
-    setup.integrator.step = FAST_STEP if profile is FAST else SLOW_STEP
+    setup.integrator.step = step_for(omega)
     setup.rig.carriage = "free" if vx is None else "driven"
     # The wheel has been let down gently and stands.
     setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
@@ -59,7 +64,8 @@ def recorded(
 
 
 def coarse(name: str, run: RunLog, **options) -> Candidate:
-    """`candidate`, its wheel cut as coarsely as the virtual run's: a run log does not say."""
+    """`candidate` with the virtual run's plates and step: a run log does not say them."""
+    options.setdefault("step", step_for(run.command.omega))
     return recut(candidate(name, run, **options))
 
 
