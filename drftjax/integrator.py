@@ -19,7 +19,7 @@ from drftjax.stress import REST_SPEED
 DEFAULT_STEP = 5e-4
 
 # Steps that divide a row of 10 ms evenly [s].
-STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)
 # A step may change the rim's speed by this share of the regulariser's width and no more: beyond,
 # plates near rest are thrown across it at every step, and derivatives grow without bound.
 LARGEST_CHANGE = 0.75

@@ -1,9 +1,11 @@
 """A whole run: the simulator's step scanned over a command."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from drftjax.arrays import Real, as_real
 from drftjax.command import Command
@@ -34,6 +36,7 @@ def simulate(
         The state at the end, and the output at the end of each row, shape (steps // every,).
     """
     simulator = simulator.prepared()
+    state = simulator.remembered(state, jax.tree.map(lambda c: c[0], commands))
     rows = commands.omega.shape[0] // every
     blocks = jax.tree.map(lambda c: c[: rows * every].reshape(rows, every, *c.shape[1:]), commands)
 
@@ -51,9 +54,52 @@ def simulate(
     return jax.lax.scan(row, state, blocks)
 
 
+def sweep(
+    simulator: Simulator,
+    state: State,
+    commands: Command,
+    dt: Float[Array, ""] | float,
+    rows: Int[Array, ""],
+    keep: Callable[[Output], Float[Array, " kept"]],
+    *,
+    every: int = 1,
+) -> Float[Array, "kept all_rows"]:
+    """As `simulate`, but for as many rows as `rows` says when it runs; differentiable forward only.
+
+    Runs of any length share one compiled program, and none pays for another's.
+
+    Args:
+        simulator, state, commands, dt, every: As for `simulate`.
+        rows: Rows to make, at most shape (steps,) // every.
+        keep: What is kept of each row.
+
+    Returns:
+        What is kept, with the state at the start as a first row; zero beyond `rows`.
+    """
+    simulator = simulator.prepared()
+    first = jax.tree.map(lambda c: c[0], commands)
+    state = simulator.remembered(state, first)
+    begun = keep(simulator.observe(state, first))
+    room = commands.omega.shape[0] // every
+    table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
+
+    def step(number: Int[Array, ""], state: State) -> tuple[State, Output]:
+        command = jax.tree.map(lambda c: c[number], commands)
+        return simulator.step(state, command, dt)
+
+    def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
+        state, table = carried
+        start = number * every
+        state = jax.lax.fori_loop(start, start + every - 1, lambda k, s: step(k, s)[0], state)
+        state, output = step(start + every - 1, state)
+        return state, table.at[number + 1].set(keep(output))
+
+    return jax.lax.fori_loop(0, rows, row, (state, table))[1].T
+
+
 def with_first_row(simulator: Simulator, state: State, command: Command, rows: Output) -> Output:
     """`rows` with the state they started from as a first row."""
-    first = simulator.observe(state, command)
+    first = simulator.observe(simulator.remembered(state, command), command)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rows)
 
 

@@ -8,11 +8,17 @@ from jaxtyping import Array, Float
 
 from drftjax.arrays import Real, as_real
 from drftjax.command import Command
+from drftjax.effects import chain
+from drftjax.effects.stage import AbstractAdjustment, AbstractEffect, Moment
+from drftjax.errors import InputError
 from drftjax.integrator import AbstractIntegrator, Rosenbrock
 from drftjax.rig import Rig
 from drftjax.stress import PlateMotion, plate_motion
 from drftjax.terrain import Terrain
 from drftjax.wheel import AbstractWheel, GrouserWheel, Plates
+
+# Time [s] that an observation takes of an instrument that lags: none, but for a division.
+INSTANT = 1e-9
 
 
 class State(eqx.Module):
@@ -24,6 +30,7 @@ class State(eqx.Module):
         velocity: Axle velocity (x, z) [m/s].
         angle: Wheel angle, positive driving forward [rad].
         omega: Angular velocity [rad/s].
+        memory: What each effect remembers; empty before `Simulator.begin`.
     """
 
     time: Float[Array, ""]
@@ -31,6 +38,7 @@ class State(eqx.Module):
     velocity: Float[Array, "2"]
     angle: Float[Array, ""]
     omega: Float[Array, ""]
+    memory: chain.Memories = ()
 
     @classmethod
     def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0) -> "State":
@@ -112,16 +120,46 @@ class Simulator(eqx.Module):
         terrain: Stress law and zeta.
         rig: Masses, damping, loads and carriage.
         integrator: How a step linearises the sand's force in the velocity.
+        effects: Mechanisms beyond the reference model, each in its place, in the order given.
     """
 
     wheel: AbstractWheel = eqx.field(default_factory=GrouserWheel)
     terrain: Terrain = eqx.field(default_factory=Terrain)
     rig: Rig = eqx.field(default_factory=Rig)
     integrator: AbstractIntegrator = eqx.field(default_factory=Rosenbrock)
+    effects: chain.Effects = ()
+
+    def __check_init__(self):
+        for effect in self.effects:
+            if not isinstance(effect, AbstractEffect):
+                raise InputError(f"{effect!r} is not an effect; see drftjax.effects")
 
     def prepared(self) -> "Simulator":
-        """The same simulator with its wheel already cut: what a loop should step."""
-        return dataclasses.replace(self, wheel=self.wheel.cut())
+        """The same simulator, adjusted and with its wheel cut: what a loop should step."""
+        simulator = self
+        for effect in self.effects:
+            if isinstance(effect, AbstractAdjustment):
+                simulator = effect.adjust(simulator)
+        rest = tuple(e for e in self.effects if not isinstance(e, AbstractAdjustment))
+        return dataclasses.replace(simulator, wheel=simulator.wheel.cut(), effects=rest)
+
+    def begin(self, state: State, command: Command) -> State:
+        """The state that a run starts from: with a memory for every effect.
+
+        Args:
+            state: Where the wheel is and how it moves.
+            command: Command at that time.
+        """
+        simulator = self.prepared()
+        effects = simulator.effects
+        if not effects:
+            return dataclasses.replace(state, memory=())
+        truth = dataclasses.replace(simulator, effects=()).observe(state, command)
+        return dataclasses.replace(state, memory=chain.begin(effects, truth))
+
+    def remembered(self, state: State, command: Command) -> State:
+        """The state as it is, or begun where nothing is remembered yet."""
+        return state if state.memory else self.begin(state, command)
 
     def plate_load(
         self,
@@ -131,6 +169,7 @@ class Simulator(eqx.Module):
         omega: Float[Array, ""],
         zeta: Float[Array, ""],
         pace: Float[Array, "2"] | None = None,
+        memory: chain.Memories = (),
     ) -> PlateLoad:
         """Stress on every plate of the wheel in this place, at this motion.
 
@@ -141,15 +180,19 @@ class Simulator(eqx.Module):
             omega: Angular velocity [rad/s].
             zeta: Scaling factor [-].
             pace: See `plate_motion`; `velocity` where none is given.
+            memory: What the effects remember; none is needed where there are none.
         """
+        self = self.prepared()
         pace = velocity if pace is None else pace
         radius = self.wheel.radius
-        plates = self.wheel.cut().plates(angle)
+        plates = chain.place(self.effects, self.wheel.cut().plates(angle), angle)
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
         motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
+        motion = chain.on_surface(self.effects, memory, motion, position[0] + plates.x)
         stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
-        return PlateLoad(plates, motion, stress_x, stress_z)
+        factor = chain.stress_factor(self.effects, motion)
+        return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
 
     def wrench(
         self,
@@ -159,12 +202,13 @@ class Simulator(eqx.Module):
         omega: Float[Array, ""],
         zeta: Float[Array, ""],
         pace: Float[Array, "2"] | None = None,
+        memory: chain.Memories = (),
     ) -> Float[Array, "3"]:
         """The sand's force on the wheel (x, z) [N] and the drive torque against it [N m].
 
         Arguments as for `plate_load`.
         """
-        load = self.plate_load(position, velocity, angle, omega, zeta, pace)
+        load = self.plate_load(position, velocity, angle, omega, zeta, pace, memory)
         force_x = load.stress_x * load.plates.area
         force_z = load.stress_z * load.plates.area
         moment = load.plates.x * force_z - load.plates.z * force_x
@@ -183,34 +227,70 @@ class Simulator(eqx.Module):
             command: Command at its end.
             dt: Step [s].
         """
-        omega = command.omega
+        self = self.prepared()
+        effects, dt = self.effects, jnp.asarray(dt, state.time.dtype)
+        if len(state.memory) != len(effects):
+            raise InputError("the state remembers nothing of the effects; start by `begin`")
+        omega, memory = chain.turn(effects, state.memory, command.omega, state.angle, dt)
         time = state.time + dt
         angle = state.angle + dt * (state.omega + omega) / 2
-        zeta = self.terrain.zeta(time, command)
+        radius = self.wheel.radius
+        moment = Moment(
+            time, dt, state.position, state.velocity, angle, omega, command.omega, radius
+        )
+        zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
 
-        def wrench(velocity, pace):
+        def sand_wrench(velocity, pace):
             position = state.position + dt * velocity
-            return self.wrench(position, velocity, angle, omega, zeta, pace)
+            sand = self.wrench(position, velocity, angle, omega, zeta, pace, memory)
+            piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
+            return sand.at[:2].add(piled)
+
+        def rig_load(velocity):
+            position = state.position + dt * velocity
+            return chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
 
         start = self.rig.carriage.approach(state.velocity, command)
-        sand, by_velocity = self.integrator.linearise(wrench, start)
+        sand, by_velocity = self.integrator.linearise(sand_wrench, start)
+        held, held_by_velocity = chain.with_jacobian(rig_load, start)
         damping = jnp.stack([self.rig.damping_x, self.rig.damping_z])
-        inertia = jnp.diag(self.rig.mass() + dt * damping) - dt * by_velocity[:2]
-        impulse = dt * (sand[:2] + self.rig.load(start))
+        inertia = jnp.diag(self.rig.mass() + dt * damping)
+        inertia = inertia - dt * (by_velocity[:2] + held_by_velocity)
+        impulse = dt * (sand[:2] + self.rig.load(start) + held)
         velocity = self.rig.carriage.advance(start, impulse, inertia)
 
         # z moves by the velocity that its force was balanced at. x bears on no force, so it may
         # move by the mean, which has no error of first order while the wheel speeds up.
         travel = jnp.stack([(state.velocity[0] + velocity[0]) / 2, velocity[1]])
         position = state.position + dt * travel
+        memory = chain.advance(effects, memory, moment)
         after = State(time, position, velocity, angle, omega)
-        return after, self._output(after, sand + by_velocity @ (velocity - start), zeta)
+        truth = self._output(after, sand + by_velocity @ (velocity - start), zeta)
+        reading, memory = chain.read(effects, memory, truth, dt)
+        return dataclasses.replace(after, memory=memory), reading
 
     def observe(self, state: State, command: Command) -> Output:
         """The output of a state as it stands, without a step: a run's first row."""
-        zeta = self.terrain.zeta(state.time, command)
-        sand = self.wrench(state.position, state.velocity, state.angle, state.omega, zeta)
-        return self._output(state, sand, zeta)
+        self = self.prepared()
+        effects, memory = self.effects, state.memory
+        dt = jnp.full_like(state.time, INSTANT)
+        moment = Moment(
+            state.time,
+            dt,
+            state.position,
+            state.velocity,
+            state.angle,
+            state.omega,
+            command.omega,
+            self.wheel.radius,
+        )
+        zeta = self.terrain.zeta(state.time, command) * chain.zeta_factor(effects, memory, moment)
+        place, velocity = state.position, state.velocity
+        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
+        piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
+        truth = self._output(state, sand.at[:2].add(piled), zeta)
+        # Between two steps no time passes: a lagging instrument reads what it last held.
+        return chain.read(effects, memory, truth, dt)[0]
 
     def _output(self, state: State, sand: Float[Array, "3"], zeta: Float[Array, ""]) -> Output:
         x, z = state.position

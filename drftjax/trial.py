@@ -5,12 +5,12 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from drftjax.arrays import as_real
 from drftjax.command import Command, command_at
 from drftjax.errors import InputError
-from drftjax.rollout import simulate, step_times, with_first_row
+from drftjax.rollout import simulate, step_times, sweep, with_first_row
 from drftjax.runlog import record
 from drftjax.simulator import Output, Simulator, State
 
@@ -67,11 +67,24 @@ class Trial(eqx.Module):
 
     def run(self) -> Output:
         """The whole run from its start on; past the command's end its last value holds."""
-        times = step_times(self.rows * self.every, self.step)
-        commands = command_at(times, self.time, self.omega, self.vx)
+        commands = self.commands()
         _, rows = simulate(self.simulator, self.start, commands, self.step, every=self.every)
         first = Command(self.omega[0], self.vx[0], commands.zeta[0])
         return with_first_row(self.simulator, self.start, first, rows)
+
+    def run_to(self, rows: Int[Array, ""], channels: tuple[str, ...]) -> Float[Array, "channels _"]:
+        """Some channels of the first `rows` rows only, zero beyond; see `drftjax.rollout.sweep`."""
+
+        def keep(output: Output) -> Float[Array, " channels"]:
+            return jnp.stack([getattr(output, each) for each in channels])
+
+        commands = self.commands()
+        return sweep(self.simulator, self.start, commands, self.step, rows, keep, every=self.every)
+
+    def commands(self) -> Command:
+        """The command at the end of every step."""
+        times = step_times(self.rows * self.every, self.step)
+        return command_at(times, self.time, self.omega, self.vx)
 
 
 def check_output(output: Output, simulator: Simulator) -> None:

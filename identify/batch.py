@@ -35,12 +35,16 @@ class Observed(eqx.Module):
         share: Way from that row to the next [-], shape (runs, samples).
         values: Recorded channels, shape (runs, channels, samples).
         weight: 1 / noise of a sample that counts, 0 of a padded one, like `values`.
+        compared_rows, all_rows: Rows of the simulation up to the last sample that counts, and up
+            to the last one, shape (runs,).
     """
 
     row: Int[Array, "runs samples"]
     share: Float[Array, "runs samples"]
     values: Float[Array, "runs channels samples"]
     weight: Float[Array, "runs channels samples"]
+    compared_rows: Int[Array, " runs"]
+    all_rows: Int[Array, " runs"]
 
 
 class Batch(eqx.Module):
@@ -51,12 +55,14 @@ class Batch(eqx.Module):
         observed: Their recordings.
         channels: Names of the channels compared; one that a run lacks weighs nothing there.
         runs: Number of true runs; the rest are padding that weighs nothing.
+        order: Runs in the order in which the devices take them, an equal number each.
     """
 
     trials: Trial
     observed: Observed
     channels: tuple[str, ...] = eqx.field(static=True)
     runs: Int[Array, ""]
+    order: Int[Array, " runs"]
 
 
 def make_batch(
@@ -86,7 +92,8 @@ def make_batch(
     ]
     padding = multiple * roomy(math.ceil(len(trials) / multiple)) - len(trials)
     padded += padded[:1] * padding
-    silent = eqx.tree_at(lambda o: o.weight, recorded[0], 0 * recorded[0].weight)
+    nothing = 0 * recorded[0].weight, jnp.asarray(0), jnp.asarray(0)
+    silent = eqx.tree_at(lambda o: (o.weight, o.compared_rows, o.all_rows), recorded[0], nothing)
     recorded += [silent] * padding
     stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
     return Batch(
@@ -94,7 +101,18 @@ def make_batch(
         jax.tree.map(stack, *recorded),
         channels,
         jnp.asarray(len(trials)),
+        jnp.asarray(_shares([int(each.compared_rows) for each in recorded], multiple)),
     )
+
+
+def _shares(work: list[int], devices: int) -> np.ndarray:
+    """The runs in an order that gives each device as many, and about as much work."""
+    places = len(work) // devices
+    shares: list[list[int]] = [[] for _ in range(devices)]
+    for run in sorted(range(len(work)), key=lambda run: -work[run]):
+        open_shares = [share for share in shares if len(share) < places]
+        min(open_shares, key=lambda share: sum(work[r] for r in share)).append(run)
+    return np.array([run for share in shares for run in share])
 
 
 def roomy(count: int) -> int:
@@ -152,12 +170,23 @@ def _observed(
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
         return jnp.asarray(np.pad(values, width), dtype)
 
-    return Observed(padded(row, int), padded(share), padded(values), padded(weight))
+    return Observed(
+        padded(row, int),
+        padded(share),
+        padded(values),
+        padded(weight),
+        jnp.asarray(int(row[observation.counts].max(initial=-1)) + 1),
+        jnp.asarray(int(row.max(initial=-1)) + 1),
+    )
 
 
 def sampled(output: Output, observed: Observed, channels: tuple[str, ...]) -> Array:
     """Simulated channels of one run at its recorded times, shape (channels, samples)."""
-    rows = jnp.stack([getattr(output, each) for each in channels])
+    return between_rows(jnp.stack([getattr(output, each) for each in channels]), observed)
+
+
+def between_rows(rows: Float[Array, "channels rows"], observed: Observed) -> Array:
+    """Channels at the recorded times of a run, shape (channels, samples)."""
     before, after = rows[:, observed.row], rows[:, observed.row + 1]
     return before + observed.share * (after - before)
 
@@ -229,7 +258,11 @@ class Problem(eqx.Module):
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
         """Simulated channels at the recorded times [m, N, N m]."""
-        return self._over_runs(self._predict_one, shared, own)
+
+        def one(trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
+            return self._predict_one(trial, observed, shared, own, observed.all_rows)
+
+        return self._over_runs(one, shared, own)
 
     def residual(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
@@ -258,12 +291,14 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
-    def _predict_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
-        output = self.placed(trial, shared, own).run()
-        return sampled(output, observed, self.batch.channels)
+    def _predict_one(
+        self, trial: Trial, observed: Observed, shared: Array, own: Array, rows: Int[Array, ""]
+    ) -> Array:
+        table = self.placed(trial, shared, own).run_to(rows, self.batch.channels)
+        return between_rows(table, observed)
 
     def _residual_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
-        simulated = self._predict_one(trial, observed, shared, own)
+        simulated = self._predict_one(trial, observed, shared, own, observed.compared_rows)
         raw = observed.weight * (simulated - observed.values)
         before = jnp.pad(raw[:, :-1], ((0, 0), (1, 0)))
         follows = jnp.pad(observed.weight[:, :-1] > 0, ((0, 0), (1, 0))) & (observed.weight > 0)
@@ -272,13 +307,25 @@ class Problem(eqx.Module):
 
     def _over_runs(self, one, shared: Array, own: Array):
         spread, whole = PartitionSpec("runs"), PartitionSpec()
-        return jax.shard_map(
-            jax.vmap(one, in_axes=(0, 0, None, 0)),
+        order = self.batch.order
+        trials, observed, each = jax.tree.map(
+            lambda leaf: leaf[order], (self.batch.trials, self.batch.observed, own)
+        )
+
+        # One run after the other on a device: each ends with its own rows, and none is padded.
+        def in_turn(trials: Trial, observed: Observed, shared: Array, own: Array):
+            return jax.lax.map(
+                lambda run: one(run[0], run[1], shared, run[2]), (trials, observed, own)
+            )
+
+        shares = jax.shard_map(
+            in_turn,
             mesh=self.mesh,
             in_specs=(spread, spread, whole, spread),
             out_specs=spread,
             check_vma=False,
-        )(self.batch.trials, self.batch.observed, shared, own)
+        )(trials, observed, shared, each)
+        return jax.tree.map(lambda leaf: leaf[jnp.argsort(order)], shares)
 
 
 def device_mesh() -> Mesh:

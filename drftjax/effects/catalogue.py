@@ -1,0 +1,85 @@
+"""The effects there are: the catalogue's, and those that installed packages add.
+
+A package adds effects by the entry-point group `drft.effects`: a name, and where its class is.
+"""
+
+import dataclasses
+from difflib import get_close_matches
+from functools import cache
+from importlib.metadata import entry_points
+
+from drftjax.effects.drive import DRIVE
+from drftjax.effects.rig import RIG
+from drftjax.effects.sensor import SENSOR
+from drftjax.effects.stage import AbstractEffect
+from drftjax.effects.stress import STRESS
+from drftjax.effects.surface import SURFACE
+from drftjax.effects.terrain import TERRAIN
+from drftjax.effects.wheel import WHEEL
+from drftjax.errors import InputError
+
+GROUP = "drft.effects"
+
+# In the order that they act in a step: what turns, what touches, what bears, what reads.
+OURS: tuple[type[AbstractEffect], ...] = (
+    *DRIVE,
+    *WHEEL,
+    *TERRAIN,
+    *STRESS,
+    *SURFACE,
+    *RIG,
+    *SENSOR,
+)
+
+
+@cache
+def catalogue() -> dict[str, type[AbstractEffect]]:
+    """Every effect's class by its name, ours first.
+
+    Raises:
+        InputError: where a package adds something that is no effect, or takes a name.
+    """
+    known = {each.about.name: each for each in OURS}
+    for entry in entry_points(group=GROUP):
+        try:
+            added = entry.load()
+        except Exception as error:
+            raise InputError(f"the effect {entry.name!r} of {entry.value} fails: {error}") from None
+        if not (isinstance(added, type) and issubclass(added, AbstractEffect)):
+            raise InputError(f"the effect {entry.name!r} of {entry.value} is no effect class")
+        if added.about.name in known:
+            raise InputError(f"the effect {added.about.name!r} of {entry.value} is there already")
+        known[added.about.name] = added
+    return known
+
+
+def effect_class(name: str) -> type[AbstractEffect]:
+    """An effect's class by its name.
+
+    Raises:
+        InputError: for an unknown name, with the nearest known ones.
+    """
+    known = catalogue()
+    if name not in known:
+        near = get_close_matches(name, known, n=3, cutoff=0.4) or list(known)
+        raise InputError(f"there is no effect {name!r}; did you mean {' or '.join(near)}?")
+    return known[name]
+
+
+def numbers(effect: type[AbstractEffect]) -> dict[str, dict]:
+    """An effect's fields with their units, meanings and typical sizes or starts, by name."""
+    return {
+        each.name: dict(each.metadata)
+        for each in dataclasses.fields(effect)
+        if "unit" in each.metadata
+    }
+
+
+def strengths(effect: type[AbstractEffect]) -> tuple[str, ...]:
+    """The fields that are zero where the effect is absent."""
+    return tuple(name for name, about in numbers(effect).items() if "typical" in about)
+
+
+def shapes(effect: type[AbstractEffect]) -> tuple[str, ...]:
+    """The fields that say what the effect looks like."""
+    return tuple(name for name, about in numbers(effect).items() if "starts" in about)

@@ -1,0 +1,145 @@
+"""Effects one after the other: what a step asks of all that plug into one place.
+
+Every function takes the effects and their memories, one for each, in the order given.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    AbstractDrive,
+    AbstractEffect,
+    AbstractLoad,
+    AbstractPlacement,
+    AbstractSandLoad,
+    AbstractSensor,
+    AbstractStressFactor,
+    AbstractSurface,
+    AbstractZetaFactor,
+    Memory,
+    Moment,
+)
+from drftjax.stress import PlateMotion
+from drftjax.wheel import Plates
+
+if TYPE_CHECKING:
+    from drftjax.simulator import Output
+
+Effects = tuple[AbstractEffect, ...]
+Memories = tuple[Memory, ...]
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+
+def begin(effects: Effects, truth: "Output") -> Memories:
+    """Memories at the start of a run, from the true output there."""
+
+    def of(effect: AbstractEffect) -> Memory:
+        match effect:
+            case AbstractDrive():
+                return effect.begin(truth.omega, truth.angle)
+            case AbstractLoad():
+                return effect.begin(jnp.stack([truth.x, truth.z]))
+            case AbstractZetaFactor() | AbstractSurface():
+                return effect.begin()
+            case AbstractSensor():
+                return effect.begin(truth)
+        return ()
+
+    return tuple(of(each) for each in effects)
+
+
+def advance(effects: Effects, memories: Memories, moment: Moment) -> Memories:
+    """Memories of terrain and rig after a step; drives and sensors keep their own."""
+    return tuple(
+        effect.advance(memory, moment)
+        if isinstance(effect, AbstractLoad | AbstractZetaFactor | AbstractSurface)
+        else memory
+        for effect, memory in zip(effects, memories, strict=True)
+    )
+
+
+def turn(
+    effects: Effects, memories: Memories, commanded: Number, angle: Number, dt: Number
+) -> tuple[Number, Memories]:
+    """The wheel's angular velocity [rad/s] behind every drive effect."""
+    omega, after = commanded, list(memories)
+    for index, effect in enumerate(effects):
+        if isinstance(effect, AbstractDrive):
+            omega, after[index] = effect.turn(omega, angle, dt, memories[index])
+    return omega, tuple(after)
+
+
+def place(effects: Effects, plates: Plates, angle: Number) -> Plates:
+    """The plates where they really are about the axle."""
+    for effect in effects:
+        if isinstance(effect, AbstractPlacement):
+            plates = effect.place(plates, angle)
+    return plates
+
+
+def on_surface(
+    effects: Effects, memories: Memories, motion: PlateMotion, x: Float[Array, " plates"]
+) -> PlateMotion:
+    """The plates' motion with depths from the true surface; `x` are their places [m]."""
+    depth = motion.depth
+    for effect, memory in zip(effects, memories, strict=True):
+        if isinstance(effect, AbstractSurface):
+            depth = depth + effect.height(x, memory)
+    return dataclasses.replace(motion, depth=depth)
+
+
+def zeta_factor(effects: Effects, memories: Memories, moment: Moment) -> Number:
+    """Factor on zeta [-] of all effects together."""
+    factor = jnp.ones_like(moment.time)
+    for effect, memory in zip(effects, memories, strict=True):
+        if isinstance(effect, AbstractZetaFactor):
+            factor = factor * effect.factor(moment, memory)
+    return factor
+
+
+def stress_factor(effects: Effects, motion: PlateMotion) -> Float[Array, " plates"]:
+    """Factor on each plate's stress [-] of all effects together."""
+    factor = jnp.ones_like(motion.depth)
+    for effect in effects:
+        if isinstance(effect, AbstractStressFactor):
+            factor = factor * effect.factor(motion)
+    return factor
+
+
+def loads(
+    effects: Effects,
+    memories: Memories,
+    position: Pair,
+    velocity: Pair,
+    moment: Moment,
+    of_the_sand: bool,
+) -> Pair:
+    """Further forces (x, z) on the axle [N]: the sand's, or the rig's."""
+    force = jnp.zeros_like(position)
+    for effect, memory in zip(effects, memories, strict=True):
+        if isinstance(effect, AbstractLoad) and isinstance(effect, AbstractSandLoad) == of_the_sand:
+            force = force + effect.load(position, velocity, moment, memory)
+    return force
+
+
+def read(
+    effects: Effects, memories: Memories, truth: "Output", dt: Number
+) -> tuple["Output", Memories]:
+    """What the instruments read of the true output."""
+    reading, after = truth, list(memories)
+    for index, effect in enumerate(effects):
+        if isinstance(effect, AbstractSensor):
+            reading, after[index] = effect.read(reading, dt, memories[index])
+    return reading, tuple(after)
+
+
+def with_jacobian(force, velocity: Pair) -> tuple[Pair, Float[Array, "2 2"]]:
+    """A force of the velocity [N] and its exact derivative."""
+    value, along = jax.linearize(force, velocity)
+    directions = jnp.eye(2, dtype=velocity.dtype)
+    return value, jnp.stack([along(directions[0]), along(directions[1])], axis=1)

@@ -1,0 +1,107 @@
+"""Drive: what stands between the commanded angular velocity and the wheel's."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import About, AbstractDrive, Memory, shape, strength
+
+# Regulariser: angle [rad] over which a drive takes up its play.
+PLAY_WIDTH = 0.01
+
+Number = Float[Array, ""]
+
+
+class SpeedGain(AbstractDrive):
+    """The wheel turns at a fixed ratio of the commanded speed."""
+
+    about: ClassVar = About(
+        "speed_gain",
+        "drive",
+        "ω = (1 + gain) ω_cmd",
+        "the wheel turns at a fixed ratio of the commanded speed",
+    )
+    gain: Number = strength("-", 0.03, "excess of the wheel's speed over the commanded one")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return ()
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        return (1 + self.gain) * omega, ()
+
+
+class SpeedLag(AbstractDrive):
+    """The wheel's speed follows late, as a first-order lag."""
+
+    about: ClassVar = About(
+        "speed_lag",
+        "drive",
+        "lag dω/dt = ω_cmd - ω",
+        "the wheel's speed follows the command late",
+    )
+    lag: Number = strength("s", 0.1, "time constant")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return omega
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        # Implicit, so that no lag is the command itself and a little lag already counts.
+        followed = (self.lag * memory + dt * omega) / (self.lag + dt)
+        return followed, followed
+
+
+class SpeedRipple(AbstractDrive):
+    """A periodic speed error, locked to the wheel's angle through the gear."""
+
+    about: ClassVar = About(
+        "speed_ripple",
+        "drive",
+        "ω = (1 + cosine cos(order φ) + sine sin(order φ)) ω_cmd",
+        "a periodic speed error locked to the motor's or gear's angle",
+    )
+    cosine: Number = strength("-", 0.03, "in-phase share of the speed")
+    sine: Number = strength("-", 0.03, "quadrature share of the speed")
+    order: Number = shape("-", 8.0, tuple(range(1, 61)), "periods in a turn of the wheel")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return ()
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        phase = self.order * (angle + dt * omega)
+        return (1 + self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)) * omega, ()
+
+
+class Backlash(AbstractDrive):
+    """The wheel starts late by an angle."""
+
+    about: ClassVar = About(
+        "backlash",
+        "drive",
+        "ω = 0 until the drive has turned by play, then ω_cmd",
+        "the wheel starts late by an angle",
+    )
+    play: Number = strength("rad", 0.05, "angle of the drive before the wheel follows")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return jnp.zeros_like(angle)
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        turned = memory + dt * omega
+        # Play under the width takes a share of it, so that the angle lost is the play itself.
+        held = jnp.maximum(self.play, PLAY_WIDTH)
+        way = jnp.clip((jnp.abs(turned) - held) / PLAY_WIDTH + 0.5, 0, 1)
+        taken_up = way * way * (3 - 2 * way)
+        loose = jnp.minimum(self.play / PLAY_WIDTH, 1) * (1 - taken_up)
+        return (1 - loose) * omega, turned
+
+
+DRIVE = (SpeedGain, SpeedLag, SpeedRipple, Backlash)

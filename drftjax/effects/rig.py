@@ -1,0 +1,160 @@
+"""Rig: forces of guides, counterweights, cables and springs on the axle."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import About, AbstractLoad, Memory, Moment, strength
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+# Regularisers: speeds [m/s] over which dry friction turns over. The vertical guide moves by tenths
+# of a millimetre a second, the carriage by centimetres.
+VERTICAL_STICK = 1e-4
+HORIZONTAL_STICK = 1e-3
+
+
+def _along_x(force: Number) -> Pair:
+    return jnp.stack([force, jnp.zeros_like(force)])
+
+
+def _along_z(force: Number) -> Pair:
+    return jnp.stack([jnp.zeros_like(force), force])
+
+
+class _Memoryless(AbstractLoad):
+    """A load that depends on the present alone."""
+
+    def begin(self, position: Pair) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+
+class VerticalLoad(_Memoryless):
+    """A constant vertical force."""
+
+    about: ClassVar = About(
+        "vertical_load", "rig", "F_z = -force", "a constant vertical force or mass error"
+    )
+    force: Number = strength("N", 10.0, "further load, downward positive")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_z(-self.force)
+
+
+class VerticalCoulomb(_Memoryless):
+    """Dry friction of the vertical guide."""
+
+    about: ClassVar = About(
+        "vertical_coulomb",
+        "rig",
+        "F_z = -force tanh(v_z / 0.1 mm/s)",
+        "dry friction of the vertical guide",
+    )
+    force: Number = strength("N", 5.0, "friction")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
+
+
+class VerticalViscous(_Memoryless):
+    """Viscous friction of the vertical guide."""
+
+    about: ClassVar = About(
+        "vertical_viscous", "rig", "F_z = -damping v_z", "viscous friction of the vertical guide"
+    )
+    damping: Number = strength("N s/m", 1000.0, "friction per speed")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_z(-self.damping * velocity[1])
+
+
+class HorizontalCoulomb(_Memoryless):
+    """Dry friction of the carriage."""
+
+    about: ClassVar = About(
+        "horizontal_coulomb",
+        "rig",
+        "F_x = -force tanh(v_x / 1 mm/s)",
+        "dry friction of the carriage",
+    )
+    force: Number = strength("N", 3.0, "friction")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
+
+
+class HorizontalViscous(_Memoryless):
+    """Viscous friction of the carriage."""
+
+    about: ClassVar = About(
+        "horizontal_viscous", "rig", "F_x = -damping v_x", "viscous friction of the carriage"
+    )
+    damping: Number = strength("N s/m", 30.0, "friction per speed")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_x(-self.damping * velocity[0])
+
+
+class Drawbar(_Memoryless):
+    """A constant horizontal force."""
+
+    about: ClassVar = About(
+        "drawbar",
+        "rig",
+        "F_x = -force",
+        "a constant horizontal force: rail tilt, cable weight",
+    )
+    force: Number = strength("N", 5.0, "pull against the forward direction")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_x(-self.force)
+
+
+class CableSpring(AbstractLoad):
+    """A horizontal force that grows with travel."""
+
+    about: ClassVar = About(
+        "cable_spring",
+        "rig",
+        "F_x = -stiffness (x - x(0))",
+        "a horizontal force proportional to travel",
+    )
+    stiffness: Number = strength("N/m", 5.0, "force per travel, against the forward direction")
+
+    def begin(self, position: Pair) -> Memory:
+        return position[0]
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return memory
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_x(-self.stiffness * (position[0] - memory))
+
+
+class VerticalSpring(_Memoryless):
+    """A vertical force that grows with sinkage."""
+
+    about: ClassVar = About(
+        "vertical_spring", "rig", "F_z = stiffness H", "a vertical force proportional to sinkage"
+    )
+    stiffness: Number = strength("N/m", 500.0, "upward force per sinkage")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return _along_z(-self.stiffness * position[1])
+
+
+RIG = (
+    VerticalLoad,
+    VerticalCoulomb,
+    VerticalViscous,
+    HorizontalCoulomb,
+    HorizontalViscous,
+    Drawbar,
+    CableSpring,
+    VerticalSpring,
+)

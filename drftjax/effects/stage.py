@@ -1,0 +1,225 @@
+"""Where an effect plugs into the simulator: one abstract class for each place.
+
+An effect is a small final class with a few numbers. Its *strengths* are zero at the null, where
+the step is the reference model's to the bit; its *shapes* (a wavelength, a decay angle) say what
+it looks like and matter only beside a strength. An effect that must remember something keeps it
+in the state: `begin` makes that memory, and the step hands it back.
+"""
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from drftjax.arrays import as_real
+from drftjax.stress import PlateMotion
+from drftjax.wheel import Plates
+
+if TYPE_CHECKING:
+    from drftjax.simulator import Output, Simulator
+
+Memory = Any
+
+
+@dataclass(frozen=True)
+class About:
+    """What an effect says of itself.
+
+    Attributes:
+        name: Its name in reports and files.
+        stage: wheel, terrain, rig, drive or sensor.
+        formula: What it changes, in the fields' symbols.
+        meaning: The same in words.
+    """
+
+    name: str
+    stage: str
+    formula: str
+    meaning: str
+
+
+def strength(unit: str, typical: float, meaning: str) -> Any:
+    """A field that is zero where the effect is absent.
+
+    Args:
+        unit: Its SI unit, "-" for none.
+        typical: Size that a rig may well show, in that unit: the scale of a fit.
+        meaning: What it is.
+    """
+    return eqx.field(
+        converter=as_real,
+        default=0.0,
+        metadata={"unit": unit, "typical": typical, "meaning": meaning},
+    )
+
+
+def shape(unit: str, default: float, starts: Sequence[float], meaning: str) -> Any:
+    """A positive field that says what an effect looks like, and is free only beside a strength.
+
+    Args:
+        unit: Its SI unit.
+        default: Its value where nothing is known.
+        starts: Values that together cover what a rig may show: where a fit may start.
+        meaning: What it is.
+    """
+    return eqx.field(
+        converter=as_real,
+        default=default,
+        metadata={"unit": unit, "starts": tuple(starts), "meaning": meaning},
+    )
+
+
+class Moment(eqx.Module):
+    """What an effect may know of the step it acts in.
+
+    Attributes:
+        time: End of the step [s].
+        dt: Step [s].
+        position, velocity: Of the axle (x, z) at its start [m], [m/s].
+        angle, omega: Of the wheel at its end [rad], [rad/s].
+        commanded: Commanded angular velocity at its end [rad/s].
+        radius: Rim radius [m].
+    """
+
+    time: Float[Array, ""]
+    dt: Float[Array, ""]
+    position: Float[Array, "2"]
+    velocity: Float[Array, "2"]
+    angle: Float[Array, ""]
+    omega: Float[Array, ""]
+    commanded: Float[Array, ""]
+    radius: Float[Array, ""]
+
+    def rim_slip(self) -> Float[Array, ""]:
+        """How fast the rim runs ahead of the ground, r omega - vx [m/s]."""
+        return self.radius * self.omega - self.velocity[0]
+
+
+class AbstractEffect(eqx.Module):
+    """A mechanism that the reference model leaves out. `about` says which."""
+
+    about: ClassVar[About]
+
+
+class AbstractAdjustment(AbstractEffect):
+    """Changes numbers of the model itself, once, before a run."""
+
+    @abc.abstractmethod
+    def adjust(self, simulator: "Simulator") -> "Simulator":
+        """The simulator with its numbers changed."""
+
+
+class AbstractDrive(AbstractEffect):
+    """Stands between the commanded and the true angular velocity."""
+
+    @abc.abstractmethod
+    def begin(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Memory:
+        """Memory at the start of a run, from the wheel's motion there."""
+
+    @abc.abstractmethod
+    def turn(
+        self,
+        omega: Float[Array, ""],
+        angle: Float[Array, ""],
+        dt: Float[Array, ""],
+        memory: Memory,
+    ) -> tuple[Float[Array, ""], Memory]:
+        """Angular velocity handed on at the end of the step [rad/s], and the memory after it.
+
+        Args:
+            omega: What is asked for, effects before this one included [rad/s].
+            angle: Wheel angle at the start of the step [rad].
+            dt: Step [s].
+            memory: From the step before.
+        """
+
+
+class AbstractPlacement(AbstractEffect):
+    """Moves the wheel's plates about the axle."""
+
+    @abc.abstractmethod
+    def place(self, plates: Plates, angle: Float[Array, ""]) -> Plates:
+        """The plates, turned to `angle` [rad], where they really are."""
+
+
+class AbstractZetaFactor(AbstractEffect):
+    """Scales zeta under the whole wheel."""
+
+    @abc.abstractmethod
+    def begin(self) -> Memory:
+        """Memory at the start of a run."""
+
+    @abc.abstractmethod
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        """The memory after the step."""
+
+    @abc.abstractmethod
+    def factor(self, moment: Moment, memory: Memory) -> Float[Array, ""]:
+        """Factor on zeta [-], one at the null."""
+
+
+class AbstractStressFactor(AbstractEffect):
+    """Scales the stress of each plate."""
+
+    @abc.abstractmethod
+    def factor(self, motion: PlateMotion) -> Float[Array, " plates"]:
+        """Factor on each plate's stress [-], one at the null."""
+
+
+class AbstractSurface(AbstractEffect):
+    """Raises or lowers the sand's surface."""
+
+    @abc.abstractmethod
+    def begin(self) -> Memory:
+        """Memory at the start of a run."""
+
+    @abc.abstractmethod
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        """The memory after the step."""
+
+    @abc.abstractmethod
+    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
+        """Height of the surface over the undisturbed one at these places [m]."""
+
+
+class AbstractLoad(AbstractEffect):
+    """A further force on the axle."""
+
+    @abc.abstractmethod
+    def begin(self, position: Float[Array, "2"]) -> Memory:
+        """Memory at the start of a run, from where the axle is."""
+
+    @abc.abstractmethod
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        """The memory after the step."""
+
+    @abc.abstractmethod
+    def load(
+        self,
+        position: Float[Array, "2"],
+        velocity: Float[Array, "2"],
+        moment: Moment,
+        memory: Memory,
+    ) -> Float[Array, "2"]:
+        """Force (x, z) on the axle [N]; the step linearises it in `velocity` [m/s]."""
+
+
+class AbstractSandLoad(AbstractLoad):
+    """A further force of the sand, which a force sensor reads too."""
+
+
+class AbstractSensor(AbstractEffect):
+    """Stands between what is and what is read."""
+
+    @abc.abstractmethod
+    def begin(self, output: "Output") -> Memory:
+        """Memory at the start of a run, from the true output there."""
+
+    @abc.abstractmethod
+    def read(
+        self, output: "Output", dt: Float[Array, ""], memory: Memory
+    ) -> tuple["Output", Memory]:
+        """The reading, and the memory after the step."""

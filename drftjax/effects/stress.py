@@ -1,0 +1,135 @@
+"""Terrain: a stress law other than the model's."""
+
+from typing import TYPE_CHECKING, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractAdjustment,
+    AbstractStressFactor,
+    shape,
+    strength,
+)
+from drftjax.errors import InputError
+from drftjax.stress import Dynamic, PlateMotion
+
+if TYPE_CHECKING:
+    from drftjax.simulator import Simulator
+
+Number = Float[Array, ""]
+Each = Float[Array, " plates"]
+
+# Depth [m] that depth_hardening pivots about and rigid_floor and cohesion are measured in.
+REFERENCE_DEPTH = 0.02
+# Regulariser: depth [m] over which cohesion fades in under the surface.
+ONSET_DEPTH = 0.002
+
+
+class RateHardening(AbstractStressFactor):
+    """Stress grows with plate speed beyond the inertial term."""
+
+    about: ClassVar = About(
+        "rate_hardening",
+        "terrain",
+        "σ = σ (1 + excess p / (p + half)), p the plate's speed",
+        "stress grows with plate speed beyond the inertial term",
+    )
+    excess: Number = strength("-", 0.1, "excess of stress at high speed")
+    half: Number = shape("m/s", 0.1, (0.01, 0.05, 0.2, 1.0), "plate speed of half the excess")
+
+    def factor(self, motion: PlateMotion) -> Each:
+        speed = jnp.sqrt(motion.velocity_x**2 + motion.velocity_z**2 + 1e-12)
+        return 1 + self.excess * speed / (speed + self.half)
+
+
+class DepthHardening(AbstractStressFactor):
+    """Stress is not linear in depth."""
+
+    about: ClassVar = About(
+        "depth_hardening",
+        "terrain",
+        "σ = σ (1 + excess (d / 20 mm - 1))",
+        "stress is not linear in depth",
+    )
+    excess: Number = strength("-", 0.1, "excess of stress per 20 mm below 20 mm of depth")
+
+    def factor(self, motion: PlateMotion) -> Each:
+        return 1 + self.excess * (motion.depth / REFERENCE_DEPTH - 1)
+
+
+class RigidFloor(AbstractStressFactor):
+    """The bed is shallow: it stiffens below some depth."""
+
+    about: ClassVar = About(
+        "rigid_floor",
+        "terrain",
+        "σ = σ (1 + excess max(d - floor, 0) / 20 mm)",
+        "the bed is shallow: it stiffens below some depth",
+    )
+    excess: Number = strength("-", 0.5, "excess of stress per 20 mm below the floor's depth")
+    floor: Number = shape("m", 0.035, (0.025, 0.035, 0.045), "depth at which it begins")
+
+    def factor(self, motion: PlateMotion) -> Each:
+        return 1 + self.excess * jnp.maximum(motion.depth - self.floor, 0) / REFERENCE_DEPTH
+
+
+class Cohesion(AbstractStressFactor):
+    """A stress that does not depend on depth: that of a further depth everywhere below ground."""
+
+    about: ClassVar = About(
+        "cohesion",
+        "terrain",
+        "σ = σ (d + depth) / d, fading in over 2 mm",
+        "a stress that does not depend on depth",
+    )
+    depth: Number = strength("m", 0.002, "depth whose stress the cohesion has")
+
+    def factor(self, motion: PlateMotion) -> Each:
+        return 1 + self.depth / jnp.maximum(motion.depth, ONSET_DEPTH)
+
+
+def _dynamic(simulator: "Simulator", name: str) -> Dynamic:
+    law = simulator.terrain.law
+    if not isinstance(law, Dynamic):
+        raise InputError(
+            f"{name} needs the dynamic stress law, if with its terms at 0"
+        )
+    return law
+
+
+class MomentumFlux(AbstractAdjustment):
+    """The inertial term is absent or wrong in the model."""
+
+    about: ClassVar = About(
+        "momentum_flux",
+        "terrain",
+        "λ = λ + excess",
+        "the inertial term lambda rho v_n^2 is absent or wrong in the model",
+    )
+    excess: Number = strength("-", 1.0, "true lambda less the model's")
+
+    def adjust(self, simulator: "Simulator") -> "Simulator":
+        true = _dynamic(simulator, "momentum_flux").inertial_coefficient + self.excess
+        return eqx.tree_at(lambda s: s.terrain.law.inertial_coefficient, simulator, true)
+
+
+class HeightDecrease(AbstractAdjustment):
+    """The height decrease behind the wheel is absent or wrong in the model."""
+
+    about: ClassVar = About(
+        "height_decrease",
+        "terrain",
+        "δ_h = δ_h + excess r (r ω² / g)",
+        "the height decrease delta_h behind the wheel is absent or wrong in the model",
+    )
+    excess: Number = strength("-", 1.0, "true share of delta_h less the model's")
+
+    def adjust(self, simulator: "Simulator") -> "Simulator":
+        true = _dynamic(simulator, "height_decrease").height_decrease + self.excess
+        return eqx.tree_at(lambda s: s.terrain.law.height_decrease, simulator, true)
+
+
+STRESS = (RateHardening, DepthHardening, RigidFloor, Cohesion, MomentumFlux, HeightDecrease)

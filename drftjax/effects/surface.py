@@ -1,0 +1,82 @@
+"""Terrain: a surface that is not level, or does not stay so."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractSurface,
+    Memory,
+    Moment,
+    shape,
+    strength,
+)
+
+Number = Float[Array, ""]
+Each = Float[Array, " plates"]
+
+
+class SurfaceProfile(AbstractSurface):
+    """Height waves along x; the datum is the height at x = 0."""
+
+    about: ClassVar = About(
+        "surface_profile",
+        "terrain",
+        "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length)",
+        "the surface is not flat: height waves in x",
+    )
+    cosine: Number = strength("m", 0.001, "amplitude in phase with x = 0")
+    sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
+    length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def height(self, x: Each, memory: Memory) -> Each:
+        phase = 2 * jnp.pi / self.length * x
+        return self.cosine * (jnp.cos(phase) - 1) + self.sine * jnp.sin(phase)
+
+
+class SurfaceSlope(AbstractSurface):
+    """The surface is inclined."""
+
+    about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the surface is inclined")
+    slope: Number = strength("-", 0.01, "rise of the surface along x")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def height(self, x: Each, memory: Memory) -> Each:
+        return self.slope * x
+
+
+class Excavation(AbstractSurface):
+    """Slip digs: the surface under the wheel goes down with slip distance."""
+
+    about: ClassVar = About(
+        "excavation",
+        "terrain",
+        "h = -rate ∫ |r ω - v_x| dt",
+        "slip digs: the surface under the wheel goes down with slip distance",
+    )
+    rate: Number = strength("-", 0.1, "depth dug per slip distance")
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.rate)
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return memory + moment.dt * jnp.abs(moment.rim_slip())
+
+    def height(self, x: Each, memory: Memory) -> Each:
+        return -self.rate * memory
+
+
+SURFACE = (SurfaceProfile, SurfaceSlope, Excavation)

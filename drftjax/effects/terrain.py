@@ -1,0 +1,115 @@
+"""Terrain: sand whose strength or resistance changes under the wheel, with its history or place."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractSandLoad,
+    AbstractZetaFactor,
+    Memory,
+    Moment,
+    shape,
+    strength,
+)
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+
+class Loosening(AbstractZetaFactor):
+    """zeta falls with the wheel's accumulated turning, towards a floor."""
+
+    about: ClassVar = About(
+        "loosening",
+        "terrain",
+        "ζ = ζ (1 - loss (1 - exp(-turning / decay)))",
+        "zeta falls with the wheel's accumulated turning, towards a floor",
+    )
+    loss: Number = strength("-", 0.1, "share of zeta lost in the end")
+    decay: Number = shape("rad", 2.0, (0.3, 0.7, 1.5, 3.0, 6.0, 12.0), "turning that loosens")
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.loss)
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return memory + moment.dt * jnp.abs(moment.omega)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return 1 - self.loss * (1 - jnp.exp(-memory / self.decay))
+
+
+class SlipSoftening(AbstractZetaFactor):
+    """zeta is lower the faster the rim slips."""
+
+    about: ClassVar = About(
+        "slip_softening",
+        "terrain",
+        "ζ = ζ (1 - loss s / (s + half)), s = |r ω - v_x|",
+        "zeta is lower the faster the rim slips",
+    )
+    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip")
+    half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        slip = jnp.abs(moment.rim_slip())
+        return 1 - self.loss * slip / (slip + self.half)
+
+
+class TerrainVariation(AbstractZetaFactor):
+    """zeta depends on the place: a soft or hard patch."""
+
+    about: ClassVar = About(
+        "terrain_variation",
+        "terrain",
+        "ζ = ζ (1 + excess exp(-(x - centre)² / (2 width²)))",
+        "zeta depends on the place: a soft or hard patch, an uneven preparation",
+    )
+    excess: Number = strength("-", 0.1, "excess of zeta at the patch's centre")
+    centre: Number = shape("m", 0.5, tuple(0.1 * k for k in range(1, 16)), "place of the patch")
+    width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        away = (moment.position[0] - self.centre) / self.width
+        return 1 + self.excess * jnp.exp(-(away**2) / 2)
+
+
+class Bulldozing(AbstractSandLoad):
+    """Sand piles up ahead: a resistance that grows with travel and saturates."""
+
+    about: ClassVar = About(
+        "bulldozing",
+        "terrain",
+        "F_x = -force (1 - exp(-travel / length))",
+        "sand piles up ahead: resistance that grows with travel and saturates",
+    )
+    force: Number = strength("N", 5.0, "resistance in the end")
+    length: Number = shape("m", 0.3, (0.05, 0.15, 0.4, 1.0), "travel that piles it up")
+
+    def begin(self, position: Pair) -> Memory:
+        return position[0]
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return memory
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        travel = jnp.abs(position[0] - memory)
+        resistance = -self.force * (1 - jnp.exp(-travel / self.length))
+        return jnp.stack([resistance, jnp.zeros_like(resistance)])
+
+
+TERRAIN = (Loosening, SlipSoftening, TerrainVariation, Bulldozing)

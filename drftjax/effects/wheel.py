@@ -1,0 +1,109 @@
+"""Wheel: what its true shape and mass differ by."""
+
+import dataclasses
+from typing import TYPE_CHECKING, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractAdjustment,
+    AbstractLoad,
+    AbstractPlacement,
+    Memory,
+    Moment,
+    strength,
+)
+from drftjax.errors import InputError
+from drftjax.wheel import GrouserWheel, Plates
+
+if TYPE_CHECKING:
+    from drftjax.simulator import Simulator
+
+Number = Float[Array, ""]
+
+
+class WheelRadius(AbstractAdjustment):
+    """The rim's true radius differs."""
+
+    about: ClassVar = About(
+        "wheel_radius", "wheel", "r = r + excess", "the rim's true radius differs"
+    )
+    excess: Number = strength("m", 0.003, "true radius less the stated one")
+
+    def adjust(self, simulator: "Simulator") -> "Simulator":
+        return eqx.tree_at(
+            lambda s: s.wheel.radius, simulator, simulator.wheel.radius + self.excess
+        )
+
+
+class GrouserHeight(AbstractAdjustment):
+    """Grousers are shorter or longer."""
+
+    about: ClassVar = About(
+        "grouser_height",
+        "wheel",
+        "h_g = h_g + excess",
+        "grousers are shorter, longer or absent",
+    )
+    excess: Number = strength("m", 0.003, "true height less the stated one")
+
+    def adjust(self, simulator: "Simulator") -> "Simulator":
+        if not isinstance(simulator.wheel, GrouserWheel):
+            raise InputError("grouser_height needs a wheel with grousers")
+        height = simulator.wheel.grouser_height + self.excess
+        return eqx.tree_at(lambda s: s.wheel.grouser_height, simulator, height)
+
+
+class Eccentricity(AbstractPlacement):
+    """The axle is off the wheel's centre; z = 0 where the wheel touches at angle zero."""
+
+    about: ClassVar = About(
+        "eccentricity",
+        "wheel",
+        "centre - axle = R(φ) (along, up), R(φ) turning with the wheel",
+        "the axle is off centre: once a turn",
+    )
+    along: Number = strength("m", 0.001, "offset of the centre, forward at angle zero")
+    up: Number = strength("m", 0.001, "offset of the centre, upward at angle zero")
+
+    def place(self, plates: Plates, angle: Number) -> Plates:
+        cosine, sine = jnp.cos(angle), jnp.sin(angle)
+        x = self.along * cosine + self.up * sine
+        z = self.up * cosine - self.along * sine - self.up
+        return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
+
+
+class Imbalance(AbstractLoad):
+    """Mass off the axle pulls outward with the square of the speed, once a turn."""
+
+    about: ClassVar = About(
+        "imbalance",
+        "wheel",
+        "F = ω² R(φ) (along, up)",
+        "mass off centre: once a turn, with omega squared",
+    )
+    along: Number = strength("kg m", 0.2, "mass times offset, forward at angle zero")
+    up: Number = strength("kg m", 0.2, "mass times offset, upward at angle zero")
+
+    def begin(self, position: Float[Array, "2"]) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def load(
+        self,
+        position: Float[Array, "2"],
+        velocity: Float[Array, "2"],
+        moment: Moment,
+        memory: Memory,
+    ) -> Float[Array, "2"]:
+        cosine, sine = jnp.cos(moment.angle), jnp.sin(moment.angle)
+        outward = [self.along * cosine + self.up * sine, self.up * cosine - self.along * sine]
+        return moment.omega**2 * jnp.stack(outward)
+
+
+WHEEL = (WheelRadius, GrouserHeight, Eccentricity, Imbalance)
