@@ -63,6 +63,13 @@ def fit(
     keep_rest: Annotated[
         bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
     ] = False,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Fit every run alone on a Dask cluster, 'local', 'local:N' or "
+            "'tcp://scheduler:port', and go on where a killed call ended."
+        ),
+    ] = None,
 ) -> None:
     """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
     import os
@@ -77,26 +84,30 @@ def fit(
     from drftjax.runlog.guard import GuardedReader
     from drftjax.runlog.layout import run_from
     from drftjax.setup import INTEGRATORS
-    from identify.fit import candidate
-    from identify.fit import fit as fit_runs
+    from identify.candidate import candidate, names_of
+    from identify.fitting import fit as fit_runs
     from identify.noise import Autoregressive, White
-    from identify.parameter import parameter
+    from identify.parameter import parameter, require_once
     from identify.parameter_file import read_parameters
 
     if method not in INTEGRATORS:
         raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
-    shared_names = share if share is not None else ([] if own else ["lambda"])
+    shared_names = share if share is not None else ([] if own or cluster else ["lambda"])
     own_names = own if own is not None else ([] if "zeta" in shared_names else ["zeta"])
     if parameters is not None and (own or share):
         raise InputError("--parameters lists every parameter; leave --own and --share out")
     fitted = [parameter(n, shared=True) for n in shared_names]
     fitted += [parameter(n, shared=False) for n in own_names]
     fitted = fitted if parameters is None else read_parameters(parameters)
-    named = [each.quantity.name for each in fitted]
-    twice = {name for name in named if named.count(name) > 1}
-    if twice:
-        raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
+    require_once(fitted)
     stem = None if output is None else _stem(output)
+    if cluster is not None:
+        from identify.cluster_command import fit_on_cluster
+        from identify.lone_fit import Settings, terms
+
+        alone = Settings(terms(fitted), autoregressive, zeta, method, step, keep_rest)
+        fit_on_cluster(cluster, dict(zip(names_of(runs), runs, strict=True)), alone, stem)
+        return
 
     console = Console()
 
@@ -109,7 +120,7 @@ def fit(
     with Progress(*columns, console=console, transient=True) as bar, GuardedReader() as reader:
         task = bar.add_task(f"reading {len(runs)} runs", total=None)
         candidates = []
-        for name, path, surveyed in zip(_names(runs), runs, reader.surveys(runs), strict=True):
+        for name, path, surveyed in zip(names_of(runs), runs, reader.surveys(runs), strict=True):
             try:
                 run = run_from(*surveyed)
                 candidates.append(
@@ -157,20 +168,3 @@ def _stem(output: Path) -> Path:
     if output.is_dir() or not output.name:
         raise InputError(f"{output} is a folder; name the result too, such as {output / 'fit'}")
     return output.with_suffix("") if output.suffix in (".json", ".h5", ".png") else output
-
-
-def _names(paths: list[Path]) -> list[str]:
-    """Each run's file stem, with its folder where two are the same, then numbered."""
-    stems = [path.stem for path in paths]
-    names: list[str] = []
-    for path in paths:
-        several = stems.count(path.stem) > 1
-        wanted = "_".join(path.with_suffix("").parts[-2:]) if several else path.stem
-        # A name becomes a group of an HDF5 file.
-        wanted = wanted.replace("/", "").strip(".") or "run"
-        name, number = wanted, 1
-        while name in names:
-            number += 1
-            name = f"{wanted}_{number}"
-        names.append(name)
-    return names

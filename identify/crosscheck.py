@@ -23,7 +23,7 @@ from drftjax.runlog.record import Online
 from drftjax.trial import Trial
 from drftjax.tuner import Loop, StepTuner, known_sinkage, replay, tick_commands
 from identify.batch import make_batch
-from identify.fit import Candidate
+from identify.candidate import Candidate
 from identify.zeta_path import KNOT_SPACING, ZetaPath, zeta_paths
 
 CROSSCHECK_SCHEMA = "drft-crosscheck"

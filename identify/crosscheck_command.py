@@ -53,10 +53,9 @@ def crosscheck(
 
     from drftjax.runlog.check import read_run_guarded
     from drftjax.tuner import StepTuner
-    from identify.commands import _names
+    from identify.candidate import candidate, names_of
     from identify.crosscheck import Setting
     from identify.crosscheck import crosscheck as check
-    from identify.fit import candidate
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     console = Console()
@@ -66,7 +65,7 @@ def crosscheck(
     candidates = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(f"reading {len(runs)} runs", total=None)
-        for name, path in zip(_names(runs), runs, strict=True):
+        for name, path in zip(names_of(runs), runs, strict=True):
             try:
                 run = read_run_guarded(path)
                 if run.measured.z is None:

@@ -1,7 +1,7 @@
 """Parameters: which numbers of a trial are fitted, under what name, within what bounds."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import Any
 
@@ -168,6 +168,24 @@ def quantity(name: str) -> Quantity:
         known = " or ".join(near) if near else ", ".join(QUANTITIES)
         raise InputError(f"there is no parameter {name!r}; did you mean {known}?")
     return QUANTITIES[full]
+
+
+def own(name: str, **known: Any) -> Parameter:
+    """A parameter that each run has for itself; see `parameter`."""
+    return parameter(name, shared=False, **known)
+
+
+def shared(name: str, **known: Any) -> Parameter:
+    """A parameter that all runs have in common; see `parameter`."""
+    return parameter(name, shared=True, **known)
+
+
+def require_once(parameters: Sequence[Parameter]) -> None:
+    """Refuse a number that is to be fitted twice."""
+    names = [each.quantity.name for each in parameters]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
 
 
 def parameter(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -15,6 +16,12 @@ from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import SetUp
+from identify.summary import summary_html, summary_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identify.optimum import Optimum
 
 # Reports show lengths in mm.
 SHOWN = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
@@ -54,6 +61,9 @@ class RunFit:
         channels: Names of the channels compared.
         recorded: What was recorded [m, N, N m], shape (channels, samples).
         before, after: What was simulated before and after the fit, like `recorded`.
+        status: How the run ended: "converged"; "at a bound", where one of its values has run into
+            one; "stalled", where more was to gain; "diverged", where it could no longer be
+            simulated and was put aside, so that it does not bear on the others.
     """
 
     name: str
@@ -65,6 +75,17 @@ class RunFit:
     recorded: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    status: str = "converged"
+
+    @property
+    def residuals(self) -> dict[str, np.ndarray]:
+        """Simulated minus recorded after the fit, by channel [m, N, N m]."""
+        return dict(zip(self.channels, self.after - self.recorded, strict=True))
+
+    @property
+    def predictions(self) -> dict[str, np.ndarray]:
+        """What was simulated after the fit, by channel [m, N, N m]."""
+        return dict(zip(self.channels, self.after, strict=True))
 
     def rmse(self, fitted: bool = True) -> dict[str, float]:
         """Root mean square of simulated minus recorded where compared, by channel [m, N, N m]."""
@@ -84,6 +105,9 @@ class FitResult:
         steps: Steps of the last solve.
         failures: Runs that were left out, and why.
         findings: What the numbers mean, in sentences.
+        labels: A name for each value: shared ones, then each run's own.
+        covariance: Of the values, in their units squared, ordered as `labels`.
+        optimum: What `profile` and `bootstrap` go on from.
     """
 
     shared: Mapping[str, Value]
@@ -92,10 +116,29 @@ class FitResult:
     steps: int
     failures: Mapping[str, str]
     findings: list[str] = field(default_factory=list)
+    labels: tuple[str, ...] = ()
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    optimum: "Optimum | None" = field(default=None, repr=False)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """The same with further runs named as left out."""
         return replace(self, failures={**more, **self.failures})
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Every fitted value by its label: "lambda", "zeta of slow_a"."""
+        every = [*self.shared.values(), *(v for run in self.runs for v in run.values.values())]
+        return dict(zip(self.labels, every, strict=True)) if self.labels else {}
+
+    @property
+    def residuals(self) -> dict[str, dict[str, np.ndarray]]:
+        """Simulated minus recorded by run and channel [m, N, N m]."""
+        return {run.name: run.residuals for run in self.runs}
+
+    @property
+    def predictions(self) -> dict[str, dict[str, np.ndarray]]:
+        """Simulated channels by run and channel [m, N, N m]."""
+        return {run.name: run.predictions for run in self.runs}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -107,6 +150,7 @@ class FitResult:
         pooled = {}
         for channel in self.channels:
             runs = [run for run in self.runs if channel in run.channels]
+            runs = [run for run in runs if run.status != "diverged"] or runs
             power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in runs)
             pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in runs)))
         return pooled
@@ -116,6 +160,7 @@ class FitResult:
         channels = self.channels
         table = Table(title="simulated minus recorded, RMSE before → after the fit")
         table.add_column("run")
+        table.add_column("status")
         own = list(self.runs[0].values)
         for name in own:
             table.add_column(self.runs[0].values[name].label, justify="right")
@@ -132,9 +177,10 @@ class FitResult:
 
         for run in self.runs:
             values = [f"{run.values[n].value:.5g} ± {run.values[n].error:.2g}" for n in own]
-            table.add_row(escape(printable(run.name)), *values, *cells(run.rmse(False), run.rmse()))
+            compared = cells(run.rmse(False), run.rmse())
+            table.add_row(escape(printable(run.name)), run.status, *values, *compared)
         table.add_section()
-        table.add_row("all runs", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
+        table.add_row("all runs", "", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
         return table
 
     def document(self) -> dict:
@@ -153,6 +199,7 @@ class FitResult:
             "runs": [
                 {
                     "name": run.name,
+                    "status": run.status,
                     "values": msgspec.to_builtins(run.values),
                     "rmse_before": run.rmse(False),
                     "rmse_after": run.rmse(),
@@ -161,6 +208,28 @@ class FitResult:
                 for run in self.runs
             ],
         }
+
+    def plot(self) -> "Figure":
+        """Recorded and simulated channels of each run as a figure."""
+        from identify.figure import plot_fit
+
+        return plot_fit(self)
+
+    def sentences(self) -> list[str]:
+        """What stands under the table: shared values, findings, and what was left out."""
+        told = [str(value) for value in self.shared.values()]
+        told += self.findings
+        told += [f"left out: {name}: {why}" for name, why in self.failures.items()]
+        if self.status != "converged":
+            told.append(f"the solver is {self.status} after {self.steps} steps")
+        return told
+
+    def summary(self, width: int = 110) -> str:
+        """Table and findings as text, so many columns wide."""
+        return summary_text(self.table(), self.sentences(), width)
+
+    def _repr_html_(self) -> str:
+        return summary_html(self.table(), self.sentences())
 
     def write(self, stem: Path) -> list[Path]:
         """Write `stem`.json and `stem`.h5, from which `drft simulate --from` reads models back.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from identify.batch import Problem
 
@@ -21,6 +21,12 @@ LEAST_GAIN = 0.1
 # After so many refusals in a row, each a shorter step than the last, what is left to gain lies
 # under the simulation's resolution: stops and landings make the sum of squares rough by as much.
 MOST_REFUSED = 3
+# Steps in a row, each shorter than the last, on which a run cannot be simulated before it is put
+# aside for the others' sake.
+MOST_STRIKES = 3
+# A run whose roughness keeps the others from gaining more than this, in residual variances, is
+# left where it is while they go on.
+HELD = 1.0
 # Of the sum of squares: less is not worth a warning.
 NEGLIGIBLE = 0.01
 MOST_STEPS = 60
@@ -39,6 +45,8 @@ class Solution:
         steps: Steps taken.
         status: "converged", "stalled" or "out of steps".
         promised: Share of the sum of squares that a straight line from here says is still to gain.
+        active: False for runs that were put aside, as their simulation diverged; shape (runs,).
+            They count no more, and their own coordinates stay where they last could be simulated.
     """
 
     coordinates: Coordinates
@@ -49,10 +57,14 @@ class Solution:
     steps: int
     status: str
     promised: float
+    active: np.ndarray
 
 
 def solve(
-    problem: Problem, start: Coordinates, progress: Callable[[int, float], None] | None = None
+    problem: Problem,
+    start: Coordinates,
+    progress: Callable[[int, float], None] | None = None,
+    active: np.ndarray | None = None,
 ) -> Solution:
     """Minimise the sum of squared weighted residuals, a compiled step at a time.
 
@@ -60,32 +72,69 @@ def solve(
         problem: Batch and parameters.
         start: Coordinates to start from.
         progress: Called with the number of the step and the sum of squares so far.
+        active: False for runs that do not count.
     """
     report = progress or (lambda step, loss: None)
-    counted = int((problem.batch.observed.weight > 0).sum())
-    coordinates, state = start, _initial(problem, start)
-    loss, refused, status, number = np.inf, 0, "out of steps", 0
+    counted = (np.asarray(problem.batch.observed.weight) > 0).sum(axis=(1, 2))
+    active = np.ones(len(counted), bool) if active is None else active.copy()
+    moving = active.copy()
+    strikes = np.zeros(len(counted), int)
+
+    def begun() -> tuple:
+        task = problem, problem.everywhere(jnp.asarray(moving))
+        return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
+
+    coordinates, status, number = start, "out of steps", 0
+    task, state, loss, each, refused = begun()
     for number in range(1, MOST_STEPS + 1):
-        coordinates, state, now = _step(problem, coordinates, state)
-        now = float(now)
+        tried = state.y_eval
+        coordinates, state, now, each_now = _step(task, coordinates, state)
+        now, each_now = float(now), np.asarray(each_now)
         report(number, now)
-        accepted = now < loss
-        refused = 0 if accepted else refused + 1
-        if accepted and (loss - now) * counted <= LEAST_GAIN * now:
-            status = "converged"
-            break
-        if refused == MOST_REFUSED:
+        if now < loss:
+            if loss < np.inf and _gain(each, each_now, counted) <= LEAST_GAIN:
+                status = "converged"
+                break
+            loss, each, refused = now, each_now, 0
+            continue
+        sound, each_tried = map(np.asarray, _tried(task, coordinates, tried))
+        strikes = np.where(moving & ~sound, strikes + 1, 0)
+        if strikes.any():
+            if strikes.max() < MOST_STRIKES:
+                continue
+            active &= strikes < MOST_STRIKES
+            moving &= active
+        else:
+            refused += 1
+            if refused < MOST_REFUSED:
+                continue
+            rough = moving & (each_tried > each)
+            others = moving & ~rough
+            if not rough.any() or _gain(each[others], each_tried[others], counted[others]) <= HELD:
+                status = "stalled"
+                break
+            moving = others
+        if not moving.any():
             status = "stalled"
             break
-        loss = min(loss, now)
-    residual, blocks, belief, belief_slope = map(np.asarray, _ending(problem, coordinates))
+        task, state, loss, each, refused = begun()
+    task = problem, problem.everywhere(jnp.asarray(active))
+    residual, blocks, belief, belief_slope = map(np.asarray, _ending(task, coordinates))
     information, slope = normal_equations(blocks, len(problem.shared), residual)
     information += np.diag(belief_slope**2)
     slope += belief_slope * belief
     promised = _promised(residual, information, slope)
     if status == "stalled" and promised < NEGLIGIBLE:
         status = "converged"
-    return Solution(coordinates, residual, blocks, belief, belief_slope, number, status, promised)
+    return Solution(
+        coordinates, residual, blocks, belief, belief_slope, number, status, promised, active
+    )
+
+
+def _gain(before: np.ndarray, now: np.ndarray, counted: np.ndarray) -> float:
+    """What a step gained, in each run's residual variances: a run met badly rules no other."""
+    variance = np.maximum(now, np.finfo(float).tiny) / np.maximum(counted, 1)
+    return float(np.sum(np.where(counted > 0, np.abs(before - now) / variance, 0)))
 
 
 def _promised(residual: np.ndarray, information: np.ndarray, slope: np.ndarray) -> float:
@@ -118,49 +167,83 @@ def normal_equations(
 _SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=lx.QR())
 
 
-def _function(coordinates: Coordinates, problem: Problem) -> tuple[tuple[Array, ...], None]:
-    return (structured_residual(problem, coordinates), *problem.beliefs(*coordinates)), None
+# A problem, and which of its runs count.
+Task = tuple[Problem, Bool[Array, " runs"]]
+
+
+def _function(coordinates: Coordinates, task: Task) -> tuple[tuple[Array, ...], None]:
+    problem, _ = task
+    return (structured_residual(task, coordinates), *problem.beliefs(*coordinates)), None
 
 
 @eqx.filter_jit
-def _initial(problem: Problem, start: Coordinates):
-    shape, nothing = jax.eval_shape(_function, start, problem)
-    state = _SOLVER.init(_function, start, problem, {}, shape, nothing, frozenset())
-    return problem.everywhere(state)
+def _initial(task: Task, start: Coordinates):
+    shape, nothing = jax.eval_shape(_function, start, task)
+    state = _SOLVER.init(_function, start, task, {}, shape, nothing, frozenset())
+    return task[0].everywhere(state)
 
 
 @eqx.filter_jit
-def _step(problem: Problem, coordinates: Coordinates, state):
-    coordinates, state, _ = _SOLVER.step(_function, coordinates, problem, {}, state, frozenset())
-    coordinates, state = problem.everywhere((coordinates, state))
-    return coordinates, state, sum(jnp.sum(part**2) for part in state.f_info.residual)
+def _step(task: Task, coordinates: Coordinates, state):
+    coordinates, state, _ = _SOLVER.step(_function, coordinates, task, {}, state, frozenset())
+    coordinates, state = task[0].everywhere((coordinates, state))
+    residual, *beliefs = state.f_info.residual
+    each = jnp.sum(residual**2, axis=(1, 2))
+    return coordinates, state, each.sum() + sum(jnp.sum(part**2) for part in beliefs), each
 
 
 @eqx.filter_jit
-def _ending(problem: Problem, coordinates: Coordinates):
+def _tried(
+    task: Task, coordinates: Coordinates, tried: Coordinates
+) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
+    """Which runs can be simulated at `tried` and differentiated where the solver stands.
+
+    Also each run's sum of squares at `tried`.
+    """
+
+    def finite(values: Array) -> Bool[Array, " runs"]:
+        return jnp.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+
+    problem, _ = task
+    residual = problem.residual(*tried)
+    sound = finite(residual) & finite(problem.blocks(*coordinates)[1])
+    return sound, jnp.sum(residual**2, axis=(1, 2))
+
+
+@eqx.filter_jit
+def _ending(task: Task, coordinates: Coordinates):
+    problem, active = task
+
     def beliefs(coordinates: Coordinates) -> Array:
         shared, own = problem.beliefs(*coordinates)
         return jnp.concatenate([shared, own.ravel()])
 
     ones = jax.tree.map(jnp.ones_like, coordinates)
     # Each belief bears on one coordinate, so a single sweep gives every slope.
-    return *problem.blocks(*coordinates), *jax.jvp(beliefs, (coordinates,), (ones,))
+    ends = (_counted(active, part) for part in problem.blocks(*coordinates))
+    return *ends, *jax.jvp(beliefs, (coordinates,), (ones,))
+
+
+def _counted(active: Bool[Array, " runs"], values: Array) -> Array:
+    """`values` of each run, zero for those that do not count, whatever theirs are."""
+    return jnp.where(active.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
 
 
 @eqx.filter_custom_jvp
-def structured_residual(problem: Problem, coordinates: Coordinates) -> Array:
-    """`problem.residual`, whose derivative is made of one block for each run.
+def structured_residual(task: Task, coordinates: Coordinates) -> Array:
+    """`problem.residual` of the runs that count, its derivative made of one block for each run.
 
     The blocks are computed once, however many directions the solver asks for.
     """
-    return problem.residual(*coordinates)
+    problem, active = task
+    return _counted(active, problem.residual(*coordinates))
 
 
 @structured_residual.def_jvp
 def _structured_derivative(primals, tangents):
-    problem, coordinates = primals
+    (problem, active), coordinates = primals
     _, (shared_dot, own_dot) = tangents
-    residual, blocks = problem.blocks(*coordinates)
+    residual, blocks = (_counted(active, part) for part in problem.blocks(*coordinates))
     runs = residual.shape[0]
     spread = jnp.broadcast_to(shared_dot, (runs, shared_dot.shape[0]))
     along = jnp.concatenate([spread, own_dot], axis=1)

@@ -1,5 +1,7 @@
 """Standard errors of fitted coordinates, honest about residuals that follow one another."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from identify.solve import normal_equations
@@ -49,36 +51,59 @@ def covariance(
     Returns:
         Covariance, shape (shared + runs * own,) squared.
     """
-    number = np.maximum(counts.sum(axis=2), 1)
-    variance = np.maximum((residual**2).sum(axis=2) / number, 1.0)
-    inflation = variance.copy()
-    for run, channel in np.ndindex(variance.shape):
-        rho = lag_one_correlation(residual[run, channel], counts[run, channel])
-        inflation[run, channel] *= (1 + rho) / (1 - rho)
-    scale = counts / np.sqrt(inflation)[:, :, None]
-    information, _ = normal_equations(blocks * scale[..., None], shared, residual)
-    information -= _hidden(blocks * scale[..., None], offset * scale, phase, shared)
-    information += np.diag(belief_slope**2)
-    size = len(information)
+    whitening = Whitening.of(residual, counts, offset, phase)
+    information, _ = normal_equations(whitening.apply(blocks), shared, residual)
+    return inverse(information + np.diag(belief_slope**2))
+
+
+def inverse(information: np.ndarray) -> np.ndarray:
+    """Its inverse; a direction without information gets a very large variance."""
     values, vectors = np.linalg.eigh(information)
+    size = len(information)
     floor = values.max() * np.finfo(float).eps * size if size else 0.0
     return (vectors / np.maximum(values, max(floor, np.finfo(float).tiny))) @ vectors.T
 
 
-def _hidden(blocks: np.ndarray, offset: np.ndarray, phase: np.ndarray, shared: int) -> np.ndarray:
-    """Information that an unknown constant in each run, channel and phase takes away.
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    r"""Turns weighted residuals into numbers that scatter independently by one.
 
-    By Sherman and Morrison, with the constant's unit vector u: J^T u u^T J / (1 + u^T u).
+    A residual's covariance is its own inflated variance and, in each phase of the command, an
+    unknown constant: $1 + u u^T$ with the constant's vector u. Its inverse is the square of
+    $1 - a u u^T$ with $a = (1 - 1 / \sqrt{1 + u^T u}) / u^T u$.
+
+    Attributes:
+        scale: 1 / inflated standard deviation, zero where nothing counts, shape (runs, channels,
+            samples).
+        unit: u, shaped likewise, in every phase.
+        phase: Number of each sample's phase, shape (runs, samples).
     """
-    runs, channels, _ = offset.shape
-    own = blocks.shape[-1] - shared
-    size = shared + runs * own
-    hidden = np.zeros((size, size))
-    for run in range(runs):
-        place = np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
-        for channel in range(channels):
-            for here in (phase[run] == number for number in np.unique(phase[run])):
-                unit = offset[run, channel, here]
-                along = blocks[run, channel, here].T @ unit
-                hidden[np.ix_(place, place)] += np.outer(along, along) / (1 + unit @ unit)
-    return hidden
+
+    scale: np.ndarray
+    unit: np.ndarray
+    phase: np.ndarray
+
+    @classmethod
+    def of(
+        cls, residual: np.ndarray, counts: np.ndarray, offset: np.ndarray, phase: np.ndarray
+    ) -> "Whitening":
+        """The whitening of these residuals; arguments as for `covariance`."""
+        number = np.maximum(counts.sum(axis=2), 1)
+        inflation = np.maximum((residual**2).sum(axis=2) / number, 1.0)
+        for run, channel in np.ndindex(inflation.shape):
+            rho = lag_one_correlation(residual[run, channel], counts[run, channel])
+            inflation[run, channel] *= (1 + rho) / (1 - rho)
+        scale = counts / np.sqrt(inflation)[:, :, None]
+        return cls(scale, offset * scale, phase)
+
+    def apply(self, weighted: np.ndarray) -> np.ndarray:
+        """Weighted residuals or derivatives, shape (runs, channels, samples, ...), whitened."""
+        white = weighted * self.scale.reshape(self.scale.shape + (1,) * (weighted.ndim - 3))
+        for run, phases in enumerate(self.phase):
+            for here in (phases == number for number in np.unique(phases)):
+                unit = self.unit[run][:, here]
+                power = np.maximum(np.sum(unit**2, axis=1), np.finfo(float).tiny)
+                part = (1 - 1 / np.sqrt(1 + power)) / power
+                along = np.einsum("cs,cs...->c...", unit, white[run][:, here])
+                white[run][:, here] -= np.einsum("c,cs,c...->cs...", part, unit, along)
+        return white

@@ -28,6 +28,7 @@ from drftjax.scaling import KnotZeta
 from drftjax.setup import SetUp, ZetaKnots
 from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, sampled
+from identify.candidate import Candidate
 from identify.evidence import (
     Noise,
     Posterior,
@@ -36,7 +37,6 @@ from identify.evidence import (
     smoothest_given,
     smoothness_prior,
 )
-from identify.fit import Candidate
 from identify.observation import SMALLEST_NOISE
 
 CHANNELS = ("z", "x")

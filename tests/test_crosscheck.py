@@ -9,8 +9,8 @@ import pytest
 from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
+from identify.candidate import candidate
 from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
-from identify.fit import candidate
 from tests.command_line import Drft
 from tests.studies.crosscheck import known_run, known_setup
 

@@ -12,7 +12,8 @@ from virtual_runs import SLOW, recorded, setup_of
 from drftjax.runlog.hdf5 import read_result, read_run, write_run
 from drftjax.runlog.record import Command, Measured
 from drftjax.saved import FIT_SCHEMA, read_model
-from identify.commands import _names, _stem
+from identify.candidate import names_of
+from identify.commands import _stem
 
 # A fitted run simulated again has rows at other times; lines between them miss it by this [m].
 INTERPOLATION = 2e-6
@@ -274,7 +275,7 @@ def test_no_files_are_a_usage_error(drft):
     ],
 )
 def test_every_run_has_a_name_of_its_own(paths, names):
-    assert _names([Path(each) for each in paths]) == names
+    assert names_of([Path(each) for each in paths]) == names
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from drftjax.errors import InputError
 from drftjax.scaling import KnotZeta
 from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
+from identify.candidate import Candidate, candidate
 from identify.evidence import WEIGHTS, Noise, Products, posterior
-from identify.fit import Candidate, candidate
 from identify.zeta_path import ZetaPath, predicted, zeta_paths
 from tests.studies.crosscheck import known_run, known_setup
 

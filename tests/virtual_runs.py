@@ -8,7 +8,7 @@ from drftjax.runlog.record import Measured, RunLog, Setup
 from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
-from identify.fit import FIT_METHOD, STEPS_A_ROW, Candidate, candidate
+from identify.candidate import FIT_METHOD, STEPS_A_ROW, Candidate, candidate
 
 # Knots in time [s] and omega [rad/s]: the paper's wheel speed, and eight times as much.
 SLOW = ([0.0, 0.25, 1.0, 1.5], [0.0, 0.0, 0.5, 0.5])

@@ -80,9 +80,9 @@ def main() -> None:
     parser.add_argument("-o", type=Path, default=Path("out/crosscheck"))
     stem = parser.parse_args().o
     configure_jax()
+    from identify.candidate import candidate
     from identify.crosscheck import Setting, crosscheck
     from identify.crosscheck_command import tables, write
-    from identify.fit import candidate
 
     random = np.random.default_rng(SEED)
     grid = np.arange(0.0, TIME[-1] + FINEST / 2, FINEST)

@@ -16,8 +16,9 @@ import numpy as np
 from drftjax.runlog.record import Measured
 from drftjax.saved import simulated_run
 from drftjax.setup import SetUp, read_setup
+from identify.candidate import candidate
 from identify.design import promised
-from identify.fit import candidate, fit
+from identify.fitting import fit
 from identify.parameter import parameter
 
 NOISE = {"x": 5e-5, "z": 2e-5}

@@ -1,8 +1,7 @@
 """Fit numbers of the simulator to recorded runs."""
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -10,30 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.errors import InputError
-from drftjax.integrator import steady_step
-from drftjax.runlog.record import RunLog
-from drftjax.saved import thinned
-from drftjax.setup import SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
+from identify.candidate import Candidate
 from identify.findings import findings
 from identify.noise import AbstractNoise, White
-from identify.observation import Observation, observe
+from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.result import FitResult, RunFit, Value
-from identify.solve import Coordinates, Solution, solve
-from identify.uncertainty import covariance
-
-# Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
-FIT_METHOD = "held pace"
-STEPS_A_ROW = 5
-
-# Recorded sinkage and travel are averaged over this long for the start [s].
-START_WINDOW = 0.2
+from identify.solve import NEGLIGIBLE, solve
 
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
 REWEIGHTINGS = 2
+
+# A run whose residuals are so many times most runs' is weighed by its own: it was recorded or set
+# up amiss, and must not pass for what the others scatter by.
+ODD_MISFIT = 10.0
 
 WHITE = White()
 
@@ -44,72 +36,12 @@ MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
 Progress = Callable[[str, int, float], None]
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A run on its way into a fit.
-
-    Attributes:
-        name: The run, as reports call it.
-        setup: Its set-up and commands.
-        trial: What is simulated.
-        observation: What was recorded.
-    """
-
-    name: str
-    setup: SetUp
-    trial: Trial
-    observation: Observation
-
-
-def candidate(
-    name: str,
-    run: RunLog,
-    *,
-    zeta: float | None = None,
-    method: str = FIT_METHOD,
-    step: float | None = None,
-    keep_rest: bool = False,
-) -> Candidate:
-    """A recorded run made ready: its set-up as believed, its start as recorded.
-
-    Args:
-        name: The run, as reports call it.
-        run: What was recorded.
-        zeta: Scaling factor to start from [-]; the set-up's where none is given.
-        method: Integrator.
-        step: Its step [s]; where none is given, the longest that the command allows.
-        keep_rest: See `observe`.
-
-    Raises:
-        InputError: where the run cannot be simulated or compared.
-    """
-    try:
-        observation = observe(run, keep_rest=keep_rest)
-        setup = setup_from_run(run)
-        setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
-        setup.integrator.step = (
-            steady_step(setup.wheel.radius, run.command.time, run.command.omega)
-            if step is None
-            else step
-        )
-        early = observation.time <= max(START_WINDOW, observation.time[0])
-        if run.measured.z is not None and early.sum() > 1:
-            setup.start.sinkage = float(-run.measured.z[early].mean())
-        if run.measured.x is not None and run.command.vx is None:
-            setup.start.x = float(run.measured.x[early].mean())
-        if zeta is not None:
-            setup.terrain.zeta = zeta
-        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        return Candidate(name, setup, trial, observation)
-    except InputError as problem:
-        raise InputError(f"{name}: {problem}") from None
-
-
 def fit(
     candidates: Sequence[Candidate],
     parameters: Sequence[Parameter],
     progress: Progress | None = None,
     noise: AbstractNoise = WHITE,
+    model_error: Mapping[str, float] = MODEL_ERROR,
 ) -> FitResult:
     """Fit `parameters` to all runs together.
 
@@ -121,6 +53,8 @@ def fit(
         parameters: What to fit, shared or for each run.
         progress: Called with the stage, the solver's step and the sum of squares.
         noise: How residuals scatter.
+        model_error: How far the simulation may be off by a constant over a phase of the command,
+            by channel [m, N, N m]; none where it is empty.
 
     Raises:
         InputError: where no run is left, or two have the same name.
@@ -131,12 +65,14 @@ def fit(
     report = progress or (lambda stage, step, loss: None)
     solution = solve(problem, coordinates, lambda s, v: report("fit", s, v))
     for turn in range(REWEIGHTINGS):
-        problem = _reweighted(problem, _predicted(problem, solution.coordinates), noise)
+        active = solution.active
+        simulated = predicted(problem, solution.coordinates)
+        problem = _reweighted(problem, simulated, noise, active)
         stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
         solution = solve(
-            problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v)
+            problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v), active
         )
-    return _result(kept, problem, solution, before, failures)
+    return _result(Optimum.of(problem, solution, tuple(kept), model_error), before, failures)
 
 
 def _problem(
@@ -155,7 +91,7 @@ def _problem(
         )
         white = jnp.zeros(len(batch.channels))
         problem = Problem(batch, parameters, white, device_mesh())
-        before = _predicted(problem, problem.start())
+        before = predicted(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
         if all(fine):
             return problem, before, failures
@@ -200,24 +136,22 @@ def _require_start(parameter: Parameter, trial: Trial) -> None:
         raise InputError(f"its {quantity.name} is {value:g}, where no fit within its bounds starts")
 
 
-@eqx.filter_jit
-def _predicted_jit(problem: Problem, coordinates: Coordinates) -> jax.Array:
-    return problem.predicted(*coordinates)
-
-
-def _predicted(problem: Problem, coordinates: Coordinates) -> np.ndarray:
-    return np.asarray(_predicted_jit(problem, coordinates))
-
-
-def _reweighted(problem: Problem, predicted: np.ndarray, noise: AbstractNoise) -> Problem:
+def _reweighted(
+    problem: Problem, simulated: np.ndarray, noise: AbstractNoise, active: np.ndarray
+) -> Problem:
     """The problem with each channel weighed, and whitened, by its residuals over all runs."""
     weight = np.asarray(problem.batch.observed.weight)
-    counts = weight > 0
-    raw = np.where(counts, predicted - np.asarray(problem.batch.observed.values), 0)
-    power = (raw**2).sum(axis=(0, 2)) / np.maximum(counts.sum(axis=(0, 2)), 1)
+    counts = (weight > 0) & active[:, None, None]
+    raw = np.where(counts, simulated - np.asarray(problem.batch.observed.values), 0)
+    number = counts.sum(axis=2)
+    each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
     # A channel that is met better than its instrument can tell must not rule the others.
     finest = 1 / weight.max(axis=(0, 2))
-    fresh = counts / np.maximum(np.sqrt(power), finest)[:, None]
+    usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]
+    odd = each > ODD_MISFIT * np.maximum(usual, finest)
+    kept = np.where(odd, 0, number)
+    pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
+    fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
     return eqx.tree_at(
         lambda p: (p.batch.observed.weight, p.correlation),
         problem,
@@ -225,30 +159,20 @@ def _reweighted(problem: Problem, predicted: np.ndarray, noise: AbstractNoise) -
     )
 
 
-def _result(
-    candidates: list[Candidate],
-    problem: Problem,
-    solution: Solution,
-    before: np.ndarray,
-    failures: dict[str, str],
-) -> FitResult:
-    counts = np.asarray(problem.batch.observed.weight) > 0
-    spread = covariance(
-        solution.residual,
-        solution.blocks,
-        counts,
-        len(problem.shared),
-        solution.belief_slope,
-        _offset(problem),
-        _phases(candidates, counts),
-    )
-    error = np.sqrt(np.diag(spread))
+def _lower_median(values: np.ndarray) -> float:
+    return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
+
+
+def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> FitResult:
+    problem, solution, candidates = optimum.problem, optimum.solution, optimum.candidates
+    error = np.sqrt(np.diag(optimum.covariance))
     shared_coordinates, own_coordinates = solution.coordinates
-    shared_count = len(problem.shared)
-    own_error = error[shared_count:].reshape(own_coordinates.shape)
-    shared = _values(problem.shared, shared_coordinates, error[:shared_count])
-    after = _predicted(problem, solution.coordinates)
+    own_error = error[optimum.shared :].reshape(own_coordinates.shape)
+    own_error = np.where(solution.active[:, None], own_error, np.inf)
+    shared = _values(problem.shared, shared_coordinates, error[: optimum.shared])
+    after = predicted(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
+    states = run_states(optimum)
 
     runs = []
     for index, each in enumerate(candidates):
@@ -271,11 +195,14 @@ def _result(
                 recorded=recorded[index, picked, :length],
                 before=before[index, picked, :length],
                 after=after[index, picked, :length],
+                status=states[index],
             )
         )
     ends = [*zip(problem.shared, shared_coordinates, strict=True)]
     ends += [*zip(problem.own, own_coordinates[: len(runs)].T, strict=True)]
     bounded = [p.quantity.label for p, at in ends if np.any(p.near_bound(at))]
+    size = len(optimum.ordered)
+    spread = optimum.covariance[:size, :size]
     return FitResult(
         shared=shared,
         runs=runs,
@@ -283,25 +210,40 @@ def _result(
         steps=solution.steps,
         failures=failures,
         findings=findings(problem.parameters, shared, runs, spread, bounded),
+        labels=optimum.labels,
+        covariance=optimum.covariance_of_values,
+        optimum=optimum,
     )
 
 
-def _offset(problem: Problem) -> np.ndarray:
-    """Weighted residual that the simulation's own error makes, held over a phase."""
-    error = np.array([MODEL_ERROR[channel] for channel in problem.batch.channels])[:, None]
-    carried = np.asarray(problem.correlation)[:, None]
-    whitened = (1 - carried) / np.sqrt(1 - carried**2)
-    return np.asarray(problem.batch.observed.weight) * error * whitened
+def run_states(optimum: Optimum) -> list[str]:
+    """How each run ended: "converged", "at a bound", "stalled" or "diverged".
 
-
-def _phases(candidates: list[Candidate], counts: np.ndarray) -> np.ndarray:
-    """Number of the phase of the command (a straight piece of it) that each sample falls in."""
-    phases = np.zeros((counts.shape[0], counts.shape[2]), int)
-    for index, each in enumerate(candidates):
-        knots = np.asarray(thinned(each.setup.command).time)
-        time = each.observation.time + knots[0]
-        phases[index, : len(time)] = np.searchsorted(knots, time, side="right")
-    return phases
+    A run has stalled where a straight line still promises to lower its own sum of squares by a
+    noticeable part, moving its own parameters by more than their errors.
+    """
+    problem, solution = optimum.problem, optimum.solution
+    _, own = map(np.asarray, solution.coordinates)
+    white = optimum.whitening.apply(solution.blocks)[..., optimum.shared :]
+    left = optimum.whitening.apply(solution.residual)
+    beliefs = solution.belief[optimum.shared :].reshape(own.shape)
+    slopes = solution.belief_slope[optimum.shared :].reshape(own.shape)
+    states = []
+    for run in range(len(optimum.candidates)):
+        if not solution.active[run]:
+            states.append("diverged")
+            continue
+        if any(bool(p.near_bound(own[run, k])) for k, p in enumerate(problem.own)):
+            states.append("at a bound")
+            continue
+        rows = white[run].reshape(-1, optimum.own)
+        information = rows.T @ rows + np.diag(slopes[run] ** 2)
+        slope = rows.T @ left[run].ravel() + slopes[run] * beliefs[run]
+        gain = float(slope @ np.linalg.lstsq(information, slope, rcond=None)[0])
+        unsettled = gain > max(NEGLIGIBLE * float(np.sum(left[run] ** 2)), 1.0)
+        unsettled |= solution.status != "converged" and not optimum.own
+        states.append("stalled" if unsettled else "converged")
+    return states
 
 
 def _values(

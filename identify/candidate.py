@@ -1,0 +1,169 @@
+"""Runs on their way into a fit: from files, run logs and set-ups to what can be simulated."""
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from drftjax.errors import InputError
+from drftjax.integrator import steady_step
+from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.record import RunLog
+from drftjax.setup import CommandSetUp, SetUp, setup_from_run
+from drftjax.trial import Trial
+from identify.observation import Observation, observe
+
+# Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
+FIT_METHOD = "held pace"
+STEPS_A_ROW = 5
+
+# Recorded sinkage and travel are averaged over this long for the start [s].
+START_WINDOW = 0.2
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A run on its way into a fit.
+
+    Attributes:
+        name: The run, as reports call it.
+        setup: Its set-up and commands.
+        trial: What is simulated.
+        observation: What was recorded.
+    """
+
+    name: str
+    setup: SetUp
+    trial: Trial
+    observation: Observation
+
+
+def candidate(
+    name: str,
+    run: RunLog,
+    *,
+    model: SetUp | None = None,
+    zeta: float | None = None,
+    method: str = FIT_METHOD,
+    step: float | None = None,
+    keep_rest: bool = False,
+) -> Candidate:
+    """A recorded run made ready: its set-up as believed, its start as recorded.
+
+    Args:
+        name: The run, as reports call it.
+        run: What was recorded.
+        model: Wheel, sand and rig in place of what the run log believes of them.
+        zeta: Scaling factor to start from [-]; the set-up's where none is given.
+        method: Integrator.
+        step: Its step [s]; where none is given, the longest that the command allows.
+        keep_rest: See `observe`.
+
+    Raises:
+        InputError: where the run cannot be simulated or compared.
+    """
+    try:
+        observation = observe(run, keep_rest=keep_rest)
+        setup = setup_from_run(run) if model is None else _commanded(model, run)
+        setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
+        setup.integrator.step = (
+            steady_step(setup.wheel.radius, run.command.time, run.command.omega)
+            if step is None
+            else step
+        )
+        early = observation.time <= max(START_WINDOW, observation.time[0])
+        if run.measured.z is not None and early.sum() > 1:
+            setup.start.sinkage = float(-run.measured.z[early].mean())
+        if run.measured.x is not None and run.command.vx is None:
+            setup.start.x = float(run.measured.x[early].mean())
+        if zeta is not None:
+            setup.terrain.zeta = zeta
+        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
+        return Candidate(name, setup, trial, observation)
+    except InputError as problem:
+        raise InputError(f"{name}: {problem}") from None
+
+
+def _commanded(model: SetUp, run: RunLog) -> SetUp:
+    """A model under a recorded run's command, with the carriage that the run had."""
+    setup = copy.deepcopy(model)
+    command = run.command
+    vx = None if command.vx is None else command.vx.tolist()
+    setup.command = CommandSetUp(command.time.tolist(), command.omega.tolist(), vx)
+    setup.rig.carriage = "free" if vx is None else "driven"
+    setup.title = run.title
+    return setup
+
+
+Run: TypeAlias = str | Path | RunLog | tuple[SetUp, RunLog] | Candidate
+
+
+def candidates_of(
+    runs: Run | Sequence[Run] | Mapping[str, Run], model: SetUp | None = None, **options
+) -> list[Candidate]:
+    """Runs made ready, each with a name of its own.
+
+    Args:
+        runs: Files, run logs, pairs of a model and a run log, or candidates: one, several, or
+            several by name. Run logs without a name go by their number.
+        model: Wheel, sand and rig of all runs that do not bring their own; each run log's where
+            none is given.
+        options: See `candidate`.
+
+    Raises:
+        InputError: names the run, and what must hold.
+    """
+    if isinstance(runs, Mapping):
+        named: dict[str, object] = dict(runs)
+    else:
+        alone = isinstance(runs, str) or not isinstance(runs, Iterable) or _is_pair(runs)
+        several: list[object] = [runs] if alone else list(runs)  # pyright: ignore
+        stems = iter(names_of([Path(r) for r in several if isinstance(r, str | Path)]))
+        names = [
+            next(stems)
+            if isinstance(each, str | Path)
+            else each.name
+            if isinstance(each, Candidate)
+            else f"run {number}"
+            for number, each in enumerate(several, start=1)
+        ]
+        if len(set(names)) < len(names):
+            raise InputError(f"two runs have one name among {', '.join(names)}; names must differ")
+        named = dict(zip(names, several, strict=True))
+    return [_made_ready(name, each, model, options) for name, each in named.items()]
+
+
+def _is_pair(run: object) -> bool:
+    return isinstance(run, tuple) and len(run) == 2 and isinstance(run[0], SetUp)
+
+
+def _made_ready(name: str, run: object, model: SetUp | None, options: dict) -> Candidate:
+    if isinstance(run, Candidate):
+        return run
+    if _is_pair(run):
+        model, run = run  # pyright: ignore[reportGeneralTypeIssues]
+    if isinstance(run, str | Path):
+        run = read_run(run)
+    if not isinstance(run, RunLog):
+        raise InputError(
+            f"{name} is {type(run).__name__}; a run is a file, a RunLog, or a SetUp with a RunLog"
+        )
+    return candidate(name, run, model=model, **options)
+
+
+def names_of(paths: list[Path]) -> list[str]:
+    """Each run's file stem, with its folder where two are the same, then numbered."""
+    stems = [path.stem for path in paths]
+    names: list[str] = []
+    for path in paths:
+        several = stems.count(path.stem) > 1
+        wanted = "_".join(path.with_suffix("").parts[-2:]) if several else path.stem
+        # A name becomes a group of an HDF5 file.
+        wanted = wanted.replace("/", "").strip(".") or "run"
+        name, number = wanted, 1
+        while name in names:
+            number += 1
+            name = f"{wanted}_{number}"
+        names.append(name)
+    return names

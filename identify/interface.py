@@ -1,0 +1,64 @@
+"""`identify.fit`: recorded runs in, fitted numbers out, in one call."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+
+from drftjax.errors import InputError
+from drftjax.setup import SetUp
+from identify.candidate import Run, candidates_of
+from identify.fitting import WHITE, Progress
+from identify.fitting import fit as fit_candidates
+from identify.noise import AbstractNoise
+from identify.parameter import Parameter, parameter, require_once
+from identify.result import FitResult
+
+# The sand's preparation and the start are each run's own; the rest belongs to sand and rig.
+EACH_RUNS_OWN = ("terrain.zeta", "start")
+
+
+def fit(
+    runs: Run | Sequence[Run] | Mapping[str, Run],
+    model: SetUp | None = None,
+    parameters: str | Parameter | Sequence[str | Parameter] = ("zeta", "lambda"),
+    *,
+    noise: AbstractNoise = WHITE,
+    starts: int = 1,
+    keep_rest: bool = False,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit numbers of the simulator to recorded runs, as `drft fit` does.
+
+        result = identify.fit(["a.h5", "b.h5"], parameters=["zeta", "rig.mass_z"])
+        print(result.summary())
+
+    Computes in double precision whatever the program around it uses.
+
+    Args:
+        runs: Files, run logs or pairs of a set-up and a run log; one, several, or several by name.
+        model: Wheel, sand and rig in place of what the run logs believe of them; commands and
+            starts are always the runs'.
+        parameters: Names, or `identify.own(...)` and `identify.shared(...)`. By name alone, zeta
+            and the start are each run's own, and all else is shared by the runs.
+        noise: How residuals scatter.
+        starts: Starting points to try; see `identify.multistart`.
+        keep_rest: Whether samples after the last stop are compared too.
+        progress: Called with the stage, the solver's step and the sum of squares.
+
+    Raises:
+        InputError: where a run, a parameter or the whole cannot be fitted, and why.
+    """
+    listed = [parameters] if isinstance(parameters, str | Parameter) else list(parameters)
+    if not listed:
+        raise InputError("no parameter is named; give one or more, such as 'zeta'")
+    wanted = [each if isinstance(each, Parameter) else _by_name(each) for each in listed]
+    require_once(wanted)
+    with jax.enable_x64(True):
+        candidates = candidates_of(runs, model, keep_rest=keep_rest)
+        return fit_candidates(candidates, wanted, progress, noise)
+
+
+def _by_name(name: str) -> Parameter:
+    each = parameter(name, shared=True)
+    own = each.quantity.name.startswith(EACH_RUNS_OWN)
+    return parameter(name, shared=not own)

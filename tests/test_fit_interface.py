@@ -1,0 +1,210 @@
+"""`identify.fit`: files, run logs and models in; values, covariance, summaries and figures out."""
+
+import dataclasses
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from virtual_runs import SLOW, recorded, setup_of
+
+import identify
+from drftjax.errors import InputError
+from drftjax.runlog.hdf5 import write_run
+from drftjax.runlog.record import Measured
+from identify.candidate import candidates_of
+from identify.fitting import fit as fit_candidates
+from identify.solve import solve
+
+# Two programs of one fit sum in another order, and stop within a small part of the errors.
+SAME_FIT = 0.5
+ROUNDING = 1e-9
+# The toy problem is linear; its noise is 0.01, and solvers stop within a small part of the errors.
+LINEAR = 1e-4
+
+BRACKETS = "sand [bold]x"
+
+
+@pytest.fixture(scope="session")
+def model():
+    """The wheel and rig of the virtual runs, with the sand as believed."""
+    setup = setup_of(SLOW)
+    setup.terrain.zeta = 0.7823
+    return setup
+
+
+@pytest.fixture(scope="session")
+def runs():
+    return {
+        "first": recorded(setup_of(SLOW, 0.73), 1),
+        BRACKETS: recorded(setup_of(SLOW, 0.77), 2),
+    }
+
+
+@pytest.fixture(scope="session")
+def result(runs, model):
+    return identify.fit(runs, model, "zeta")
+
+
+def test_importing_identify_leaves_jax_alone():
+    code = "import sys, identify; assert 'jax' not in sys.modules; identify.fit; import jax"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="fitt"):
+        _ = identify.fitt
+
+
+def test_fit_finds_what_the_runs_were_made_with(result):
+    assert list(result.values) == ["zeta of first", f"zeta of {BRACKETS}"]
+    for value, truth in zip(result.values.values(), (0.73, 0.77), strict=True):
+        assert abs(value.value - truth) < 2 * value.error
+    assert [run.status for run in result.runs] == ["converged", "converged"]
+
+
+def test_covariance_residuals_and_predictions_belong_to_the_values(result, runs):
+    errors = [value.error for value in result.values.values()]
+    assert result.covariance.shape == (2, 2)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), errors, rtol=ROUNDING)
+    for name, run in runs.items():
+        left = result.predictions[name]["z"] - run.measured.z
+        np.testing.assert_allclose(result.residuals[name]["z"], left, atol=ROUNDING)
+
+
+def test_summaries_name_every_run_and_status(result):
+    text, html = result.summary(), result._repr_html_()
+    for name in result.residuals:
+        assert name in text
+        assert name in html
+    assert text.count("converged") == 2
+    assert html.startswith("<pre")
+    assert result.plot().axes
+
+
+def test_a_file_a_log_and_a_pair_are_one_run(result, runs, model, tmp_path):
+    write_run(tmp_path / "first.h5", runs["first"])
+    ways = [
+        candidates_of(tmp_path / "first.h5", model),
+        candidates_of(runs["first"], model),
+        candidates_of((model, runs["first"])),
+        candidates_of([str(tmp_path / "first.h5")], model),
+    ]
+    assert [each.name for (each,) in ways] == ["first", "run 1", "run 1", "first"]
+    for (each,) in ways:
+        assert each.setup.wheel == model.wheel
+        np.testing.assert_array_equal(each.observation.values, ways[0][0].observation.values)
+        assert each.setup.terrain.zeta == 0.7823
+    (alone,) = candidates_of(runs["first"])
+    assert alone.setup.wheel.plate_size != model.wheel.plate_size
+
+
+def test_single_precision_around_it_changes_nothing(result, runs, model):
+    with jax.enable_x64(False):
+        again = identify.fit({"first": runs["first"]}, model, "zeta")
+        assert jnp.ones(1).dtype == jnp.float32
+    ours, theirs = again.values["zeta of first"], result.values["zeta of first"]
+    assert abs(ours.value - theirs.value) < SAME_FIT * theirs.error
+
+
+@pytest.mark.parametrize(
+    ("given", "parameters", "said"),
+    [
+        ("gone.h5", "zeta", "gone.h5"),
+        ([], "zeta", "no run is left to fit"),
+        (3.0, "zeta", "run 1 is float; a run is a file"),
+        ("first", [], "no parameter is named"),
+        ("first", "zeto", "did you mean zeta"),
+        ("first", ["zeta", identify.shared("terrain.zeta")], "asked for twice"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said_in_a_sentence(runs, given, parameters, said):
+    given = runs["first"] if given == "first" else given
+    with pytest.raises(InputError, match=said):
+        identify.fit(given, parameters=parameters)
+
+
+# How runs end -----------------------------------------------------------------------------------
+
+
+# To (1, 2, 3) and to (1, 4, 9).
+ORTHOGONAL = jnp.array([3.0, -3.0, 1.0])
+
+
+class Weights(eqx.Module):
+    weight: jax.Array
+
+
+class Recordings(eqx.Module):
+    observed: Weights
+
+
+class Toy(eqx.Module):
+    """Runs that record their own number plus a shared one; past `edge` no run can be simulated."""
+
+    targets: jax.Array
+    edge: jax.Array
+    batch: Recordings
+    shared: tuple = eqx.field(static=True, default=("shared",))
+
+    def everywhere(self, values):
+        return values
+
+    def beliefs(self, shared, own):
+        return 0 * shared, 0 * own
+
+    def residual(self, shared, own):
+        fine = own[:, :1] < self.edge
+        ramp = jnp.arange(1.0, 4.0)
+        left = own * ramp + shared * ramp**2 - (self.targets[:, None] * ramp + ramp**2)
+        left += 0.01 * ORTHOGONAL  # noise that neither number can follow
+        return jnp.where(fine, left, jnp.nan)[:, None, :]
+
+    def blocks(self, shared, own):
+        residual = self.residual(shared, own)
+        ramp = jnp.arange(1.0, 4.0)
+        slope = jnp.stack([ramp**2, ramp], axis=-1)
+        return residual, jnp.where(jnp.isfinite(residual)[..., None], slope, jnp.nan)
+
+
+def toy(targets, edge):
+    weight = jnp.ones((len(targets), 1, 3))
+    problem = Toy(jnp.asarray(targets), jnp.asarray(edge), Recordings(Weights(weight)))
+    return solve(problem, (jnp.zeros(1), jnp.zeros((len(targets), 1))))
+
+
+def test_a_run_that_diverges_is_put_aside_and_the_others_converge():
+    solution = toy([0.5, 5.0, 1.0], edge=2.0)
+    assert solution.status == "converged"
+    assert solution.active.tolist() == [True, False, True]
+    shared, own = solution.coordinates
+    assert float(shared[0]) == pytest.approx(1.0, abs=LINEAR)
+    np.testing.assert_allclose(own[[0, 2], 0], [0.5, 1.0], atol=LINEAR)
+    assert float(own[1, 0]) < 2.0
+    assert not np.any(solution.residual[1])
+    assert np.isfinite(solution.blocks).all()
+
+
+def test_all_runs_count_where_none_diverges():
+    solution = toy([0.5, 1.0], edge=2.0)
+    assert solution.active.all()
+    np.testing.assert_allclose(solution.coordinates[1][:, 0], [0.5, 1.0], atol=LINEAR)
+
+
+def test_a_run_at_its_bound_says_so(runs, model):
+    bounded = identify.own("zeta", bounds=(0.76, 0.9), start=0.8)
+    result = fit_candidates(candidates_of(runs, model), [bounded])
+    assert [run.status for run in result.runs] == ["at a bound", "converged"]
+    assert result.document()["runs"][0]["status"] == "at a bound"
+    assert "at a bound" in result.summary()
+
+
+def test_a_run_that_cannot_be_met_leaves_the_others_as_they_are(runs, model, result):
+    """Its recording is of a wheel that rises out of the sand: no zeta is large enough."""
+    run = runs["first"]
+    rising = Measured(time=run.measured.time, x=run.measured.x, z=run.measured.z + 0.05)
+    bad = dataclasses.replace(run, measured=rising)
+    mixed = identify.fit({"bad": bad, BRACKETS: runs[BRACKETS]}, model, "zeta")
+    ours, theirs = (each.values[f"zeta of {BRACKETS}"] for each in (mixed, result))
+    assert abs(ours.value - theirs.value) < SAME_FIT * theirs.error
+    assert mixed.runs[1].status == "converged"
