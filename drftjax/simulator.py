@@ -41,12 +41,16 @@ class State(eqx.Module):
     memory: chain.Memories = ()
 
     @classmethod
-    def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0) -> "State":
-        """A standing wheel at this sinkage [m], place x [m] and angle [rad]."""
+    def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0, speed: Real = 0.0) -> "State":
+        """A wheel that does not turn at this sinkage [m], place x [m] and angle [rad].
+
+        Its carriage may roll forward at some speed [m/s].
+        """
         depth = as_real(sinkage)
         nought = jnp.zeros((), depth.dtype)
         place = jnp.stack([nought + x, -depth])
-        return cls(nought, place, jnp.zeros_like(place), nought + angle, nought)
+        velocity = jnp.stack([nought + speed, nought])
+        return cls(nought, place, velocity, nought + angle, nought)
 
 
 class Output(eqx.Module):
@@ -154,8 +158,10 @@ class Simulator(eqx.Module):
         effects = simulator.effects
         if not effects:
             return dataclasses.replace(state, memory=())
-        truth = dataclasses.replace(simulator, effects=()).observe(state, command)
-        return dataclasses.replace(state, memory=chain.begin(effects, truth))
+        state = dataclasses.replace(state, memory=chain.begin(effects, state))
+        truth, dt = simulator._truth(state, command)
+        memory = chain.begin_reading(effects, state.memory, truth, dt)
+        return dataclasses.replace(state, memory=memory)
 
     def remembered(self, state: State, command: Command) -> State:
         """The state as it is, or begun where nothing is remembered yet."""
@@ -272,6 +278,12 @@ class Simulator(eqx.Module):
     def observe(self, state: State, command: Command) -> Output:
         """The output of a state as it stands, without a step: a run's first row."""
         self = self.prepared()
+        truth, dt = self._truth(state, command)
+        # Between two steps no time passes: a lagging instrument reads what it last held.
+        return chain.read(self.effects, state.memory, truth, dt)[0]
+
+    def _truth(self, state: State, command: Command) -> tuple[Output, Float[Array, ""]]:
+        """What is, before any instrument reads it, and the instant that a reading takes [s]."""
         effects, memory = self.effects, state.memory
         dt = jnp.full_like(state.time, INSTANT)
         moment = Moment(
@@ -288,9 +300,7 @@ class Simulator(eqx.Module):
         place, velocity = state.position, state.velocity
         sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
         piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
-        truth = self._output(state, sand.at[:2].add(piled), zeta)
-        # Between two steps no time passes: a lagging instrument reads what it last held.
-        return chain.read(effects, memory, truth, dt)[0]
+        return self._output(state, sand.at[:2].add(piled), zeta), dt
 
     def _output(self, state: State, sand: Float[Array, "3"], zeta: Float[Array, ""]) -> Output:
         x, z = state.position

@@ -27,7 +27,7 @@ from drftjax.stress import PlateMotion
 from drftjax.wheel import Plates
 
 if TYPE_CHECKING:
-    from drftjax.simulator import Output
+    from drftjax.simulator import Output, State
 
 Effects = tuple[AbstractEffect, ...]
 Memories = tuple[Memory, ...]
@@ -35,22 +35,33 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-def begin(effects: Effects, truth: "Output") -> Memories:
-    """Memories at the start of a run, from the true output there."""
+def begin(effects: Effects, state: "State") -> Memories:
+    """Memories at the start of a run, from where the wheel is and how it turns there.
+
+    Those of sensors follow by `begin_reading`, from an output that the other effects bear on.
+    """
 
     def of(effect: AbstractEffect) -> Memory:
         match effect:
             case AbstractDrive():
-                return effect.begin(truth.omega, truth.angle)
+                return effect.begin(state.omega, state.angle)
             case AbstractLoad():
-                return effect.begin(jnp.stack([truth.x, truth.z]))
+                return effect.begin(state.position)
             case AbstractZetaFactor() | AbstractSurface():
                 return effect.begin()
-            case AbstractSensor():
-                return effect.begin(truth)
         return ()
 
     return tuple(of(each) for each in effects)
+
+
+def begin_reading(effects: Effects, memories: Memories, truth: "Output", dt: Number) -> Memories:
+    """Memories with those of the sensors, each begun on what the one before it reads."""
+    reading, begun = truth, list(memories)
+    for index, effect in enumerate(effects):
+        if isinstance(effect, AbstractSensor):
+            begun[index] = effect.begin(reading)
+            reading, _ = effect.read(reading, dt, begun[index])
+    return tuple(begun)
 
 
 def advance(effects: Effects, memories: Memories, moment: Moment) -> Memories:

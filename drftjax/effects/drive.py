@@ -51,7 +51,7 @@ class SpeedLag(AbstractDrive):
         self, omega: Number, angle: Number, dt: Number, memory: Memory
     ) -> tuple[Number, Memory]:
         # Implicit, so that no lag is the command itself and a little lag already counts.
-        followed = (self.lag * memory + dt * omega) / (self.lag + dt)
+        followed = omega + self.lag / (self.lag + dt) * (memory - omega)
         return followed, followed
 
 
@@ -84,7 +84,7 @@ class Backlash(AbstractDrive):
     about: ClassVar = About(
         "backlash",
         "drive",
-        "ω = 0 until the drive has turned by play, then ω_cmd",
+        "ω = 0 until the drive has turned by play either way, then ω_cmd",
         "the wheel starts late by an angle",
     )
     play: Number = strength("rad", 0.05, "angle of the drive before the wheel follows")
@@ -95,9 +95,11 @@ class Backlash(AbstractDrive):
     def turn(
         self, omega: Number, angle: Number, dt: Number, memory: Memory
     ) -> tuple[Number, Memory]:
-        turned = memory + dt * omega
         # Play under the width takes a share of it, so that the angle lost is the play itself.
         held = jnp.maximum(self.play, PLAY_WIDTH)
+        # Beyond, the drive takes the wheel along; on its way back it crosses the play again.
+        end = held + PLAY_WIDTH / 2
+        turned = jnp.clip(memory + dt * omega, -end, end)
         way = jnp.clip((jnp.abs(turned) - held) / PLAY_WIDTH + 0.5, 0, 1)
         taken_up = way * way * (3 - 2 * way)
         loose = jnp.minimum(self.play / PLAY_WIDTH, 1) * (1 - taken_up)

@@ -91,9 +91,10 @@ class MeasurementDelay(AbstractSensor):
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
         lag = self.delay / DELAY_STAGES
+        share = lag / (lag + dt)
         value, held = _channels(output), []
         for stage in range(DELAY_STAGES):
-            value = (lag * memory[stage] + dt * value) / (lag + dt)
+            value = value + share * (memory[stage] - value)
             held.append(value)
         return _with_channels(output, value), jnp.stack(held)
 
@@ -113,7 +114,8 @@ class MeasurementFilter(AbstractSensor):
         return _channels(output)
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        value = (self.lag * memory + dt * _channels(output)) / (self.lag + dt)
+        value = _channels(output)
+        value = value + self.lag / (self.lag + dt) * (memory - value)
         return _with_channels(output, value), value
 
 

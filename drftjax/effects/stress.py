@@ -94,9 +94,7 @@ class Cohesion(AbstractStressFactor):
 def _dynamic(simulator: "Simulator", name: str) -> Dynamic:
     law = simulator.terrain.law
     if not isinstance(law, Dynamic):
-        raise InputError(
-            f"{name} needs the dynamic stress law, if with its terms at 0"
-        )
+        raise InputError(f"{name} needs the dynamic stress law, if with its terms at 0")
     return law
 
 

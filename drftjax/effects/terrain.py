@@ -94,7 +94,7 @@ class Bulldozing(AbstractSandLoad):
     about: ClassVar = About(
         "bulldozing",
         "terrain",
-        "F_x = -force (1 - exp(-travel / length))",
+        "F_x = -force (1 - exp(-|travel| / length)) sign(travel)",
         "sand piles up ahead: resistance that grows with travel and saturates",
     )
     force: Number = strength("N", 5.0, "resistance in the end")
@@ -107,8 +107,9 @@ class Bulldozing(AbstractSandLoad):
         return memory
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        travel = jnp.abs(position[0] - memory)
-        resistance = -self.force * (1 - jnp.exp(-travel / self.length))
+        travel = position[0] - memory
+        piled = 1 - jnp.exp(-jnp.abs(travel) / self.length)
+        resistance = -self.force * jnp.sign(travel) * piled
         return jnp.stack([resistance, jnp.zeros_like(resistance)])
 
 

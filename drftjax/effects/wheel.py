@@ -12,6 +12,7 @@ from drftjax.effects.stage import (
     AbstractAdjustment,
     AbstractLoad,
     AbstractPlacement,
+    AbstractSurface,
     Memory,
     Moment,
     strength,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from drftjax.simulator import Simulator
 
 Number = Float[Array, ""]
+Each = Float[Array, " plates"]
 
 
 class WheelRadius(AbstractAdjustment):
@@ -57,8 +59,11 @@ class GrouserHeight(AbstractAdjustment):
         return eqx.tree_at(lambda s: s.wheel.grouser_height, simulator, height)
 
 
-class Eccentricity(AbstractPlacement):
-    """The axle is off the wheel's centre; z = 0 where the wheel touches at angle zero."""
+class Eccentricity(AbstractPlacement, AbstractSurface):
+    """The axle is off the wheel's centre; z = 0 where the wheel touches at angle zero.
+
+    So the surface lies higher, as seen from z = 0, by what the wheel's lowest point does.
+    """
 
     about: ClassVar = About(
         "eccentricity",
@@ -72,8 +77,17 @@ class Eccentricity(AbstractPlacement):
     def place(self, plates: Plates, angle: Number) -> Plates:
         cosine, sine = jnp.cos(angle), jnp.sin(angle)
         x = self.along * cosine + self.up * sine
-        z = self.up * cosine - self.along * sine - self.up
+        z = self.up * cosine - self.along * sine
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def height(self, x: Each, memory: Memory) -> Each:
+        return jnp.broadcast_to(self.up, x.shape)
 
 
 class Imbalance(AbstractLoad):

@@ -1,0 +1,90 @@
+"""What each effect costs: its step's time over the plain step's, on the paper's 24 s at 1 ms.
+
+    python -m tests.benchmarks.effects          # a Markdown table
+
+The runs with and without an effect take turns, and each ratio is that of the shortest of several
+runs, so that other work on the machine shows little.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+from drftjax.commands.runtime import configure_jax
+
+configure_jax()
+
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+
+from drftjax.command import command_at  # noqa: E402
+from drftjax.effects.catalogue import catalogue, strengths  # noqa: E402
+from drftjax.effects.catalogue import numbers as numbers_of  # noqa: E402
+from drftjax.rollout import simulate, step_times  # noqa: E402
+from drftjax.simulator import Simulator, State  # noqa: E402
+
+KNOTS = (0.0, 2.0, 7.0, 17.0, 22.0, 24.0)
+OMEGA = (0.0, 0.0, 0.5236, 0.5236, 0.0, 0.0)
+STEP, EVERY = 1e-3, 20
+DEARER = 1.5
+
+
+def typical(effect):
+    """The effect with every strength at its typical size."""
+    about = numbers_of(effect)
+    return effect(**{name: about[name]["typical"] for name in strengths(effect)})
+
+
+def program(effects):
+    """A compiled run with these effects, and its arguments."""
+    simulator = replace(Simulator(), effects=tuple(effects))
+    steps = step_times(round(KNOTS[-1] / STEP), STEP)
+    commands = command_at(steps, jnp.asarray(KNOTS), jnp.asarray(OMEGA))
+
+    def run(simulator):
+        rows = simulate(simulator, State.at_rest(0.0176), commands, STEP, every=EVERY)[1]
+        return rows.x, rows.z
+
+    return eqx.filter_jit(run).lower(simulator).compile(), simulator
+
+
+def seconds(compiled, simulator) -> float:
+    start = time.perf_counter()
+    jax.block_until_ready(compiled(simulator))
+    return time.perf_counter() - start
+
+
+def cost(effects, plain, repeats: int) -> tuple[float, float]:
+    """Shortest times [s] of a run with these effects and of one without, taken in turns."""
+    with_effects = program(effects)
+    pairs = [(seconds(*with_effects), seconds(*plain)) for _ in range(repeats + 1)][1:]
+    return min(a for a, _ in pairs), min(b for _, b in pairs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("names", nargs="*", help="effects to measure; all where none is named")
+    chosen = parser.parse_args()
+    known = catalogue()
+    plain = program(())
+    steps = KNOTS[-1] / STEP
+    print("| effect | stage | µs a step | over the plain step |\n|---|---|---|---|")
+    for name in chosen.names or known:
+        taken, bare = cost((typical(known[name]),), plain, chosen.repeats)
+        mark = " **dear**" if taken > DEARER * bare else ""
+        print(
+            f"| {name} | {known[name].about.stage} | {taken / steps * 1e6:.2f} "
+            f"| {taken / bare:.2f}{mark} |",
+            flush=True,
+        )
+    everything = tuple(typical(each) for each in known.values())
+    if not chosen.names:
+        taken, bare = cost(everything, plain, chosen.repeats)
+        print(f"| all at once | | {taken / steps * 1e6:.2f} | {taken / bare:.2f} |")
+        print(f"| none | | {bare / steps * 1e6:.2f} | 1.00 |")
+
+
+if __name__ == "__main__":
+    main()
