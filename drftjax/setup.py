@@ -147,11 +147,12 @@ class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
-    """[start]: sinkage and x in metres, wheel angle in radians; at rest."""
+    """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s."""
 
     sinkage: float = 0.0176
     x: float = 0.0
     angle: float = 0.0
+    speed: float = 0.0
 
 
 class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -224,6 +225,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         require_between("start sinkage", self.start.sinkage, -radius, radius, " m")
         require_between("start x", self.start.x, -1e3, 1e3, " m")
         require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
+        require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")
         require_between(
             "the number of steps",
             (command.time[-1] - command.time[0]) / self.integrator.step,
@@ -231,7 +233,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             MOST_STEPS,
             " (times are in seconds)",
         )
-        start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle)
+        start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
         return Trial.of(simulator, start, command, self.integrator.step, interval)
 
 

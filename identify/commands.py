@@ -9,6 +9,8 @@ from drftjax.errors import InputError
 
 app = typer.Typer(add_completion=False)
 
+ZETAS = ("constant", "phases", "path")
+
 EXAMPLES = """
 Examples:
 
@@ -17,6 +19,12 @@ Examples:
   drft fit runs/*.h5 --share zeta -o out/fit        one zeta for all runs
 
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
+
+  drft fit runs/*.h5 --zeta phases                  zeta of standing, speeding up, going, ...
+
+  drft fit runs/*.h5 --zeta path                    zeta(t), as smooth as the data ask for
+
+  drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
 
   drft fit runs/*.h5 --parameters fit.toml          names, bounds and priors from a file:
 
@@ -51,7 +59,21 @@ def fit(
         typer.Option("--autoregressive", help="Whiten residuals that follow one another."),
     ] = False,
     zeta: Annotated[
+        str,
+        typer.Option(
+            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t))."
+        ),
+    ] = "constant",
+    start_zeta: Annotated[
         float | None, typer.Option(help="Scaling factor to start from, over the run logs'.")
+    ] = None,
+    starts: Annotated[int, typer.Option(help="Starting points to try; the best end is kept.")] = 1,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(help="A fitted parameter whose profile likelihood is wanted."),
+    ] = None,
+    bootstrap: Annotated[
+        int | None, typer.Option(help="Draws of a bootstrap: intervals and bands of readings.")
     ] = None,
     method: Annotated[
         str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
@@ -84,14 +106,30 @@ def fit(
     from drftjax.runlog.guard import GuardedReader
     from drftjax.runlog.layout import run_from
     from drftjax.setup import INTEGRATORS
+    from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
+    from identify.multistart import require_starts
     from identify.noise import Autoregressive, White
     from identify.parameter import parameter, require_once
     from identify.parameter_file import read_parameters
+    from identify.path_fit import fit_paths
+    from identify.phases import zeta_phases
+    from identify.profile import require_fitted
+    from identify.reach import with_reach
 
     if method not in INTEGRATORS:
         raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
+    if zeta not in ZETAS:
+        raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
+    if zeta == "path" and (own or share or parameters or starts != 1 or profile or bootstrap):
+        raise InputError(
+            "--zeta path fits zeta(t) alone; leave --own, --share, --parameters, --starts, "
+            "--profile and --bootstrap out"
+        )
+    require_starts(starts)
+    if bootstrap is not None:
+        require_draws(bootstrap)
     shared_names = share if share is not None else ([] if own or cluster else ["lambda"])
     own_names = own if own is not None else ([] if "zeta" in shared_names else ["zeta"])
     if parameters is not None and (own or share):
@@ -100,12 +138,21 @@ def fit(
     fitted += [parameter(n, shared=False) for n in own_names]
     fitted = fitted if parameters is None else read_parameters(parameters)
     require_once(fitted)
+    if zeta == "phases":
+        fitted = [each for each in fitted if each.quantity.name != "terrain.zeta"]
+    for name in profile or []:
+        require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster
         from identify.lone_fit import Settings, terms
 
-        alone = Settings(terms(fitted), autoregressive, zeta, method, step, keep_rest)
+        if zeta != "constant" or starts != 1 or profile or bootstrap:
+            raise InputError(
+                "--cluster fits a constant zeta, each run alone; leave --zeta, --starts, --profile "
+                "and --bootstrap out"
+            )
+        alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
         fit_on_cluster(cluster, dict(zip(names_of(runs), runs, strict=True)), alone, stem)
         return
 
@@ -124,7 +171,9 @@ def fit(
             try:
                 run = run_from(*surveyed)
                 candidates.append(
-                    candidate(name, run, zeta=zeta, method=method, step=step, keep_rest=keep_rest)
+                    candidate(
+                        name, run, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest
+                    )
                 )
             except InputError as problem:
                 why = str(problem).removeprefix(f"{name}: ")
@@ -141,18 +190,25 @@ def fit(
             bar.update(task, description=f"{stage}: step {number}, sum of squares {loss:.6g}")
 
         noise = Autoregressive() if autoregressive else White()
-        result = fit_runs(candidates, fitted, report, noise).with_failures(failures)
+        if zeta == "path":
+            result = fit_paths(candidates)
+        else:
+            if zeta == "phases":
+                fitted = [*zeta_phases(candidates), *fitted]
+            result = with_reach(fit_runs(candidates, fitted, report, noise, starts=starts))
+        for name in profile or []:
+            bar.update(task, description=f"profile of {name}")
+            result = result.profile(name)
+        if bootstrap is not None:
+            bar.update(task, description=f"bootstrap of {bootstrap} draws")
+            result = result.bootstrap(bootstrap)
 
     console.print(result.table())
-    for value in result.shared.values():
-        say(str(value))
-    for finding in result.findings:
-        say(finding)
-    for name, why in result.failures.items():
-        if name not in failures:
-            say(f"left out: {name}: {why}", "yellow")
-    if result.status != "converged":
-        say(f"the solver is {result.status} after {result.steps} steps", "red")
+    for told in result.profiles:
+        console.print(told.table())
+    for sentence in result.sentences():
+        say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
+    result = result.with_failures(failures)
     if stem is not None:
         from drftjax.figures import save_figure
         from identify.figure import plot_fit

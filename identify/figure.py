@@ -17,7 +17,8 @@ def plot_fit(result: FitResult) -> Figure:
     for run, row in zip(runs, grid, strict=True):
         for channel, axes in zip(channels, row, strict=True):
             if channel in run.channels:
-                _draw(axes, run, run.channels.index(channel))
+                band = result.bands.get(run.name, {}).get(channel)
+                _draw(axes, run, run.channels.index(channel), band)
             else:
                 axes.set_axis_off()
     first = next(axes for axes in grid.flat if axes.lines)
@@ -31,9 +32,14 @@ def plot_fit(result: FitResult) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, run: RunFit, index: int) -> None:
+def _draw(axes: Axes, run: RunFit, index: int, band: tuple | None) -> None:
     channel = run.channels[index]
     unit, scale = SHOWN[channel]
+    if band is not None:
+        low, high = (scale * edge for edge in band)
+        axes.fill_between(
+            run.time, low, high, color="C0", alpha=0.25, lw=0, label="90 % of readings"
+        )
     marker = "." if len(run.time) < 5 else None
     axes.plot(
         run.time, scale * run.recorded[index], color="0.35", lw=2.2, marker=marker, label="recorded"

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -12,10 +13,13 @@ from drftjax.errors import InputError
 from drftjax.trial import Trial
 from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
 from identify.candidate import Candidate
+from identify.descent import Descent
 from identify.findings import findings
+from identify.multistart import best_start, require_starts
 from identify.noise import AbstractNoise, White
 from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
+from identify.phases import PhaseZeta, by_phase, with_phases
 from identify.result import FitResult, RunFit, Value
 from identify.solve import NEGLIGIBLE, solve
 
@@ -42,6 +46,7 @@ def fit(
     progress: Progress | None = None,
     noise: AbstractNoise = WHITE,
     model_error: Mapping[str, float] = MODEL_ERROR,
+    starts: int = 1,
 ) -> FitResult:
     """Fit `parameters` to all runs together.
 
@@ -55,15 +60,35 @@ def fit(
         noise: How residuals scatter.
         model_error: How far the simulation may be off by a constant over a phase of the command,
             by channel [m, N, N m]; none where it is empty.
+        starts: Starting points to try; the best is kept. See `identify.multistart`.
 
     Raises:
         InputError: where no run is left, or two have the same name.
     """
-    problem, before, failures = _problem(list(candidates), tuple(parameters))
+    candidates = with_phases(candidates, parameters) if by_phase(parameters) else list(candidates)
+    problem, before, failures = _problem(candidates, tuple(parameters))
     kept = [each for each in candidates if each.name not in failures]
-    coordinates = problem.start()
+    coordinates, tried = problem.start(), None
     report = progress or (lambda stage, step, loss: None)
+    require_starts(starts)
+    if starts > 1:
+        coordinates, tried = best_start(
+            problem, len(kept), starts, progress=lambda s, n: report(f"{starts} starts", s, n)
+        )
     solution = solve(problem, coordinates, lambda s, v: report("fit", s, v))
+    if solution.status != "converged":
+        # A number that hardly bears on the runs may throw them far off on its way: short steps.
+        descent = Descent(problem, len(kept), None, solution.active)
+        ends = descent.run(
+            descent.flat(solution.coordinates)[None],
+            progress=lambda s, n: report("short steps", s, np.nan),
+        )
+        solution = solve(
+            problem,
+            descent.coordinates(ends.points[0]),
+            lambda s, v: report("fit again", s, v),
+            solution.active,
+        )
     for turn in range(REWEIGHTINGS):
         active = solution.active
         simulated = predicted(problem, solution.coordinates)
@@ -72,7 +97,8 @@ def fit(
         solution = solve(
             problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v), active
         )
-    return _result(Optimum.of(problem, solution, tuple(kept), model_error), before, failures)
+    optimum = Optimum.of(problem, solution, tuple(kept), model_error)
+    return replace(_result(optimum, before, failures), starts=tried)
 
 
 def _problem(
@@ -181,6 +207,9 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         for parameter in problem.parameters:
             name = parameter.quantity.name
             parameter.quantity.record(setup, (shared | own)[name].value)
+        placed = problem.placed(each.trial, shared_coordinates, own_coordinates[index])
+        if isinstance(zeta := placed.simulator.terrain.zeta, PhaseZeta):
+            setup.terrain.zeta = zeta.knots()
         length = len(each.observation.time)
         channels = each.observation.channels
         picked = [problem.batch.channels.index(channel) for channel in channels]

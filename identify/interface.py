@@ -11,6 +11,7 @@ from identify.fitting import WHITE, Progress
 from identify.fitting import fit as fit_candidates
 from identify.noise import AbstractNoise
 from identify.parameter import Parameter, parameter, require_once
+from identify.reach import with_reach
 from identify.result import FitResult
 
 # The sand's preparation and the start are each run's own; the rest belongs to sand and rig.
@@ -55,7 +56,8 @@ def fit(
     require_once(wanted)
     with jax.enable_x64(True):
         candidates = candidates_of(runs, model, keep_rest=keep_rest)
-        return fit_candidates(candidates, wanted, progress, noise)
+        result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
+        return with_reach(result)
 
 
 def _by_name(name: str) -> Parameter:

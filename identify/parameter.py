@@ -40,7 +40,9 @@ class Quantity(eqx.Module):
         return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
 
     def record(self, setup: SetUp, value: float) -> None:
-        """Write the number into a set-up."""
+        """Write the number into a set-up; the zeta of a phase is one of several, written whole."""
+        if self.name.startswith(PHASE_PREFIX):
+            return
         section, field = self.name.split(".")
         setattr(getattr(setup, section), field, value)
 
@@ -74,6 +76,11 @@ def _leaf(
 def _put_sinkage(trial: Trial, value: Float[Array, ""]) -> Trial:
     place = trial.start.position
     return eqx.tree_at(lambda t: t.start.position, trial, place.at[1].set(-value))
+
+
+def _put_speed(trial: Trial, value: Float[Array, ""]) -> Trial:
+    velocity = trial.start.velocity
+    return eqx.tree_at(lambda t: t.start.velocity, trial, velocity.at[0].set(value))
 
 
 # lambda may leave the physical range a little, so that a fit can say that it does not matter.
@@ -113,10 +120,33 @@ QUANTITIES: dict[str, Quantity] = {
         _leaf("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
         _leaf("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
         Quantity("start.sinkage", "m", lambda t: -t.start.position[1], _put_sinkage, Scaled(1e-3)),
+        Quantity("start.speed", "m/s", lambda t: t.start.velocity[0], _put_speed, Scaled(1e-2)),
         _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
     )
 }
-SHORT_NAMES = {"zeta": "terrain.zeta", "lambda": "terrain.inertial_coefficient"}
+# Phases of a command, in time: `identify.phases` says which is when.
+PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
+PHASE_PREFIX = "terrain.zeta."
+
+
+def _of_phase(number: int, name: str) -> Quantity:
+    def get(trial: Trial) -> Float[Array, ""]:
+        return trial.simulator.terrain.zeta.level[number]  # pyright: ignore
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        level = trial.simulator.terrain.zeta.level.at[number].set(value)  # pyright: ignore
+        return eqx.tree_at(lambda t: t.simulator.terrain.zeta.level, trial, level)
+
+    return Quantity(PHASE_PREFIX + name, "-", get, put, Positive())
+
+
+PHASE_QUANTITIES = {
+    PHASE_PREFIX + name: _of_phase(number, name) for number, name in enumerate(PHASES)
+}
+SHORT_NAMES = {f"zeta.{name}": PHASE_PREFIX + name for name in PHASES} | {
+    "zeta": "terrain.zeta",
+    "lambda": "terrain.inertial_coefficient",
+}
 
 
 class Parameter(eqx.Module):
@@ -163,11 +193,13 @@ def quantity(name: str) -> Quantity:
         InputError: for an unknown name, with the nearest known ones.
     """
     full = SHORT_NAMES.get(name, name)
-    if full not in QUANTITIES:
-        near = get_close_matches(name, [*QUANTITIES, *SHORT_NAMES], n=3, cutoff=0.4)
+    every = QUANTITIES | PHASE_QUANTITIES
+    if full not in every:
+        short = [each for each in SHORT_NAMES if "." not in each or name.startswith("zeta.")]
+        near = get_close_matches(name, [*QUANTITIES, *short], n=3, cutoff=0.4)
         known = " or ".join(near) if near else ", ".join(QUANTITIES)
         raise InputError(f"there is no parameter {name!r}; did you mean {known}?")
-    return QUANTITIES[full]
+    return every[full]
 
 
 def own(name: str, **known: Any) -> Parameter:

@@ -3,14 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import jax
 import msgspec
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
 from drftjax import __version__
+from drftjax.errors import InputError
 from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
@@ -21,11 +23,19 @@ from identify.summary import summary_html, summary_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from identify.bootstrap import Bootstrap
+    from identify.multistart import Starts
     from identify.optimum import Optimum
+    from identify.profile import Profile
+    from identify.zeta_path import ZetaPath
 
 # Reports show lengths in mm.
 SHOWN = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
 UNITS = {"x": "m", "z": "m", "fx": "N", "fz": "N", "torque": "N m"}
+
+
+# A standard error of so many times the value leaves nothing worth a place in a table.
+NOTHING_TOLD = 100.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,12 @@ class Value:
     error: float
     unit: str
     label: str
+
+    def cell(self) -> str:
+        """Value and error, as a table shows them."""
+        if not self.error < NOTHING_TOLD * abs(self.value):
+            return "not told"
+        return f"{self.value:.5g} ± {self.error:.2g}"
 
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
@@ -64,6 +80,7 @@ class RunFit:
         status: How the run ended: "converged"; "at a bound", where one of its values has run into
             one; "stalled", where more was to gain; "diverged", where it could no longer be
             simulated and was put aside, so that it does not bear on the others.
+        path: zeta(t), where that was fitted.
     """
 
     name: str
@@ -76,6 +93,7 @@ class RunFit:
     before: np.ndarray
     after: np.ndarray
     status: str = "converged"
+    path: "ZetaPath | None" = None
 
     @property
     def residuals(self) -> dict[str, np.ndarray]:
@@ -107,6 +125,9 @@ class FitResult:
         findings: What the numbers mean, in sentences.
         labels: A name for each value: shared ones, then each run's own.
         covariance: Of the values, in their units squared, ordered as `labels`.
+        starts: What became of several starting points, where there were any.
+        profiles: Profiles asked for.
+        bootstraps: Bootstraps asked for.
         optimum: What `profile` and `bootstrap` go on from.
     """
 
@@ -118,6 +139,9 @@ class FitResult:
     findings: list[str] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    starts: "Starts | None" = None
+    profiles: tuple["Profile", ...] = ()
+    bootstraps: tuple["Bootstrap", ...] = ()
     optimum: "Optimum | None" = field(default=None, repr=False)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
@@ -176,7 +200,7 @@ class FitResult:
             ]
 
         for run in self.runs:
-            values = [f"{run.values[n].value:.5g} ± {run.values[n].error:.2g}" for n in own]
+            values = [run.values[n].cell() for n in own]
             compared = cells(run.rmse(False), run.rmse())
             table.add_row(escape(printable(run.name)), run.status, *values, *compared)
         table.add_section()
@@ -192,6 +216,38 @@ class FitResult:
             "status": self.status,
             "steps": self.steps,
             "shared": msgspec.to_builtins(self.shared),
+            "starts": msgspec.to_builtins(self.starts),
+            "profiles": [
+                {
+                    "label": each.label,
+                    "unit": each.unit,
+                    "level": each.level,
+                    "low": each.low,
+                    "high": each.high,
+                    "value": each.value.tolist(),
+                    "rise": each.rise.tolist(),
+                }
+                for each in self.profiles
+            ],
+            "bootstraps": [
+                {
+                    "over": each.over,
+                    "refit": each.refit,
+                    "draws": len(each.draws),
+                    "level": each.level,
+                    "intervals": {
+                        name: {"low": low, "high": high, "error": error}
+                        for name, low, high, error in zip(
+                            each.labels,
+                            each.low.tolist(),
+                            each.high.tolist(),
+                            each.error.tolist(),
+                            strict=True,
+                        )
+                    },
+                }
+                for each in self.bootstraps
+            ],
             "rmse_before": self.rmse(False),
             "rmse_after": self.rmse(),
             "failures": dict(self.failures),
@@ -201,6 +257,7 @@ class FitResult:
                     "name": run.name,
                     "status": run.status,
                     "values": msgspec.to_builtins(run.values),
+                    "zeta_path": _path(run.path),
                     "rmse_before": run.rmse(False),
                     "rmse_after": run.rmse(),
                     "setup": msgspec.to_builtins(_slim(run.setup)),
@@ -215,9 +272,38 @@ class FitResult:
 
         return plot_fit(self)
 
+    def profile(self, name: str, **options: Any) -> "FitResult":
+        """The same with the profile likelihood of a value; see `identify.profile.profiles`."""
+        from identify.profile import profiles
+
+        with jax.enable_x64(True):
+            found = profiles(self._settled(), name, **options)
+        return replace(self, profiles=(*self.profiles, *found))
+
+    def bootstrap(self, count: int, **options: Any) -> "FitResult":
+        """The same with intervals and bands of `count` draws; see `identify.bootstrap`."""
+        from identify.bootstrap import bootstrap
+
+        with jax.enable_x64(True):
+            found = bootstrap(self._settled(), count, **options)
+        return replace(self, bootstraps=tuple(found))
+
+    def _settled(self) -> "Optimum":
+        if self.optimum is None:
+            raise InputError("this result holds no solved fit to go on from")
+        return self.optimum
+
+    @property
+    def bands(self) -> Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]:
+        """Where readings are expected, by run and channel [m, N, N m]; needs a bootstrap."""
+        return self.bootstraps[0].bands if self.bootstraps else {}
+
     def sentences(self) -> list[str]:
         """What stands under the table: shared values, findings, and what was left out."""
         told = [str(value) for value in self.shared.values()]
+        told += [str(self.starts)] if self.starts else []
+        told += [str(profile) for profile in self.profiles]
+        told += [sentence for each in self.bootstraps for sentence in each.sentences()]
         told += self.findings
         told += [f"left out: {name}: {why}" for name, why in self.failures.items()]
         if self.status != "converged":
@@ -243,7 +329,7 @@ class FitResult:
         make_folder(stem.parent)
         encoded = msgspec.json.format(msgspec.json.encode(self.document()), indent=1)
         replace_file(text, encoded + b"\n")
-        groups = {run.name: _group(run) for run in self.runs}
+        groups = {run.name: _group(run, self.bands.get(run.name, {})) for run in self.runs}
         numbers = {
             f"{n}_{k}": getattr(v, k) for n, v in self.shared.items() for k in ("value", "error")
         }
@@ -251,14 +337,27 @@ class FitResult:
         return [text, binary]
 
 
+def _path(path: "ZetaPath | None") -> dict | None:
+    if path is None:
+        return None
+    columns = {name: getattr(path, name).tolist() for name in ("time", "value", "error", "told")}
+    return columns | {"weight": path.weight}
+
+
 def _slim(setup: SetUp) -> SetUp:
     return msgspec.structs.replace(setup, command=thinned(setup.command))
 
 
-def _group(run: RunFit):
+def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):
     datasets = {"time": (run.time, "s"), "counts": (run.counts, "1")}
     for index, channel in enumerate(run.channels):
         for kind in ("recorded", "before", "after"):
             datasets[f"{channel}_{kind}"] = (getattr(run, kind)[index], UNITS[channel])
+        for kind, values in zip(("low", "high"), bands.get(channel, ()), strict=False):
+            datasets[f"{channel}_{kind}"] = (values, UNITS[channel])
+    if run.path is not None:
+        datasets["zeta_time"] = (run.path.time, "s")
+        datasets["zeta"] = (run.path.value, "1")
+        datasets["zeta_error"] = (run.path.error, "1")
     numbers = {f"{n}_{k}": getattr(v, k) for n, v in run.values.items() for k in ("value", "error")}
     return model_group(run.setup, datasets, numbers)

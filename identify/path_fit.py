@@ -1,0 +1,72 @@
+"""zeta(t) of recorded runs as the result of a fit: `identify.zeta_path` with a fit's reports."""
+
+import equinox as eqx
+import numpy as np
+
+from drftjax.trial import Trial
+from identify.candidate import Candidate
+from identify.result import FitResult, RunFit
+from identify.zeta_path import KNOT_SPACING, ZetaPath, zeta_paths
+
+
+def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -> FitResult:
+    """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed.
+
+    Args:
+        candidates: Runs of the same kind of wheel, law and carriage.
+        knot_spacing: Time from knot to knot [s].
+
+    Raises:
+        InputError: where a run has no sinkage, is too short, or cannot be simulated.
+    """
+    paths = zeta_paths(candidates, knot_spacing)
+    runs = [_run(each, path) for each, path in zip(candidates, paths, strict=True)]
+    settled = all(path.converged for path in paths)
+    findings = [
+        f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
+        f"{int(path.told.sum())} of {len(path.told)} knots that the run tells"
+        for path in paths
+        if len(inside := path.value[path.told])
+    ]
+    return FitResult(
+        shared={},
+        runs=runs,
+        status="converged" if settled else "out of steps",
+        steps=max(path.steps for path in paths),
+        failures={},
+        findings=findings,
+    )
+
+
+def _run(each: Candidate, path: ZetaPath) -> RunFit:
+    observation = each.observation
+    return RunFit(
+        name=each.name,
+        setup=path.setup,
+        values={},
+        time=observation.time,
+        counts=observation.counts,
+        channels=observation.channels,
+        recorded=observation.values,
+        before=_at(each.trial, each),
+        after=_at(path.trial, each),
+        status="converged" if path.converged else "stalled",
+        path=path,
+    )
+
+
+@eqx.filter_jit
+def _simulated(trial: Trial):
+    return trial.run()
+
+
+def _at(trial: Trial, each: Candidate) -> np.ndarray:
+    """Simulated channels at the recorded times, shape (channels, samples)."""
+    output = _simulated(trial)
+    time = np.asarray(output.time)
+    return np.stack(
+        [
+            np.interp(each.observation.time, time, np.asarray(getattr(output, channel)))
+            for channel in each.observation.channels
+        ]
+    )
