@@ -34,9 +34,10 @@ SAME = 1e-9
 STEP = 2e-3
 PROFILE = ([0.0, 0.1, 0.6, 0.8], [0.0, 0.0, 0.5, 0.5])
 PRIOR = (0.8, 0.01)
-ZETA = Term("terrain.zeta", None, PRIOR, None)
+START = 0.79
+ZETA = Term("terrain.zeta", None, PRIOR, START)
 # Every entry that can be told in the result differs from its default.
-SETTINGS = Settings((ZETA,), autoregressive=True, zeta=0.79, step=STEP)
+SETTINGS = Settings((ZETA,), autoregressive=True, step=STEP)
 RUNS = 12
 
 
@@ -73,8 +74,10 @@ def client():
 @cache
 def alone(path: Path) -> FitResult:
     """A run fitted by this process, with nothing of what makes tasks of it."""
-    each = candidate(path.stem, read_run(path), zeta=0.79, step=STEP)
-    return fit([each], [parameter("zeta", shared=False, prior=PRIOR)], noise=Autoregressive())
+    each = candidate(path.stem, read_run(path), step=STEP)
+    return fit(
+        [each], [parameter("zeta", shared=False, prior=PRIOR, start=START)], noise=Autoregressive()
+    )
 
 
 def silent(done: int, workers: int) -> None:
@@ -141,10 +144,10 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
     bad, gone = tmp_path / "bad.h5", tmp_path / "gone.h5"
     bad.write_bytes(b"no run log")
     toml = tmp_path / "fit.toml"
-    toml.write_text(f'[[parameter]]\nname = "zeta"\nprior = {list(PRIOR)}\n')
+    toml.write_text(f'[[parameter]]\nname = "zeta"\nprior = {list(PRIOR)}\nstart = {START}\n')
     arguments = [
         *("fit", bad, *sorted(folder.glob("run*.h5")), gone, tmp_path, "--cluster", "local:1"),
-        *("--step", STEP, "--zeta", 0.79, "--autoregressive", "--parameters", toml),
+        *("--step", STEP, "--autoregressive", "--parameters", toml),
     ]
     command = [sys.executable, "-m", "drftjax.commands.main", *map(str, arguments), "-o", str(stem)]
     driver = subprocess.Popen(command, stdout=subprocess.DEVNULL)
