@@ -1,0 +1,144 @@
+"""`drft blind`: sets of runs with faults drawn by lot, answers to them, and a score of those."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.callback()
+def blind() -> None:
+    """Judge diagnoses on sets of runs whose faults are drawn by lot and sealed."""
+
+
+MAKE_EXAMPLES = """
+Examples:
+
+  drft blind make out/blind --sets 300 --seed 7 --jobs 2
+
+  drft blind make out/strong --sets 40 --protocol practice --faintest 10
+"""
+
+
+@app.command(epilog=MAKE_EXAMPLES)
+def make(
+    folder: Annotated[Path, typer.Argument(help="A new folder for the sets.")],
+    sets: Annotated[int, typer.Option(help="How many sets.")] = 100,
+    seed: Annotated[int, typer.Option(help="Settles every lot that is drawn.")] = 0,
+    protocol: Annotated[
+        str, typer.Option(help="'practice', 'random', or 'mixed': each set one or the other.")
+    ] = "mixed",
+    faintest: Annotated[float, typer.Option(help="Least gap wanted [floors].")] = 0.5,
+    strongest: Annotated[float, typer.Option(help="Greatest gap wanted [floors].")] = 30.0,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+) -> None:
+    """Make sets of runs of rigs with something wrong, or nothing, and seal what it is."""
+    from rich.progress import Progress
+
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from diagnose.blind.make import Order
+    from diagnose.blind.make import make as made
+
+    order = Order(folder, sets, seed, protocol, faintest, strongest)
+    with Progress(transient=True) as bar:
+        task = bar.add_task("making sets", total=sets)
+        for _ in made(order, jobs):
+            bar.advance(task)
+    typer.echo(f"{sets} sets written to {folder}; their labels are sealed")
+
+
+ANSWER_EXAMPLES = """
+Example:
+
+  drft blind answer out/blind -o out/answers.json --jobs 2
+
+Labels are not looked at: the command works as well where there are none.
+"""
+
+
+@app.command(epilog=ANSWER_EXAMPLES)
+def answer(
+    folder: Annotated[Path, typer.Argument(help="A folder of sets.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Write the answers here (JSON).")],
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+) -> None:
+    """Diagnose every set of a folder from its runs alone."""
+    from rich.progress import Progress
+
+    from diagnose.blind.answers import answer_all, configure, runs_of, write_answers
+    from drftjax.runlog.content import printable
+    from drftjax.runlog.replace import make_folder
+
+    if output.suffix.lower() != ".json":
+        raise InputError(f"{output}: a file of answers must end in .json")
+    configure()
+    answers: dict[str, dict] = {}
+    failures: dict[str, str] = {}
+    with Progress(transient=True) as bar:
+        task = bar.add_task("answering", total=len(runs_of(folder)))
+        for name, found in answer_all(folder, jobs):
+            if isinstance(found, str):
+                failures[name] = found
+            else:
+                answers[name] = found
+            bar.advance(task)
+    for name, why in sorted(failures.items()):
+        typer.echo(f"no answer to {printable(name)}: {printable(why)}")
+    if not answers:
+        raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
+    make_folder(output.parent)
+    write_answers(output, answers)
+    typer.echo(f"{len(answers)} answers written to {output}")
+
+
+SCORE_EXAMPLES = """
+Example:
+
+  drft blind score out/blind --answers out/answers.json -o out/score.json
+"""
+
+
+@app.command(epilog=SCORE_EXAMPLES)
+def score(
+    folder: Annotated[Path, typer.Argument(help="The folder of sets, with its labels.")],
+    answers: Annotated[Path, typer.Option(help="The answers to them (JSON).")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the score here (JSON).")
+    ] = None,
+) -> None:
+    """Open the labels of a folder of sets and hold answers against them."""
+    import json
+
+    from rich.console import Console
+
+    from diagnose.blind.answers import read_answers
+    from diagnose.blind.score import score as scored
+    from diagnose.blind.score_table import tables
+    from diagnose.blind.sealing import open_labels
+    from drftjax.runlog.replace import make_folder, replace_file
+
+    given = read_answers(answers)
+    labels = open_labels(folder)
+    strangers = sorted(set(given) - set(labels))
+    if strangers:
+        raise InputError(f"{answers}: answers {strangers[0]!r}, which {folder} has no label of")
+    found = scored(labels, given)
+    console = Console()
+    for table in tables(found):
+        console.print(table)
+    if found["unanswered"]:
+        typer.echo(f"without an answer: {', '.join(found['unanswered'])}")
+    if output is not None:
+        make_folder(output.parent)
+        replace_file(output, (json.dumps(found, indent=1) + "\n").encode())
+        typer.echo(f"score written to {output}")
+
+
+if __name__ == "__main__":
+    app()

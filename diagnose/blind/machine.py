@@ -1,0 +1,151 @@
+"""The plant's wheel and rig: masses, guides, cables and springs that are not quite textbook."""
+
+import dataclasses
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diagnose.blind.sand import number
+from drftjax.effects.stage import AbstractLoad, AbstractPlacement, Memory, Moment
+from drftjax.wheel import Plates
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+
+def along_x(force: Number) -> Pair:
+    return jnp.stack([force, jnp.zeros_like(force)])
+
+
+def along_z(force: Number) -> Pair:
+    return jnp.stack([jnp.zeros_like(force), force])
+
+
+class Instant(AbstractLoad):
+    """A load that depends on the present alone."""
+
+    def begin(self, position: Pair) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+
+def stribeck(speed: Number, stick: Number, surplus: Number) -> Number:
+    """Dry friction of force one: more of it, by `surplus`, within five times `stick` [m/s]."""
+    return (1 + surplus * jnp.exp(-((speed / (5 * stick)) ** 2))) * jnp.tanh(speed / stick)
+
+
+def drag(speed: Number, at: float, power: Number) -> Number:
+    """Friction by a power of speed, the speed itself at `at` [m/s]."""
+    return speed * ((speed**2 + 1e-8) / at**2) ** ((power - 1) / 2)
+
+
+class VerticalLoad(Instant):
+    force: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_z(-self.force)
+
+
+class VerticalCoulomb(Instant):
+    force: Number = number()
+    stick: Number = number(1e-4)
+    surplus: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_z(-self.force * stribeck(velocity[1], self.stick, self.surplus))
+
+
+class VerticalViscous(Instant):
+    damping: Number = number()
+    power: Number = number(1.0)
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_z(-self.damping * drag(velocity[1], 2e-3, self.power))
+
+
+class HorizontalCoulomb(Instant):
+    force: Number = number()
+    stick: Number = number(1e-3)
+    surplus: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_x(-self.force * stribeck(velocity[0], self.stick, self.surplus))
+
+
+class HorizontalViscous(Instant):
+    damping: Number = number()
+    power: Number = number(1.0)
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_x(-self.damping * drag(velocity[0], 0.1, self.power))
+
+
+class Drawbar(Instant):
+    force: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_x(-self.force)
+
+
+class CableSpring(Instant):
+    """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0."""
+
+    stiffness: Number = number()
+    bend: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_x(-self.stiffness * position[0] * (1 + self.bend * position[0]))
+
+
+class VerticalSpring(Instant):
+    """A spring that stiffens by `bend` for 20 mm of sinkage."""
+
+    stiffness: Number = number()
+    bend: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        sinkage = -position[1]
+        return along_z(self.stiffness * sinkage * (1 + self.bend * sinkage / 0.02))
+
+
+class Imbalance(Instant):
+    """A mass [kg m] off the axle, at `phase` [rad] from straight ahead when the wheel starts."""
+
+    moment_of_mass: Number = number()
+    phase: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        outward = self.moment_of_mass * moment.omega**2
+        turned = moment.angle - self.phase
+        return outward * jnp.stack([jnp.cos(turned), -jnp.sin(turned)])
+
+
+RIG = (
+    VerticalLoad,
+    VerticalCoulomb,
+    VerticalViscous,
+    HorizontalCoulomb,
+    HorizontalViscous,
+    Drawbar,
+    CableSpring,
+    VerticalSpring,
+    Imbalance,
+)
+
+
+class Eccentricity(AbstractPlacement):
+    """The centre lies `offset` [m] off the axle, at `phase` [rad] from straight ahead."""
+
+    offset: Number = number()
+    phase: Number = number()
+
+    def place(self, plates: Plates, angle: Number) -> Plates:
+        turned = angle - self.phase
+        x = self.offset * jnp.cos(turned)
+        z = self.offset * (-jnp.sin(turned) - jnp.sin(self.phase))
+        return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
+
+
+WHEEL = (Eccentricity,)

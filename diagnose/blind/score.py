@@ -1,0 +1,211 @@
+"""How good answers to blind sets are, once their labels are open."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from diagnose.blind.answers import Answer
+from diagnose.blind.share import Share
+
+NONE, UNKNOWN = "none", "unknown"
+# A single effect that shows by fewer floors than this is faint.
+FAINT_FLOORS = 3.0
+CONFIDENT = 0.8
+BINS = 10
+# A promise is kept where the realised shrinkage lies within ten points of it.
+PROMISE = 0.10
+
+KINDS = ("single", "single, plain", "single, faint", "none", "unknown", "pair")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A set's label beside its answer.
+
+    Attributes:
+        name: The set.
+        true: Effects that it has; "unknown" for one outside the catalogue.
+        floors: How much they show, where labels say it.
+        answer: What was answered.
+    """
+
+    name: str
+    true: tuple[str, ...]
+    floors: float | None
+    answer: Answer
+
+    @property
+    def kind(self) -> str:
+        """One of `KINDS`; a single effect of unstated strength is just "single"."""
+        if not self.true:
+            return NONE
+        if UNKNOWN in self.true:
+            return UNKNOWN
+        if len(self.true) > 1:
+            return "pair"
+        if self.floors is None:
+            return "single"
+        return "single, plain" if self.floors >= FAINT_FLOORS else "single, faint"
+
+    @property
+    def right_names(self) -> frozenset[str]:
+        """Every name that is right here."""
+        return frozenset(self.true or (NONE,))
+
+    @property
+    def first(self) -> str:
+        """The answer at first place."""
+        return next(iter(self.answer.named()), NONE)
+
+    def holds(self, explanation: str) -> bool:
+        """Whether an explanation, one name or several joined by +, is right as far as it goes."""
+        return all(each.strip() in self.right_names for each in explanation.split("+"))
+
+    @property
+    def is_first(self) -> bool:
+        return self.first in self.right_names
+
+    @property
+    def all_named(self) -> bool:
+        """Whether each effect is named, and nothing else."""
+        return frozenset(self.answer.named() or (NONE,)) == self.right_names
+
+    @property
+    def in_group(self) -> bool:
+        """Whether each effect is named, or in the group of one that is."""
+        offered = {self.first, *self.answer.named()}.union(*self.answer.groups)
+        return self.right_names <= offered
+
+    @property
+    def group_size(self) -> int:
+        """How many effects the group of the first one holds; one where it stands alone."""
+        groups = (each for each in self.answer.groups if self.first in each)
+        return max(1, len(set(next(groups, ()))))
+
+    @property
+    def confidently_wrong(self) -> bool:
+        return any(
+            weight > CONFIDENT and not self.holds(name)
+            for name, weight in self.answer.weights.items()
+        )
+
+
+def cases(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> list[Case]:
+    """Labels beside their answers, for every set that has both."""
+    return [
+        Case(name, tuple(label["effects"]), label.get("floors"), answers[name])
+        for name, label in sorted(labels.items())
+        if name in answers
+    ]
+
+
+def _share(over: Iterable[Case], of: Callable[[Case], bool]) -> dict:
+    held = [of(case) for case in over]
+    return Share(sum(held), len(held)).document()
+
+
+def by_kind(given: list[Case]) -> dict[str, dict]:
+    """Counts and shares for each kind of set that there is."""
+    table = {}
+    for kind in KINDS:
+        these = [case for case in given if case.kind == kind]
+        if not these:
+            continue
+        row: dict = {
+            "sets": len(these),
+            "first": _share(these, lambda case: case.is_first),
+            "in_group": _share(these, lambda case: case.in_group),
+            "mean_group_size": sum(case.group_size for case in these) / len(these),
+            "confidently_wrong": _share(these, lambda case: case.confidently_wrong),
+        }
+        if kind == NONE:
+            row["false_alarms"] = _share(these, lambda case: bool(case.answer.named()))
+        elif kind == UNKNOWN:
+            row["recognised"] = _share(these, lambda case: case.first == UNKNOWN)
+        else:
+            row["missed"] = _share(these, lambda case: not case.answer.named())
+            row["called_unknown"] = _share(these, lambda case: case.first == UNKNOWN)
+        if kind == "pair":
+            row["both"] = _share(these, lambda case: case.all_named)
+            row["at_least_one"] = _share(
+                these, lambda case: bool(case.right_names & set(case.answer.named()))
+            )
+        table[kind] = row
+    return table
+
+
+def confusion(given: list[Case]) -> dict[str, dict[str, int]]:
+    """How often each truth was answered by what; names of a pair are joined by +."""
+    matrix: dict[str, Counter] = defaultdict(Counter)
+    for case in given:
+        truth = " + ".join(sorted(case.true)) or NONE
+        matrix[truth][" + ".join(sorted(case.answer.named())) or NONE] += 1
+    return {truth: dict(sorted(row.items())) for truth, row in sorted(matrix.items())}
+
+
+def calibration(given: list[Case]) -> list[dict]:
+    """For weights in ten equal bins: how many, their mean, and the share that was right."""
+    bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
+    for case in given:
+        for name, weight in case.answer.weights.items():
+            # 0.3 times ten is 3 only nearly.
+            index = int(BINS * weight + 1e-9)
+            bins[min(max(index, 0), BINS - 1)].append((weight, case.holds(name)))
+    return [
+        {
+            "from": index / BINS,
+            "to": (index + 1) / BINS,
+            "mean_weight": sum(w for w, _ in held) / len(held) if held else None,
+            "right": Share(sum(right for _, right in held), len(held)).document(),
+        }
+        for index, held in enumerate(bins)
+    ]
+
+
+def shrinkage(given: list[Case]) -> dict[str, dict]:
+    """Promised against realised shrinkage of the misfit on fresh runs, by channel."""
+    found: dict[str, list[dict]] = defaultdict(list)
+    for case in given:
+        for channel, fresh in case.answer.fresh.items():
+            promise = case.answer.gap.get(channel)
+            if promise is None or fresh.before_mm <= 0:
+                continue
+            low, high = promise.shrinkage_interval
+            realised = 1 - fresh.after_mm / fresh.before_mm
+            found[channel].append(
+                {
+                    "set": case.name,
+                    "promised": promise.shrinkage,
+                    "realised": realised,
+                    "kept": abs(realised - promise.shrinkage) <= PROMISE + 1e-12,
+                    "in_interval": low <= realised <= high,
+                }
+            )
+    return {
+        channel: {
+            "kept": Share(sum(each["kept"] for each in rows), len(rows)).document(),
+            "in_interval": Share(sum(each["in_interval"] for each in rows), len(rows)).document(),
+            "sets": rows,
+        }
+        for channel, rows in sorted(found.items())
+    }
+
+
+def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
+    """Everything there is to say of answers, as plain values."""
+    given = cases(labels, answers)
+    return {
+        "schema": "drft-blind-score",
+        "schema_version": 1,
+        "sets": len(given),
+        "unanswered": sorted(set(labels) - set(answers)),
+        "kinds": by_kind(given),
+        "confusion": confusion(given),
+        "calibration": calibration(given),
+        "shrinkage": shrinkage(given),
+        "wrong": [
+            {"set": case.name, "true": list(case.true), "answered": case.answer.named()}
+            for case in given
+            if not case.all_named
+        ],
+    }

@@ -1,0 +1,151 @@
+"""Mechanisms that no catalogue lists: the right answer to each is that it is unknown."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from diagnose.blind.machine import Instant, along_x, along_z
+from diagnose.blind.sand import LEAST, Momentary, number
+from drftjax.effects.stage import AbstractZetaFactor, Memory, Moment
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+
+class DamagedGrouser(Momentary):
+    """One grouser bears less: strength drops for a short part of every turn."""
+
+    loss: Number = number()
+    phase: Number = number()
+    narrowness: Number = number(10.0)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        near = jnp.exp(self.narrowness * (jnp.cos(moment.angle - self.phase) - 1))
+        return jnp.maximum(1 - self.loss * near, LEAST)
+
+
+class Healing(AbstractZetaFactor):
+    """Turning loosens, time heals: what counts is the turning of the last few seconds."""
+
+    loss: Number = number()
+    turning: Number = number(1.0)
+    recovery: Number = number(3.0)
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.loss)
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        rate = jnp.abs(moment.omega) / self.turning
+        return memory + moment.dt * (rate * (1 - memory) - memory / self.recovery)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return jnp.maximum(1 - self.loss * memory, LEAST)
+
+
+class Swing(Momentary):
+    """Strength swings with time alone, as with a temperature."""
+
+    excess: Number = number()
+    period: Number = number(12.0)
+    phase: Number = number()
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        turn = 2 * jnp.pi * moment.time / self.period + self.phase
+        return jnp.maximum(1 + self.excess * (jnp.sin(turn) - jnp.sin(self.phase)), LEAST)
+
+
+class Thixotropy(AbstractZetaFactor):
+    """Structure that slip destroys and time builds up again."""
+
+    loss: Number = number()
+    length: Number = number(0.05)
+    recovery: Number = number(2.0)
+
+    def begin(self) -> Memory:
+        return jnp.ones_like(self.loss)
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        ruin = jnp.abs(moment.rim_slip()) / self.length
+        rate = 1 / self.recovery + ruin
+        return (memory + moment.dt / self.recovery) / (1 + moment.dt * rate)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return jnp.maximum(1 - self.loss * (1 - memory), LEAST)
+
+
+class RiseAndFall(Momentary):
+    """Sand that bears otherwise while the wheel rises than while it sinks."""
+
+    excess: Number = number()
+    speed: Number = number(2e-3)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return jnp.maximum(1 + self.excess * jnp.tanh(moment.velocity[1] / self.speed), LEAST)
+
+
+class CriticalSpeed(Momentary):
+    """Sand that is weak about one speed of the wheel only."""
+
+    loss: Number = number()
+    omega: Number = number(1.0)
+    width: Number = number(0.3)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        away = (jnp.abs(moment.omega) - self.omega) / self.width
+        return jnp.maximum(1 - self.loss * jnp.exp(-(away**2)), LEAST)
+
+
+class Catch(Instant):
+    """The carriage tightens a spring at one place, and slips off it `length` [m] on."""
+
+    force: Number = number()
+    place: Number = number(0.3)
+    length: Number = number(0.15)
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        way = (position[0] - self.place) / self.length
+        released = jnp.clip((way - 1) / 0.05, 0, 1)
+        return along_x(-self.force * jnp.clip(way, 0, 1) * (1 - released))
+
+
+class SinkageDrag(Instant):
+    """A drag by speed squared and sinkage squared, that lifts half as much."""
+
+    drag: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        force = self.drag * velocity[0] * jnp.abs(velocity[0]) * (position[1] / 0.02) ** 2
+        return jnp.stack([-force, jnp.abs(force) / 2])
+
+
+class JammingGuide(Instant):
+    """Dry friction of the vertical guide that grows with the carriage's speed."""
+
+    friction: Number = number()
+    stick: Number = number(2e-4)
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        pressed = self.friction * jnp.abs(moment.velocity[0])
+        return along_z(-pressed * jnp.tanh(velocity[1] / self.stick))
+
+
+class TravelLift(Instant):
+    """A vertical force with the carriage's speed."""
+
+    lift: Number = number()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return along_z(self.lift * velocity[0])
+
+
+STRANGERS = (
+    DamagedGrouser,
+    Healing,
+    Swing,
+    Thixotropy,
+    RiseAndFall,
+    CriticalSpeed,
+    Catch,
+    SinkageDrag,
+    JammingGuide,
+    TravelLift,
+)

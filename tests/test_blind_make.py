@@ -1,0 +1,142 @@
+"""Blind sets: the plant that makes them, and that lots are settled by their seed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.blind import make, plant
+from diagnose.blind.gap import FLOORS, Probe
+from diagnose.blind.protocol import Profile, drawn_fresh, drawn_nine
+from diagnose.blind.recipe import CATALOGUE, STRANGERS, UNKNOWN, draw, draw_stranger
+from drftjax.effects.catalogue import OURS
+from drftjax.runlog.hdf5 import read_run
+from drftjax.saved import simulated_run
+from drftjax.setup import CommandSetUp, SetUp
+
+# Slow enough for steps of a millisecond.
+SHORT = Profile(12.0, 1.0, 1.0, 1.0, rest=0.5, end=0.5)
+# Plates of 2.5 and 4 mm differ by about 0.1 mm in depth and 1 mm in travel over one such run.
+PLATES_Z, PLATES_X = 2e-4, 2e-3
+# A strength is found when its gap is within a third of what was asked for.
+FOUND = 0.34
+
+
+def test_plant_without_mechanisms_is_the_simulator_but_for_its_plates():
+    run = plant.run((), SHORT, 0.78)
+    time = run.time
+    setup = SetUp(command=CommandSetUp(time.tolist(), SHORT.omega(time).tolist()))
+    setup.terrain.zeta = 0.78
+    setup.start.sinkage = float(-run.z[0])
+    setup.integrator.method = "held pace"
+    setup.integrator.step = 1e-3
+    plain = simulated_run(setup).measured
+    assert plain.x is not None
+    assert plain.z is not None
+    assert np.abs(plain.z - run.z).max() < PLATES_Z
+    assert np.abs(plain.x - run.x).max() < PLATES_X
+
+
+def test_mechanisms_of_strength_zero_change_nothing():
+    bare = plant.run((), SHORT, 0.78, ())
+    held = plant.run((), SHORT, 0.78, ("sand", "rig"))
+    np.testing.assert_allclose(held.z, bare.z, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(held.x, bare.x, rtol=0, atol=1e-9)
+
+
+def test_every_effect_of_the_catalogue_can_be_drawn():
+    ours = {each.about.name: each.about.stage for each in OURS}
+    drawable = {name: stage for stage, names in CATALOGUE.items() for name in names}
+    assert drawable == ours
+
+
+def test_eight_kinds_and_more_are_outside_the_catalogue():
+    random = np.random.default_rng(0)
+    assert len(STRANGERS) >= 8
+    assert not set(STRANGERS) & {each.about.name for each in OURS}
+    assert {draw_stranger(kind, random).name for kind in STRANGERS} == {UNKNOWN}
+
+
+def test_forms_are_drawn_anew():
+    random = np.random.default_rng(0)
+    forms = [draw("loosening", random).form for _ in range(3)]
+    assert len({form["decay"] for form in forms}) == 3
+
+
+def test_a_strength_is_found_for_the_gap_that_is_wanted():
+    probe = Probe.of([SHORT], 0.78, ())
+    for name, floors in (("sinkage_gain", 4.0), ("speed_gain", 2.0)):
+        _, gap = probe.strength(draw(name, np.random.default_rng(1)), floors)
+        assert gap.floors == pytest.approx(floors, rel=FOUND)
+
+
+def test_what_zeta_explains_is_no_gap():
+    probe = Probe.of([SHORT], 0.78, ())
+    nudged = dataclasses.replace(probe, zeta=0.78 * 1.005)
+    gap = nudged.gap([])
+    assert gap.z > FLOORS["z"]
+    assert gap.z_left < 0.02 * gap.z
+
+
+def test_shares_of_kinds_are_those_that_are_wanted(tmp_path):
+    drawn = make.faults(make.Order(tmp_path, 200, seed=3))
+    assert sum(not each for each in drawn) == 24
+    assert sum(bool(each) and each[0] in STRANGERS for each in drawn) == 24
+    assert sum(len(each) == 2 for each in drawn) == 32
+    named = {name for each in drawn for name in each}
+    assert named >= {name for names in CATALOGUE.values() for name in names}
+
+
+def test_protocols_fit_the_rig():
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        for each in (*drawn_nine(random), *drawn_fresh(random)):
+            assert 7.9 < each.duration <= plant.LONGEST
+            assert each.duration / (plant.EVERY * each.steady_step() / 2) <= plant.ROWS
+
+
+def test_noise_is_white_and_lasting():
+    drawn = make.noise(np.random.default_rng(0), 200_000, 1.0)
+    assert drawn.std() == pytest.approx(np.sqrt(1 + make.LASTING**2), rel=0.02)
+    later = round(make.LASTS / plant.ROW)
+    lasting = np.mean(drawn[later:] * drawn[:-later])
+    assert lasting == pytest.approx(make.LASTING**2 * np.exp(-1), abs=0.01)
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Runs of four seconds in place of the practice's."""
+    monkeypatch.setattr(make, "PRACTICE", (SHORT,) * 9)
+    monkeypatch.setattr(make, "drawn_fresh", lambda random: (SHORT,) * 3)
+
+
+def test_sets_are_settled_by_their_seed(short, tmp_path):
+    folders = [tmp_path / name for name in ("one", "two")]
+    labels = []
+    for folder in folders:
+        order = make.Order(folder, 20, seed=4, protocol="practice")
+        labels.append(make.make_set(order, 7, ("travel_gain",)))
+    assert labels[0] == labels[1]
+    assert labels[0]["effects"] == ["travel_gain"]
+    one, two = (sorted(folder.rglob("*.h5")) for folder in folders)
+    assert [each.name for each in one] == [f"fresh_{each}.h5" for each in "abc"] + [
+        f"run_{each}.h5" for each in "abcdefghi"
+    ]
+    assert [each.read_bytes() for each in one] == [each.read_bytes() for each in two]
+    other = make.make_set(
+        make.Order(tmp_path / "three", 20, seed=5, protocol="practice"), 7, ("travel_gain",)
+    )
+    assert other["zeta"] != labels[0]["zeta"]
+
+
+def test_a_run_looks_like_a_rig_s(short, tmp_path):
+    order = make.Order(tmp_path, 20, seed=4, protocol="practice")
+    assert make.make_set(order, 0, ())["effects"] == []
+    run = read_run(tmp_path / "set_01" / "run_a.h5")
+    assert (run.source, run.title, run.created) == ("virtual rig", "single-wheel run", None)
+    assert set(run.measured.channels()) == {"x", "z"}
+    assert np.diff(run.measured.time) == pytest.approx(0.01)
+    assert run.measured.z is not None
+    assert 1e6 * run.measured.z == pytest.approx(np.round(1e6 * run.measured.z), abs=1e-6)
+    assert run.setup.sinkage_static == pytest.approx(-run.measured.z[:50].mean())
+    assert run.setup.scaling_factor_initial == make.BELIEVED_ZETA

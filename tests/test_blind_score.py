@@ -1,0 +1,220 @@
+"""Blind sets: seals, scores worked out by hand, and answers that never see a label."""
+
+import json
+import sys
+import types
+
+import pytest
+from command_line import Drft
+
+from diagnose.blind import commands
+from diagnose.blind.answers import Answer, FreshAnswer, GapAnswer, answer_all, runs_of
+from diagnose.blind.score import score
+from diagnose.blind.sealing import HASH, SEALED, open_labels, seal
+from diagnose.blind.share import Share
+from drftjax.errors import InputError
+
+
+def told(effects, floors=None):
+    return {"effects": effects} | ({} if floors is None else {"floors": floors})
+
+
+LABELS = {
+    "set_1": told(["drawbar"], 10.0),
+    "set_2": told(["loosening"], 2.0),
+    "set_3": told([]),
+    "set_4": told(["unknown"], 5.0),
+    "set_5": told(["speed_lag", "cohesion"], 5.0),
+    "set_6": told(["eccentricity"], 3.0),
+}
+ANSWERS = {
+    "set_1": Answer(
+        ["drawbar"],
+        {"drawbar": 0.95, "cable_spring": 0.05},
+        [["drawbar", "cable_spring"]],
+        {"x": GapAnswer(1.0, 0.1, 0.08, 0.85, (0.8, 0.9))},
+        {"x": FreshAnswer(1.0, 0.2)},
+    ),
+    "set_2": Answer(
+        ["excavation"],
+        {"excavation": 0.85, "loosening": 0.15},
+        [["excavation", "loosening", "slip_softening"]],
+        {"x": GapAnswer(1.0, 0.1, 0.08, 0.9, (0.85, 0.95))},
+        {"x": FreshAnswer(2.0, 1.0)},
+    ),
+    "set_3": Answer(["drawbar"], {"drawbar": 0.6, "none": 0.4}),
+    "set_4": Answer(["unknown"], {"unknown": 0.99}),
+    "set_5": Answer(["speed_lag", "backlash"], {"speed_lag": 0.5}),
+    "set_6": Answer(["none"], {"none": 0.9}),
+}
+
+
+def test_score_counts_what_a_hand_counts():
+    kinds = score(LABELS, ANSWERS)["kinds"]
+    plain, faint, pair = (kinds[each] for each in ("single, plain", "single, faint", "pair"))
+    assert (plain["sets"], plain["first"]["hits"], plain["missed"]["hits"]) == (2, 1, 1)
+    assert plain["mean_group_size"] == 1.5
+    assert plain["confidently_wrong"]["share"] == 0.5  # 0.9 on nothing, where there was something
+    assert (faint["first"]["hits"], faint["in_group"]["hits"]) == (0, 1)
+    assert (faint["mean_group_size"], faint["confidently_wrong"]["hits"]) == (3, 1)
+    assert kinds["none"]["false_alarms"]["share"] == 1
+    assert kinds["unknown"]["recognised"]["share"] == 1
+    assert (pair["both"]["hits"], pair["at_least_one"]["hits"], pair["first"]["hits"]) == (0, 1, 1)
+    assert pair["in_group"]["hits"] == 0
+
+
+def test_score_of_the_truth_has_no_fault():
+    truth = {
+        name: Answer(label["effects"] or ["none"], {"+".join(label["effects"]) or "none": 1.0})
+        for name, label in LABELS.items()
+    }
+    found = score(LABELS, truth)
+    assert found["wrong"] == []
+    assert found["calibration"][-1]["right"]["hits"] == len(LABELS)
+    for row in found["kinds"].values():
+        assert row["first"]["share"] == 1
+        assert row["in_group"]["share"] == 1
+
+
+def test_confusions_and_calibration():
+    found = score(LABELS, ANSWERS)
+    assert found["confusion"]["loosening"] == {"excavation": 1}
+    assert found["confusion"]["none"] == {"drawbar": 1}
+    assert found["confusion"]["cohesion + speed_lag"] == {"backlash + speed_lag": 1}
+    bins = {row["from"]: row["right"] for row in found["calibration"]}
+    assert (bins[0.9]["hits"], bins[0.9]["of"]) == (2, 3)
+    assert (bins[0.8]["hits"], bins[0.8]["of"]) == (0, 1)
+    assert (bins[0.5]["hits"], bins[0.5]["of"]) == (1, 1)
+    assert (bins[0.1]["hits"], bins[0.1]["of"]) == (1, 1)
+    assert bins[0.2]["of"] == 0
+
+
+def test_shrinkage_is_held_against_the_promise():
+    found = score(LABELS, ANSWERS)["shrinkage"]["x"]
+    assert [each["realised"] for each in found["sets"]] == pytest.approx([0.8, 0.5])
+    assert (found["kept"]["hits"], found["in_interval"]["hits"]) == (1, 1)
+
+
+def test_interval_of_a_share():
+    # Wilson's, worked out for z = 1.6449: 8 of 10.
+    assert Share(8, 10).interval() == pytest.approx((0.5408, 0.9314), abs=5e-4)
+    assert Share(0, 5).interval() == pytest.approx((0.0, 0.3511), abs=5e-4)
+    assert Share(0, 0).interval() is None
+    assert str(Share(0, 0)) == "-"
+
+
+def test_sealed_labels_open_and_are_not_to_be_read_by_eye(tmp_path):
+    seal(tmp_path, LABELS)
+    assert open_labels(tmp_path) == LABELS
+    assert b"drawbar" not in (tmp_path / SEALED).read_bytes()
+    assert len((tmp_path / HASH).read_text().strip()) == 64
+
+
+def test_a_seal_betrays_labels_that_were_changed(tmp_path):
+    seal(tmp_path, LABELS)
+    stated = (tmp_path / HASH).read_text()
+    seal(tmp_path, LABELS | {"set_3": told(["drawbar"])})
+    (tmp_path / HASH).write_text(stated)
+    with pytest.raises(InputError, match="not what was sealed"):
+        open_labels(tmp_path)
+    (tmp_path / HASH).unlink()
+    with pytest.raises(InputError, match="lacks"):
+        open_labels(tmp_path)
+    (tmp_path / SEALED).write_bytes(b"nothing of the kind")
+    with pytest.raises(InputError, match="damaged"):
+        open_labels(tmp_path)
+
+
+def test_plain_labels_are_read_too(tmp_path):
+    (tmp_path / "labels.json").write_text('{"set_01": ["none"], "set_02": ["drawbar"]}')
+    labels = open_labels(tmp_path)
+    assert labels == {"set_01": told([]), "set_02": told(["drawbar"])}
+    found = score(labels, {"set_02": Answer(["drawbar"])})
+    assert found["kinds"]["single"]["first"]["share"] == 1
+    assert found["unanswered"] == ["set_01"]
+
+
+@pytest.fixture
+def sets(tmp_path):
+    folder = tmp_path / "sets"
+    for name in ("set_1", "set_2"):
+        (folder / name / "fresh").mkdir(parents=True)
+        for run in ("run_a", "run_b", "fresh/fresh_a"):
+            (folder / name / f"{run}.h5").touch()
+    return folder
+
+
+@pytest.fixture
+def blind(monkeypatch):
+    """A diagnosis that counts the runs of a set, as the command `answer` finds one."""
+    seen = []
+
+    def answer_set(paths):
+        seen.append([path.name for path in paths])
+        return {"verdict": ["none"], "weights": {"none": 1.0}}
+
+    module = types.ModuleType("diagnose.answer")
+    module.answer_set = answer_set  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setitem(sys.modules, "diagnose.answer", module)
+    return seen
+
+
+def test_answers_see_runs_alone(sets, blind, monkeypatch):
+    seal(sets, LABELS)
+
+    def opened(folder):
+        raise AssertionError("a label was opened")
+
+    monkeypatch.setattr("diagnose.blind.sealing.open_labels", opened)
+    with_labels = dict(answer_all(sets))
+    for name in (SEALED, HASH):
+        (sets / name).unlink()
+    assert dict(answer_all(sets)) == with_labels
+    assert blind == [["run_a.h5", "run_b.h5"]] * 4
+
+
+def test_the_module_of_answers_knows_no_labels():
+    # What a module does not import, it cannot open.
+    source = __import__("diagnose.blind.answers", fromlist=["answers"])
+    assert not any("seal" in name or "label" in name for name in vars(source))
+
+
+def test_answer_and_score_from_the_command_line(sets, blind, tmp_path, monkeypatch, capsys):
+    run = _app(monkeypatch, capsys)
+    run("answer", sets, "-o", tmp_path / "answers.json")
+    seal(sets, {"set_1": told([]), "set_2": told(["drawbar"], 10.0)})
+    out = run("score", sets, "--answers", tmp_path / "answers.json", "-o", tmp_path / "score.json")
+    assert "false alarms" in out
+    found = json.loads((tmp_path / "score.json").read_text())
+    assert found["kinds"]["none"]["false_alarms"]["hits"] == 0
+    assert found["kinds"]["single, plain"]["missed"]["hits"] == 1
+    assert found["wrong"] == [{"set": "set_2", "true": ["drawbar"], "answered": []}]
+
+
+def test_refusals_are_one_sentence(sets, tmp_path, monkeypatch, capsys):
+    run = _app(monkeypatch, capsys)
+    empty = '{"schema": "drft-blind-answers", "schema_version": 1, "answers": {}}'
+    (tmp_path / "answers.json").write_text(empty)
+    with pytest.raises(InputError, match="nothing to open"):
+        run("score", sets, "--answers", tmp_path / "answers.json")
+    (tmp_path / "other.json").write_text('{"schema": "other"}')
+    with pytest.raises(InputError, match="holds no answers"):
+        run("score", sets, "--answers", tmp_path / "other.json")
+    with pytest.raises(InputError, match="is not empty"):
+        run("make", sets, "--sets", 1)
+    with pytest.raises(InputError, match="protocol"):
+        run("make", tmp_path / "new", "--protocol", "other")
+    with pytest.raises(InputError, match="no sets"):
+        runs_of(tmp_path / "sets" / "set_1" / "fresh")
+
+
+def _app(monkeypatch, capsys):
+    """The subcommand `blind` alone, as `drft` calls it."""
+    Drft(monkeypatch, capsys)
+
+    def run(*arguments) -> str:
+        capsys.readouterr()
+        commands.app(list(map(str, arguments)), standalone_mode=False)
+        return capsys.readouterr().out
+
+    return run
