@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drftjax.arrays import require_between
+from drftjax.effects.entry import Entry, built
 from drftjax.errors import InputError
 from drftjax.integrator import (
     DEFAULT_STEP,
@@ -199,6 +200,8 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
     rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
     start: StartSetUp = msgspec.field(default_factory=StartSetUp)
     integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
+    # [[effect]] each: a name and numbers; `drft effects` lists them.
+    effects: list[Entry] = msgspec.field(default_factory=list, name="effect")
 
     def trial(self, interval: float = ROW_INTERVAL) -> Trial:
         """The trial that this set-up describes, ready to run.
@@ -215,7 +218,9 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             self.terrain.build(),
             self.rig.build(),
             INTEGRATORS[self.integrator.method](),
+            tuple(built(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
+        simulator.prepared()  # refuses an effect that this wheel or this law cannot have
         command = self.command.build()
         if self.rig.carriage == "driven" and command.vx is None:
             raise InputError("the carriage is driven, so [command] needs vx in m/s")

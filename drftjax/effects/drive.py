@@ -42,7 +42,7 @@ class SpeedLag(AbstractDrive):
         "lag dω/dt = ω_cmd - ω",
         "the wheel's speed follows the command late",
     )
-    lag: Number = strength("s", 0.1, "time constant")
+    lag: Number = strength("s", 0.1, "time constant", least=0.0)
 
     def begin(self, omega: Number, angle: Number) -> Memory:
         return omega
@@ -87,7 +87,7 @@ class Backlash(AbstractDrive):
         "ω = 0 until the drive has turned by play either way, then ω_cmd",
         "the wheel starts late by an angle",
     )
-    play: Number = strength("rad", 0.05, "angle of the drive before the wheel follows")
+    play: Number = strength("rad", 0.05, "angle of the drive before the wheel follows", least=0.0)
 
     def begin(self, omega: Number, angle: Number) -> Memory:
         return jnp.zeros_like(angle)

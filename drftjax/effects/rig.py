@@ -55,7 +55,7 @@ class VerticalCoulomb(_Memoryless):
         "F_z = -force tanh(v_z / 0.1 mm/s)",
         "dry friction of the vertical guide",
     )
-    force: Number = strength("N", 5.0, "friction")
+    force: Number = strength("N", 5.0, "friction", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return _along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
@@ -67,7 +67,7 @@ class VerticalViscous(_Memoryless):
     about: ClassVar = About(
         "vertical_viscous", "rig", "F_z = -damping v_z", "viscous friction of the vertical guide"
     )
-    damping: Number = strength("N s/m", 1000.0, "friction per speed")
+    damping: Number = strength("N s/m", 1000.0, "friction per speed", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return _along_z(-self.damping * velocity[1])
@@ -82,7 +82,7 @@ class HorizontalCoulomb(_Memoryless):
         "F_x = -force tanh(v_x / 1 mm/s)",
         "dry friction of the carriage",
     )
-    force: Number = strength("N", 3.0, "friction")
+    force: Number = strength("N", 3.0, "friction", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return _along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
@@ -94,7 +94,7 @@ class HorizontalViscous(_Memoryless):
     about: ClassVar = About(
         "horizontal_viscous", "rig", "F_x = -damping v_x", "viscous friction of the carriage"
     )
-    damping: Number = strength("N s/m", 30.0, "friction per speed")
+    damping: Number = strength("N s/m", 30.0, "friction per speed", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return _along_x(-self.damping * velocity[0])

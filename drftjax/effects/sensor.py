@@ -84,7 +84,7 @@ class MeasurementDelay(AbstractSensor):
     about: ClassVar = About(
         "measurement_delay", "sensor", "read(t) = true(t - delay)", "the readings are late"
     )
-    delay: Number = strength("s", 0.1, "how late")
+    delay: Number = strength("s", 0.1, "how late", least=0.0)
 
     def begin(self, output: "Output") -> Memory:
         return jnp.repeat(_channels(output)[None], DELAY_STAGES, axis=0)
@@ -108,7 +108,7 @@ class MeasurementFilter(AbstractSensor):
         "lag d(read)/dt = true - read",
         "the readings are low-pass filtered",
     )
-    lag: Number = strength("s", 0.1, "time constant")
+    lag: Number = strength("s", 0.1, "time constant", least=0.0)
 
     def begin(self, output: "Output") -> Memory:
         return _channels(output)

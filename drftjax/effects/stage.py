@@ -7,6 +7,7 @@ in the state: `begin` makes that memory, and the step hands it back.
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -41,18 +42,19 @@ class About:
     meaning: str
 
 
-def strength(unit: str, typical: float, meaning: str) -> Any:
+def strength(unit: str, typical: float, meaning: str, least: float = -math.inf) -> Any:
     """A field that is zero where the effect is absent.
 
     Args:
         unit: Its SI unit, "-" for none.
         typical: Size that a rig may well show, in that unit: the scale of a fit.
         meaning: What it is.
+        least: Smallest value that means something: files may not go below it, fits should not.
     """
     return eqx.field(
         converter=as_real,
         default=0.0,
-        metadata={"unit": unit, "typical": typical, "meaning": meaning},
+        metadata={"unit": unit, "typical": typical, "meaning": meaning, "least": least},
     )
 
 
@@ -68,7 +70,7 @@ def shape(unit: str, default: float, starts: Sequence[float], meaning: str) -> A
     return eqx.field(
         converter=as_real,
         default=default,
-        metadata={"unit": unit, "starts": tuple(starts), "meaning": meaning},
+        metadata={"unit": unit, "starts": tuple(starts), "meaning": meaning, "least": 0.0},
     )
 
 

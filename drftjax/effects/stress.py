@@ -37,7 +37,7 @@ class RateHardening(AbstractStressFactor):
         "σ = σ (1 + excess p / (p + half)), p the plate's speed",
         "stress grows with plate speed beyond the inertial term",
     )
-    excess: Number = strength("-", 0.1, "excess of stress at high speed")
+    excess: Number = strength("-", 0.1, "excess of stress at high speed", least=0.0)
     half: Number = shape("m/s", 0.1, (0.01, 0.05, 0.2, 1.0), "plate speed of half the excess")
 
     def factor(self, motion: PlateMotion) -> Each:
@@ -69,7 +69,9 @@ class RigidFloor(AbstractStressFactor):
         "σ = σ (1 + excess max(d - floor, 0) / 20 mm)",
         "the bed is shallow: it stiffens below some depth",
     )
-    excess: Number = strength("-", 0.5, "excess of stress per 20 mm below the floor's depth")
+    excess: Number = strength(
+        "-", 0.5, "excess of stress per 20 mm below the floor's depth", least=0.0
+    )
     floor: Number = shape("m", 0.035, (0.025, 0.035, 0.045), "depth at which it begins")
 
     def factor(self, motion: PlateMotion) -> Each:
@@ -85,7 +87,7 @@ class Cohesion(AbstractStressFactor):
         "σ = σ (d + depth) / d, fading in over 2 mm",
         "a stress that does not depend on depth",
     )
-    depth: Number = strength("m", 0.002, "depth whose stress the cohesion has")
+    depth: Number = strength("m", 0.002, "depth whose stress the cohesion has", least=0.0)
 
     def factor(self, motion: PlateMotion) -> Each:
         return 1 + self.depth / jnp.maximum(motion.depth, ONSET_DEPTH)

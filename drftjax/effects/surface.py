@@ -103,7 +103,7 @@ class Excavation(AbstractSurface):
         "h = -rate ∫ |r ω - v_x| dt",
         "slip digs: the surface under the wheel goes down with slip distance",
     )
-    rate: Number = strength("-", 0.1, "depth dug per slip distance")
+    rate: Number = strength("-", 0.1, "depth dug per slip distance", least=0.0)
 
     def begin(self) -> Memory:
         return jnp.zeros_like(self.rate)

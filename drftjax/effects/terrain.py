@@ -28,7 +28,7 @@ class Loosening(AbstractZetaFactor):
         "ζ = ζ (1 - loss (1 - exp(-turning / decay)))",
         "zeta falls with the wheel's accumulated turning, towards a floor",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost in the end")
+    loss: Number = strength("-", 0.1, "share of zeta lost in the end", least=0.0)
     decay: Number = shape("rad", 2.0, (0.3, 0.7, 1.5, 3.0, 6.0, 12.0), "turning that loosens")
 
     def begin(self) -> Memory:
@@ -50,7 +50,7 @@ class SlipSoftening(AbstractZetaFactor):
         "ζ = ζ (1 - loss s / (s + half)), s = |r ω - v_x|",
         "zeta is lower the faster the rim slips",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip")
+    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0)
     half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
 
     def begin(self) -> Memory:
@@ -97,7 +97,7 @@ class Bulldozing(AbstractSandLoad):
         "F_x = -force (1 - exp(-|travel| / length)) sign(travel)",
         "sand piles up ahead: resistance that grows with travel and saturates",
     )
-    force: Number = strength("N", 5.0, "resistance in the end")
+    force: Number = strength("N", 5.0, "resistance in the end", least=0.0)
     length: Number = shape("m", 0.3, (0.05, 0.15, 0.4, 1.0), "travel that piles it up")
 
     def begin(self, position: Pair) -> Memory:

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from drftjax.arrays import require_between
 from drftjax.effects.stage import (
     About,
     AbstractAdjustment,
@@ -18,7 +19,8 @@ from drftjax.effects.stage import (
     strength,
 )
 from drftjax.errors import InputError
-from drftjax.wheel import GrouserWheel, Plates
+from drftjax.outline import OutlineWheel
+from drftjax.wheel import LARGEST_RADIUS, SMALLEST_RADIUS, GrouserWheel, Plates
 
 if TYPE_CHECKING:
     from drftjax.simulator import Simulator
@@ -28,7 +30,7 @@ Each = Float[Array, " plates"]
 
 
 class WheelRadius(AbstractAdjustment):
-    """The rim's true radius differs."""
+    """The rim's true radius differs; an outline is larger in proportion."""
 
     about: ClassVar = About(
         "wheel_radius", "wheel", "r = r + excess", "the rim's true radius differs"
@@ -36,9 +38,12 @@ class WheelRadius(AbstractAdjustment):
     excess: Number = strength("m", 0.003, "true radius less the stated one")
 
     def adjust(self, simulator: "Simulator") -> "Simulator":
-        return eqx.tree_at(
-            lambda s: s.wheel.radius, simulator, simulator.wheel.radius + self.excess
-        )
+        radius = simulator.wheel.radius + self.excess
+        require_between("the wheel's true radius", radius, SMALLEST_RADIUS, LARGEST_RADIUS, " m")
+        if isinstance(simulator.wheel, OutlineWheel):
+            larger = simulator.wheel.points * (radius / simulator.wheel.radius)
+            simulator = eqx.tree_at(lambda s: s.wheel.points, simulator, larger)
+        return eqx.tree_at(lambda s: s.wheel.radius, simulator, radius)
 
 
 class GrouserHeight(AbstractAdjustment):
@@ -56,6 +61,8 @@ class GrouserHeight(AbstractAdjustment):
         if not isinstance(simulator.wheel, GrouserWheel):
             raise InputError("grouser_height needs a wheel with grousers")
         height = simulator.wheel.grouser_height + self.excess
+        # A rounding below none is none.
+        require_between("the grousers' true height", height, -1e-9, LARGEST_RADIUS, " m")
         return eqx.tree_at(lambda s: s.wheel.grouser_height, simulator, height)
 
 

@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.effects          # a Markdown table
 
-The runs with and without an effect take turns, and each ratio is that of the shortest of several
-runs, so that other work on the machine shows little.
+The runs with and without an effect take turns, and the shortest of several runs counts, so that
+other work on the machine shows little.
 """
 
 import argparse
@@ -19,21 +19,14 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from drftjax.command import command_at  # noqa: E402
-from drftjax.effects.catalogue import catalogue, strengths  # noqa: E402
-from drftjax.effects.catalogue import numbers as numbers_of  # noqa: E402
+from drftjax.effects.catalogue import catalogue  # noqa: E402
+from drftjax.effects.entry import typical  # noqa: E402
 from drftjax.rollout import simulate, step_times  # noqa: E402
 from drftjax.simulator import Simulator, State  # noqa: E402
 
 KNOTS = (0.0, 2.0, 7.0, 17.0, 22.0, 24.0)
 OMEGA = (0.0, 0.0, 0.5236, 0.5236, 0.0, 0.0)
 STEP, EVERY = 1e-3, 20
-DEARER = 1.5
-
-
-def typical(effect):
-    """The effect with every strength at its typical size."""
-    about = numbers_of(effect)
-    return effect(**{name: about[name]["typical"] for name in strengths(effect)})
 
 
 def program(effects):
@@ -70,20 +63,18 @@ def main() -> None:
     known = catalogue()
     plain = program(())
     steps = KNOTS[-1] / STEP
-    print("| effect | stage | µs a step | over the plain step |\n|---|---|---|---|")
-    for name in chosen.names or known:
-        taken, bare = cost((typical(known[name]),), plain, chosen.repeats)
-        mark = " **dear**" if taken > DEARER * bare else ""
-        print(
-            f"| {name} | {known[name].about.stage} | {taken / steps * 1e6:.2f} "
-            f"| {taken / bare:.2f}{mark} |",
-            flush=True,
-        )
-    everything = tuple(typical(each) for each in known.values())
+    cases = {name: (known[name],) for name in chosen.names or known}
     if not chosen.names:
-        taken, bare = cost(everything, plain, chosen.repeats)
-        print(f"| all at once | | {taken / steps * 1e6:.2f} | {taken / bare:.2f} |")
-        print(f"| none | | {bare / steps * 1e6:.2f} | 1.00 |")
+        cases["all at once"] = tuple(known.values())
+    taken = {
+        name: cost([typical(each) for each in those], plain, chosen.repeats)
+        for name, those in cases.items()
+    }
+    bare = min(without for _, without in taken.values())
+    print("| effect | µs a step | over the plain step |\n|---|---|---|")
+    print(f"| none | {bare / steps * 1e6:.2f} | 1.00 |")
+    for name, (time_taken, _) in taken.items():
+        print(f"| {name} | {time_taken / steps * 1e6:.2f} | {time_taken / bare:.2f} |")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,64 @@
+"""`drft effects`: the mechanisms beyond the reference model, listed, explained and drawn."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(add_completion=False)
+
+EXAMPLES = """
+Examples:
+
+  drft effects
+
+  drft effects loosening --plot out/loosening.png
+
+  drft effects --plot out/effects.png
+"""
+
+
+@app.command(epilog=EXAMPLES)
+def effects(
+    name: Annotated[
+        str | None, typer.Argument(help="An effect, to show in full.", show_default=False)
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw what it does to the paper's run (PNG, PDF, SVG); without a name, what each "
+            "of them does."
+        ),
+    ] = None,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="The list as a table in Markdown.")
+    ] = False,
+) -> None:
+    """Effects that a set-up may have beyond the reference model, and what they do."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from drftjax.effects import table
+    from drftjax.effects.catalogue import effect_class
+
+    if plot is not None:
+        from drftjax.figures import check_figure_name
+
+        check_figure_name(plot)
+    chosen = None if name is None else effect_class(name)
+    if chosen is not None:
+        typer.echo(table.details(chosen))
+    elif markdown:
+        typer.echo(table.markdown())
+    elif plot is None:
+        from rich.console import Console
+
+        Console(highlight=False).print(table.listing())
+    if plot is not None:
+        from drftjax.effects import portrait
+        from drftjax.figures import save_figure
+
+        everything = [each for _, those in table.by_stage() for each in those]
+        figure = portrait.sheet(everything) if chosen is None else portrait.portrait(chosen)
+        save_figure(figure, plot)
+        typer.echo(f"figure written to {plot}")

@@ -1,0 +1,56 @@
+"""Effects as a file holds them: a name, and numbers that are left out at their defaults."""
+
+import math
+from collections.abc import Mapping
+
+from drftjax.effects.catalogue import effect_class, numbers
+from drftjax.effects.stage import AbstractEffect
+from drftjax.errors import InputError
+
+Entry = dict[str, str | float]
+
+
+def built(entry: Mapping[str, str | float], place: int) -> AbstractEffect:
+    """The effect that an entry describes.
+
+    Args:
+        entry: Its name, and numbers by their fields.
+        place: Which entry of the file it is, from 1 on.
+
+    Raises:
+        InputError: says which entry, what was given and what must hold.
+    """
+    name = entry.get("name")
+    if not isinstance(name, str):
+        raise InputError(f"[[effect]] {place} needs a name; `drft effects` lists them")
+    effect = effect_class(name)
+    known = numbers(effect)
+    given = {}
+    for field, value in entry.items():
+        if field == "name":
+            continue
+        if field not in known:
+            has = ", ".join(f"{each} [{about['unit']}]" for each, about in known.items())
+            raise InputError(f"the effect {name!r} has no number {field!r}; it has {has}")
+        if not isinstance(value, float | int):
+            raise InputError(f"{name}.{field} is {value!r}, must be a number")
+        least = known[field]["least"]
+        if not math.isfinite(value):
+            raise InputError(f"{name}.{field} is {value:g}, must be finite")
+        if value < least or (value == least and "starts" in known[field]):
+            bound = "above 0" if "starts" in known[field] else f"{least:g} or more"
+            raise InputError(f"{name}.{field} is {value:g}, must be {bound}")
+        given[field] = float(value)
+    return effect(**given)
+
+
+def entry_of(effect: AbstractEffect) -> Entry:
+    """An effect as a file holds it: what `built` makes it of again."""
+    fields = {field: float(getattr(effect, field)) for field in numbers(type(effect))}
+    return {"name": effect.about.name, **fields}
+
+
+def typical(effect: type[AbstractEffect]) -> AbstractEffect:
+    """The effect with every strength at its typical size."""
+    about = numbers(effect)
+    return effect(**{field: each["typical"] for field, each in about.items() if "typical" in each})

@@ -1,0 +1,259 @@
+"""Effects in set-up files and results, on the command line, and from packages of others."""
+
+import copy
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from command_line import Drft
+
+from drftjax.effects.catalogue import catalogue
+from drftjax.effects.entry import built, entry_of, typical
+from drftjax.effects.table import markdown
+from drftjax.effects.terrain import Loosening
+from drftjax.runlog.hdf5 import read_run, write_result
+from drftjax.saved import model_group, read_model
+from drftjax.setup import CommandSetUp, SetUp, read_setup
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "effects.md"
+
+HEAD = """
+[wheel]
+plate_size = 0.01
+
+[integrator]
+method = "held pace"
+step = 2e-3
+
+[command]
+time = [0, 0.2, 0.5, 1]
+omega = [0, 0, 0.5, 0.5]
+"""
+LOOSENING = '[[effect]]\nname = "loosening"\nloss = 0.2\n'
+LATE = '[[effect]]\nname = "measurement_filter"\nlag = 0.05\n'
+
+
+@pytest.fixture
+def drft(monkeypatch, capsys) -> Drft:
+    return Drft(monkeypatch, capsys)
+
+
+def written(folder: Path, text: str, name: str = "rig.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_a_file_gives_the_simulator_its_effects_in_the_order_given(tmp_path):
+    setup = read_setup(written(tmp_path, HEAD + LATE + LOOSENING))
+    late, loosening = setup.trial().simulator.effects
+    assert isinstance(loosening, Loosening)
+    assert (float(loosening.loss), float(loosening.decay)) == (0.2, 2.0)
+    assert late.about.name == "measurement_filter"
+
+
+def test_a_set_up_without_effects_says_none_and_keeps_none(tmp_path):
+    setup = SetUp(command=CommandSetUp([0, 1], [0, 1]))
+    assert setup.effects == []
+    assert setup.trial().simulator.effects == ()
+    other = SetUp(command=setup.command)
+    other.effects.append({"name": "drawbar"})
+    assert setup.effects == []
+
+
+@pytest.mark.parametrize("name", list(catalogue()))
+def test_every_effect_comes_back_from_a_file(tmp_path, name):
+    entry = entry_of(typical(catalogue()[name]))
+    setup = SetUp(command=CommandSetUp([0, 1], [0, 1]), effects=[entry])
+    path = written(tmp_path, msgspec.json.encode(setup).decode(), "rig.json")
+    (effect,) = read_setup(path).trial().simulator.effects
+    assert type(effect) is catalogue()[name]
+    assert entry_of(effect) == entry
+    assert entry_of(built({"name": name}, 1)) == entry_of(catalogue()[name]())
+
+
+def test_copies_and_results_carry_effects(tmp_path):
+    setup = read_setup(written(tmp_path, HEAD + LOOSENING))
+    copied = msgspec.structs.replace(copy.deepcopy(setup), title="another")
+    assert copied.effects == setup.effects == [{"name": "loosening", "loss": 0.2}]
+    write_result(tmp_path / "fit.h5", "drft-fit", {}, {"a": model_group(setup, {}, {})})
+    document = {
+        "schema": "drft-fit",
+        "schema_version": 1,
+        "runs": [{"name": "a", "setup": msgspec.to_builtins(setup)}],
+    }
+    written(tmp_path, msgspec.json.encode(document).decode(), "fit.json")
+    for name in ("fit.h5", "fit.json"):
+        assert read_model(tmp_path / name).effects == setup.effects
+
+
+def test_simulate_runs_the_effects(drft, tmp_path):
+    z = {}
+    for name, text in (("bare", HEAD), ("loose", HEAD + LOOSENING)):
+        answer = drft("simulate", written(tmp_path, text), "-o", tmp_path / f"{name}.h5")
+        assert answer.code == 0, answer
+        z[name] = read_run(tmp_path / f"{name}.h5").measured.z
+    assert z["loose"][-1] < z["bare"][-1] - 1e-4
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[effect]]\nname = 'losening'\n", "there is no effect 'losening'; did you mean loosen"),
+        ("[[effect]]\nloss = 0.1\n", "[[effect]] 1 needs a name; `drft effects` lists them"),
+        (LOOSENING + "[[effect]]\nname = 3\n", "[[effect]] 2 needs a name"),
+        (LOOSENING + "los = 1\n", "'loosening' has no number 'los'; it has loss [-], decay [rad]"),
+        (LOOSENING + "decay = nan\n", "loosening.decay is nan, must be finite"),
+        (LOOSENING + "decay = -inf\n", "loosening.decay is -inf, must be finite"),
+        (LOOSENING + "decay = 0\n", "loosening.decay is 0, must be above 0"),
+        (LOOSENING + "decay = 'much'\n", "loosening.decay is 'much', must be a number"),
+        (LOOSENING + "decay = true\n", "effect[0][...]: expected a number or text, got true"),
+        ("[[effect]]\nname = 'speed_lag'\nlag = -0.1\n", "speed_lag.lag is -0.1, must be 0 or"),
+        ("[[effects]]\nname = 'loosening'\n", "unknown entry 'effects'; did you mean 'effect'"),
+        ("effect = 3\n", "effect: expected a list, got a whole number"),
+        (
+            "[[effect]]\nname = 'grouser_height'\nexcess = -0.1\n",
+            "the grousers' true height is -0.082, must lie between",
+        ),
+        (
+            "[[effect]]\nname = 'wheel_radius'\nexcess = -3\n",
+            "the wheel's true radius is -2.85, must lie between 0.005 and 2 m",
+        ),
+    ],
+)
+def test_what_an_effect_may_not_be_is_refused_in_one_sentence(drft, tmp_path, text, said):
+    text = text + HEAD if text.startswith("effect") else HEAD + text
+    path = written(tmp_path, text)
+    refusal = drft("simulate", path).refusal
+    assert refusal.startswith(f"{path}: ")
+    assert said in refusal
+
+
+@pytest.mark.parametrize(
+    ("part", "effect", "said"),
+    [
+        ("[wheel]\nshape = 'plain'\n", "grouser_height", "needs a wheel with grousers"),
+        ("[terrain]\nlaw = 'quasi-static'\n", "momentum_flux", "needs the dynamic stress law"),
+    ],
+)
+def test_an_effect_that_the_set_up_cannot_have_is_refused(drft, tmp_path, part, effect, said):
+    text = f"{part}[command]\ntime = [0, 1]\nomega = [0, 1]\n[[effect]]\nname = '{effect}'\n"
+    assert f"{effect} {said}" in drft("simulate", written(tmp_path, text)).refusal
+
+
+def test_a_larger_outline_is_larger_all_over(tmp_path):
+    square = "[[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]"
+    text = (
+        f"[wheel]\nshape = 'outline'\nradius = 0.1\npoints = {square}\n"
+        "[command]\ntime = [0, 1]\nomega = [0, 1]\n"
+        "[[effect]]\nname = 'wheel_radius'\nexcess = 0.01\n"
+    )
+    simulator = read_setup(written(tmp_path, text)).trial().simulator
+    area = [float(s.wheel.cut().outline.area.sum()) for s in (simulator, simulator.prepared())]
+    assert area[1] == pytest.approx(1.1 * area[0])
+
+
+# On the command line ----------------------------------------------------------------------------
+
+
+def test_the_list_names_every_effect_of_every_stage(drft):
+    answer = drft("effects")
+    assert answer.code == 0
+    for name, effect in catalogue().items():
+        assert f"  {name}" in answer.out
+        assert effect.about.stage in answer.out
+
+
+def test_one_effect_is_told_in_full_with_lines_that_a_set_up_understands(drft, tmp_path):
+    answer = drft("effects", "terrain_variation")
+    assert "zeta depends on the place" in answer.out
+    assert "width [m]  its standard deviation along x; 0.15 unless said" in answer.out
+    lines = answer.out[answer.out.index("[[effect]]") :]
+    (entry,) = read_setup(written(tmp_path, HEAD + lines)).effects
+    assert entry == {"name": "terrain_variation", "excess": 0.1, "centre": 0.5, "width": 0.15}
+
+
+def test_an_unknown_effect_is_refused_with_the_nearest(drft):
+    assert "did you mean eccentricity or" in drft("effects", "excentricity").refusal
+
+
+def test_a_plot_shows_what_an_effect_does(drft, tmp_path):
+    figure = tmp_path / "new" / "drawbar.png"
+    answer = drft("effects", "drawbar", "--plot", figure)
+    assert answer.out.endswith(f"figure written to {figure}\n")
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "must end in .png" in drft("effects", "--plot", tmp_path / "sheet.jpg").refusal
+
+
+# Of other packages ------------------------------------------------------------------------------
+
+
+def test_the_page_holds_the_table_that_the_command_prints(drft):
+    assert drft("effects", "--markdown").out == markdown() + "\n"
+    assert markdown() in PAGE.read_text()
+
+
+def code_block(language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(), re.S)
+    assert found
+    return found[1]
+
+
+@pytest.fixture
+def package(tmp_path) -> dict[str, str]:
+    """An environment where the page's example is installed."""
+    home = tmp_path / "site"
+    known = home / "settling-1.0.dist-info"
+    known.mkdir(parents=True)
+    (home / "settling.py").write_text(code_block("python"))
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: settling\nVersion: 1.0\n")
+    points = code_block("toml").replace('[project.entry-points."drft.effects"]', "[drft.effects]")
+    (known / "entry_points.txt").write_text(points.replace('"', ""))
+    return os.environ | {"PYTHONPATH": str(home), "COLUMNS": "200"}
+
+
+def ask(environment: dict[str, str], *arguments: object) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "drftjax.commands.main", *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_the_pages_example_is_an_effect_like_any_other(package, tmp_path):
+    assert "zeta rises with time after pouring" in ask(package, "effects").stdout
+    text = HEAD + "[[effect]]\nname = 'settling'\ngain = 0.5\ntime = 0.1\n"
+    answer = ask(package, "simulate", written(tmp_path, text), "-o", tmp_path / "run.h5")
+    assert answer.returncode == 0, answer.stderr
+    bare = ask(package, "simulate", written(tmp_path, HEAD), "-o", tmp_path / "bare.h5")
+    assert bare.returncode == 0, bare.stderr
+    runs = [read_run(tmp_path / f"{name}.h5").measured.z[-1] for name in ("run", "bare")]
+    assert runs[0] > runs[1] + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("point", "said"),
+    [
+        ("settling:Absent", "the effect 'settling' of settling:Absent fails: "),
+        ("settling:Number", "the effect 'settling' of settling:Number is no effect class"),
+        (
+            "drftjax.effects.rig:Drawbar",
+            "'drawbar' of drftjax.effects.rig:Drawbar is there already",
+        ),
+    ],
+)
+def test_a_package_that_adds_no_effect_is_named(package, tmp_path, point, said):
+    points = next((tmp_path / "site").glob("*.dist-info")) / "entry_points.txt"
+    points.write_text(f"[drft.effects]\nsettling = {point}\n")
+    answer = ask(package, "effects")
+    assert answer.returncode == 2
+    assert said in answer.stderr
+    assert answer.stderr.count("\n") == 1
