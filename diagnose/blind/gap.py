@@ -15,11 +15,18 @@ from drftjax.errors import InputError
 # What noise and the scatter of zeta leave in a channel [m].
 FLOORS = {"x": 8e-5, "z": 3e-5}
 NUDGE = 0.01
+# Differences of runs need no fine steps: these are twice as long as a fit's, within reason [s].
+PROBE_FINER, LONGEST_STEP = 0.5, 2e-3
 ATTEMPTS = 6
 
 
 def _in_floors(reading: Reading) -> np.ndarray:
     return np.stack([getattr(reading, name) / floor for name, floor in FLOORS.items()])
+
+
+def _run(parts: Sequence[Part], profile: Profile, zeta: float, groups: tuple[str, ...]) -> Reading:
+    finer = max(PROBE_FINER, profile.steady_step() / LONGEST_STEP)
+    return plant.run(parts, profile, zeta, groups, finer)
 
 
 @dataclass(frozen=True)
@@ -62,7 +69,7 @@ class Probe:
     @classmethod
     def of(cls, profiles: Sequence[Profile], zeta: float, groups: tuple[str, ...]) -> "Probe":
         def channels(factor: float) -> tuple[np.ndarray, ...]:
-            runs = (plant.run((), p, factor * zeta, groups, finer=1.0) for p in profiles)
+            runs = (_run((), each, factor * zeta, groups) for each in profiles)
             return tuple(_in_floors(each) for each in runs)
 
         sound, nudged = channels(1.0), channels(1 + NUDGE)
@@ -77,7 +84,7 @@ class Probe:
         """
         whole, left = [], []
         for profile, sound, slope in zip(self.profiles, self.sound, self.slope, strict=True):
-            run = plant.run(parts, profile, self.zeta, self.groups, finer=1.0)
+            run = _run(parts, profile, self.zeta, self.groups)
             change = _in_floors(run) - sound
             refit = float((slope * change).sum() / (slope**2).sum())
             whole.append(change)

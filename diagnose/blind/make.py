@@ -37,8 +37,8 @@ QUANTUM = 1e-6
 # Sinkage before a run is read over this long [s], or as long as the wheel stands.
 READ_OVER = 1.0
 BELIEVED_ZETA = 0.7823
-# Runs that strengths are found on: slow, faster and sharp.
-PROBED = (0, 3, 5)
+# Runs that strengths are found on: a slow one, a middling one with sharp ramps, and the fastest.
+PROBED = (0, 5, 8)
 REDRAWS = 5
 PROTOCOLS = ("mixed", "practice", "random")
 
