@@ -186,9 +186,12 @@ class Simulator(eqx.Module):
             omega: Angular velocity [rad/s].
             zeta: Scaling factor [-].
             pace: See `plate_motion`; `velocity` where none is given.
-            memory: What the effects remember; none is needed where there are none.
+            memory: What the effects remember; as at a run's start where it is not given.
         """
         self = self.prepared()
+        if not memory:
+            nought = jnp.zeros_like(angle)
+            memory = chain.begin(self.effects, State(nought, position, velocity, angle, omega))
         pace = velocity if pace is None else pace
         radius = self.wheel.radius
         plates = chain.place(self.effects, self.wheel.cut().plates(angle), angle)

@@ -41,6 +41,7 @@ from drftjax.effects.stage import (
 )
 from drftjax.rollout import simulate
 from drftjax.simulator import State
+from drftjax.statics import sinkage_under_load
 from drftjax.stress import plate_motion
 
 # Two programs of the same arithmetic, one with the null effects and one without: the compiler
@@ -295,6 +296,16 @@ def test_loads_factors_and_surfaces_act_in_any_order():
 
     for one, other in zip(everything(forward), everything(forward[::-1]), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13)
+
+
+def test_plates_can_be_looked_at_with_effects_and_without_a_run():
+    values = vector(**{name: typical(name) for name in KNOWN})
+    sim = with_effects(GROUSERS, values)
+    state = START()
+    load = sim.plate_load(state.position, state.velocity, state.angle, state.omega, jnp.ones(()))
+    assert np.isfinite(load.stress_z).all()
+    firm = replace(simulator(), effects=(KNOWN["cohesion"](depth=0.004),))
+    assert sinkage_under_load(firm, 0.7) < sinkage_under_load(simulator(), 0.7) - 1e-3
 
 
 def test_effects_of_several_stages_act_at_once():

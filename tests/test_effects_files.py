@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from command_line import Drft
+from virtual_runs import recorded, setup_of
 
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.entry import built, entry_of, typical
@@ -18,6 +19,7 @@ from drftjax.effects.terrain import Loosening
 from drftjax.runlog.hdf5 import read_run, write_result
 from drftjax.saved import model_group, read_model
 from drftjax.setup import CommandSetUp, SetUp, read_setup
+from identify.candidate import candidate
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects.md"
@@ -156,6 +158,14 @@ def test_a_larger_outline_is_larger_all_over(tmp_path):
     simulator = read_setup(written(tmp_path, text)).trial().simulator
     area = [float(s.wheel.cut().outline.area.sum()) for s in (simulator, simulator.prepared())]
     assert area[1] == pytest.approx(1.1 * area[0])
+
+
+def test_a_fit_compares_runs_with_the_effects_of_its_model():
+    model = setup_of()
+    model.effects = [{"name": "vertical_load", "force": 30.0}]
+    asked = candidate("a", recorded(setup_of()), model=model)
+    (load,) = asked.trial.simulator.effects
+    assert entry_of(load) == asked.setup.effects[0] == model.effects[0]
 
 
 # On the command line ----------------------------------------------------------------------------
