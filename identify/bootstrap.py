@@ -201,8 +201,8 @@ def over_runs(optimum: Optimum, count: int, random: np.random.Generator) -> np.n
     active = np.flatnonzero(solution.active[: len(optimum.candidates)])
     information = np.zeros((len(active), shared, shared))
     slope = np.zeros((len(active), shared))
-    beliefs = solution.belief[shared:].reshape(-1, optimum.own)
-    belief_slopes = solution.belief_slope[shared:].reshape(-1, optimum.own)
+    beliefs = solution.belief[shared:].reshape(len(solution.active), optimum.own)
+    belief_slopes = solution.belief_slope[shared:].reshape(len(solution.active), optimum.own)
     for index, run in enumerate(active):
         rows = solution.blocks[run].reshape(-1, shared + optimum.own)
         whole = rows.T @ rows

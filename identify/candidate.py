@@ -72,10 +72,12 @@ def candidate(
             if step is None
             else step
         )
-        early = observation.time <= max(START_WINDOW, observation.time[0])
-        if run.measured.z is not None and early.sum() > 1:
+        rolling = _begins_in_motion(run)
+        early = observation.time <= max(0.0 if rolling else START_WINDOW, observation.time[0])
+        told = early.sum() > 1 or rolling
+        if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
-        if run.measured.x is not None and run.command.vx is None:
+        if run.measured.x is not None and run.command.vx is None and told:
             setup.start.x = float(run.measured.x[early].mean())
         if zeta is not None:
             setup.terrain.zeta = zeta
@@ -83,6 +85,11 @@ def candidate(
         return Candidate(name, setup, trial, observation)
     except InputError as problem:
         raise InputError(f"{name}: {problem}") from None
+
+
+def _begins_in_motion(run: RunLog) -> bool:
+    vx = run.command.vx
+    return bool(run.command.omega[0] != 0 or (vx is not None and vx[0] != 0))
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:

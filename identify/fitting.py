@@ -253,8 +253,7 @@ def run_states(optimum: Optimum) -> list[str]:
     """
     problem, solution = optimum.problem, optimum.solution
     _, own = map(np.asarray, solution.coordinates)
-    white = optimum.whitening.apply(solution.blocks)[..., optimum.shared :]
-    left = optimum.whitening.apply(solution.residual)
+    counted = (optimum.whitening.scale > 0).sum(axis=(1, 2))
     beliefs = solution.belief[optimum.shared :].reshape(own.shape)
     slopes = solution.belief_slope[optimum.shared :].reshape(own.shape)
     states = []
@@ -265,13 +264,16 @@ def run_states(optimum: Optimum) -> list[str]:
         if any(bool(p.near_bound(own[run, k])) for k, p in enumerate(problem.own)):
             states.append("at a bound")
             continue
-        rows = white[run].reshape(-1, optimum.own)
+        if not optimum.own:
+            states.append("converged" if solution.status == "converged" else "stalled")
+            continue
+        rows = solution.blocks[run][..., optimum.shared :].reshape(-1, optimum.own)
+        left = solution.residual[run].ravel()
         information = rows.T @ rows + np.diag(slopes[run] ** 2)
-        slope = rows.T @ left[run].ravel() + slopes[run] * beliefs[run]
+        slope = rows.T @ left + slopes[run] * beliefs[run]
         gain = float(slope @ np.linalg.lstsq(information, slope, rcond=None)[0])
-        unsettled = gain > max(NEGLIGIBLE * float(np.sum(left[run] ** 2)), 1.0)
-        unsettled |= solution.status != "converged" and not optimum.own
-        states.append("stalled" if unsettled else "converged")
+        noticeable = max(NEGLIGIBLE, 1 / max(int(counted[run]), 1)) * float(left @ left)
+        states.append("stalled" if gain > noticeable else "converged")
     return states
 
 

@@ -12,8 +12,8 @@ from drftjax.saved import thinned
 from identify.batch import Problem
 from identify.candidate import Candidate
 from identify.parameter import Parameter
-from identify.solve import Coordinates, Solution, normal_equations
-from identify.uncertainty import Whitening, inverse
+from identify.solve import Coordinates, Solution
+from identify.uncertainty import Whitening, covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +54,8 @@ class Optimum:
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
         offset = _offset(problem, model_error)
         whitening = Whitening.of(solution.residual, counts, offset, phases_of(candidates, counts))
-        information, _ = normal_equations(
-            whitening.apply(solution.blocks), len(problem.shared), solution.residual
-        )
-        covariance = inverse(information + np.diag(solution.belief_slope**2))
-        return cls(problem, solution, candidates, model_error, whitening, covariance)
+        spread = covariance(solution.blocks, whitening, len(problem.shared), solution.belief_slope)
+        return cls(problem, solution, candidates, model_error, whitening, spread)
 
     @property
     def shared(self) -> int:

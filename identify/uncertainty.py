@@ -23,45 +23,49 @@ def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
 
 
 def covariance(
-    residual: np.ndarray,
-    blocks: np.ndarray,
-    counts: np.ndarray,
-    shared: int,
-    belief_slope: np.ndarray,
-    offset: np.ndarray,
-    phase: np.ndarray,
+    blocks: np.ndarray, whitening: "Whitening", shared: int, belief_slope: np.ndarray
 ) -> np.ndarray:
-    """Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
+    r"""Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
 
     The residual of each run and channel is taken as first-order autoregressive: its variance is
     measured, and (1 + rho) / (1 - rho) samples count as one. Beyond that the simulation itself may
     be off by a constant in every phase of the command, which no number of samples averages away.
+    With such noise of covariance $S$, least squares that weighs every sample alike scatters by
+    $A^{-1} J^T S J A^{-1}$, $A = J^T J$, which is more than the best that the samples would allow.
     A direction that the data do not see gets a very large variance.
 
     Args:
-        residual: Weighted residuals at the optimum, shape (runs, channels, samples).
-        blocks: Their derivative by (shared, own) coordinates, shape (..., shared + own).
-        counts: True for samples that were recorded, shape (runs, channels, samples).
+        blocks: Derivative of the weighted residuals by (shared, own) coordinates, shape (runs,
+            channels, samples, shared + own).
+        whitening: Of those residuals.
         shared: Number of shared coordinates.
         belief_slope: Derivative of each coordinate's prior residual; zero where it has none.
-        offset: Weighted residual that one standard deviation of such a constant makes, shape
-            (runs, channels, samples).
-        phase: Number of each sample's phase, shape (runs, samples).
 
     Returns:
         Covariance, shape (shared + runs * own,) squared.
     """
-    whitening = Whitening.of(residual, counts, offset, phase)
-    information, _ = normal_equations(whitening.apply(blocks), shared, residual)
-    return inverse(information + np.diag(belief_slope**2))
+    known = np.diag(belief_slope**2)
+    nothing = np.zeros(blocks.shape[:3])
+    information = normal_equations(blocks, shared, nothing)[0] + known
+    noise = normal_equations(whitening.colour(blocks), shared, nothing)[0] + known
+    values, vectors = np.linalg.eigh(information)
+    held = np.maximum(values, _floor(values))
+    # A direction that is not seen has as little noise as information.
+    noise += (vectors * (held - values)) @ vectors.T
+    spread = (vectors / held) @ vectors.T
+    return spread @ noise @ spread
+
+
+def _floor(values: np.ndarray) -> float:
+    """The least information that rounding leaves to tell from none."""
+    tiny = float(np.finfo(float).tiny)
+    return max(values.max() * np.finfo(float).eps * len(values), tiny) if len(values) else tiny
 
 
 def inverse(information: np.ndarray) -> np.ndarray:
     """Its inverse; a direction without information gets a very large variance."""
     values, vectors = np.linalg.eigh(information)
-    size = len(information)
-    floor = values.max() * np.finfo(float).eps * size if size else 0.0
-    return (vectors / np.maximum(values, max(floor, np.finfo(float).tiny))) @ vectors.T
+    return (vectors / np.maximum(values, _floor(values))) @ vectors.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +73,8 @@ class Whitening:
     r"""Turns weighted residuals into numbers that scatter independently by one.
 
     A residual's covariance is its own inflated variance and, in each phase of the command, an
-    unknown constant: $1 + u u^T$ with the constant's vector u. Its inverse is the square of
-    $1 - a u u^T$ with $a = (1 - 1 / \sqrt{1 + u^T u}) / u^T u$.
+    unknown constant: $1 + u u^T$ with the constant's vector u. Along u that is $1 + u^T u$, across
+    it 1, and so for every power of it.
 
     Attributes:
         scale: 1 / inflated standard deviation, zero where nothing counts, shape (runs, channels,
@@ -98,12 +102,24 @@ class Whitening:
 
     def apply(self, weighted: np.ndarray) -> np.ndarray:
         """Weighted residuals or derivatives, shape (runs, channels, samples, ...), whitened."""
-        white = weighted * self.scale.reshape(self.scale.shape + (1,) * (weighted.ndim - 3))
+        return self._stretched(weighted * self._beside(weighted, self.scale), -0.5)
+
+    def colour(self, blocks: np.ndarray) -> np.ndarray:
+        """Derivatives times the root of the noise's covariance: `apply` the other way."""
+        spread = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        return self._stretched(blocks * self._beside(blocks, spread), 0.5)
+
+    @staticmethod
+    def _beside(values: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        return scale.reshape(scale.shape + (1,) * (values.ndim - 3))
+
+    def _stretched(self, values: np.ndarray, power: float) -> np.ndarray:
+        """`values` with their part along u times (1 + u^T u) to this power, in every phase."""
         for run, phases in enumerate(self.phase):
             for here in (phases == number for number in np.unique(phases)):
                 unit = self.unit[run][:, here]
-                power = np.maximum(np.sum(unit**2, axis=1), np.finfo(float).tiny)
-                part = (1 - 1 / np.sqrt(1 + power)) / power
-                along = np.einsum("cs,cs...->c...", unit, white[run][:, here])
-                white[run][:, here] -= np.einsum("c,cs,c...->cs...", part, unit, along)
-        return white
+                size = np.maximum(np.sum(unit**2, axis=1), np.finfo(float).tiny)
+                part = ((1 + size) ** power - 1) / size
+                along = np.einsum("cs,cs...->c...", unit, values[run][:, here])
+                values[run][:, here] += np.einsum("c,cs,c...->cs...", part, unit, along)
+        return values
