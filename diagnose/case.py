@@ -1,0 +1,196 @@
+"""A case: the runs of one rig made ready for a diagnosis, with the baseline fitted to each."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diagnose.path import Path as Trace
+from diagnose.path import steadied, steps_in_a_node, trace
+from diagnose.response import Model, predict
+from drftjax.errors import InputError
+from drftjax.trial import Trial
+from drftjax.wheel import GrouserWheel
+from identify.batch import Batch, Observed, make_batch, roomy
+from identify.candidate import Candidate
+
+Result = TypeVar("Result")
+
+# zeta is found to this share of itself.
+CLOSE_ENOUGH = 2e-5
+MOST_TURNS = 12
+# A step of log zeta that one straight line is trusted for.
+LONGEST_MOVE = 0.2
+# Part of the way, of all that a run turns and travels, over which sinkage is met at first.
+EARLY = (0.05, 0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Runs of one rig.
+
+    Attributes:
+        candidates: The runs, as for a fit.
+        batch: The same, padded to common sizes.
+        threads: Where simulations run side by side.
+    """
+
+    candidates: Sequence[Candidate]
+    batch: Batch
+    threads: ThreadPoolExecutor
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidate], threads: ThreadPoolExecutor) -> "Case":
+        """Runs made ready.
+
+        Raises:
+            InputError: where they are not runs of one kind of wheel, carriage and sand.
+        """
+        batch = make_batch(
+            [each.trial for each in candidates], [each.observation for each in candidates]
+        )
+        return cls(candidates, batch, threads)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return self.batch.channels
+
+    @cached_property
+    def trials(self) -> list[Trial]:
+        """Each run's trial, padded."""
+        return [self._of_run(self.batch.trials, run) for run in range(len(self.candidates))]
+
+    @cached_property
+    def observed(self) -> list[Observed]:
+        """Each run's recording, padded."""
+        return [self._of_run(self.batch.observed, run) for run in range(len(self.candidates))]
+
+    def _of_run(self, stacked, run: int):
+        return jax.tree.map(lambda leaf: leaf[run], stacked)
+
+    def each_run(self, work: Callable[[int], Result]) -> list[Result]:
+        """`work` done for every run, side by side."""
+        return list(self.threads.map(work, range(len(self.candidates))))
+
+    def counts(self, run: int) -> np.ndarray:
+        """Which of a run's recorded samples are compared."""
+        return self.candidates[run].observation.counts
+
+    def time(self, run: int) -> np.ndarray:
+        """Times of the samples compared [s]."""
+        return self.candidates[run].observation.time[self.counts(run)]
+
+    def recorded(self, run: int) -> np.ndarray:
+        """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
+        observation = self.candidates[run].observation
+        values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
+        for name, row in zip(observation.channels, observation.values, strict=True):
+            values[self.channels.index(name)] = row[self.counts(run)]
+        return values
+
+    def predicted(
+        self, model: Model, run: int, log_zeta: float, coordinates: np.ndarray
+    ) -> np.ndarray:
+        """What a model gives then, like `recorded`."""
+        found = predict(
+            model,
+            self.channels,
+            self.trials[run],
+            self.observed[run],
+            jnp.asarray(log_zeta),
+            jnp.asarray(coordinates, float),
+        )
+        return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
+
+    def trace(self, run: int, log_zeta: float) -> Trace:
+        """A run of the reference model at this zeta, linearised."""
+        trial = with_zeta(self.trials[run], log_zeta)
+        steps = [steps_in_a_node(each) for each in self.trials]
+        rows = np.asarray(self.batch.observed.compared_rows)
+        nodes = [int(r) * t.every // s for r, t, s in zip(rows, self.trials, steps, strict=False)]
+        found = trace(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), roomy(max(nodes)))
+        return steadied(found, pitch(trial))
+
+    def node(self, run: int) -> float:
+        """Length of a node of its trace [s]."""
+        trial = self.trials[run]
+        return float(trial.step) * steps_in_a_node(trial)
+
+
+def with_zeta(trial: Trial, log_zeta: float) -> Trial:
+    """The trial with its zeta scaled."""
+    import equinox as eqx
+
+    zeta = trial.simulator.terrain.zeta.value * np.exp(log_zeta)  # pyright: ignore
+    return eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
+
+
+def pitch(trial: Trial) -> float:
+    """Angle from one grouser to the next [rad]; infinite without any."""
+    return float(getattr(trial.simulator.wheel.cut(), "pitch", np.inf))
+
+
+def baseline(case: Case) -> np.ndarray:
+    """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
+
+    Secant steps on its mean. This is where all is linearised, not yet the best that zeta can do.
+
+    Raises:
+        InputError: where a run has no sinkage, or cannot be simulated.
+    """
+    if "z" not in case.channels:
+        raise InputError("no run has a recorded sinkage (/measured/z), and nothing stands for it")
+    z = case.channels.index("z")
+    plain = Model()
+
+    def of(run: int) -> float:
+        wanted = case.recorded(run)[z]
+        early = _early(case, run)
+
+        def miss(log_zeta: float) -> float:
+            return float(
+                (case.predicted(plain, run, log_zeta, np.zeros(0))[z] - wanted)[early].mean()
+            )
+
+        at, here = 0.0, miss(0.0)
+        nxt = float(np.clip(-here / SINKAGE_PER_LOG_ZETA, -LONGEST_MOVE, LONGEST_MOVE))
+        for _ in range(MOST_TURNS):
+            if abs(nxt - at) < CLOSE_ENOUGH:
+                break
+            there = miss(nxt)
+            slope = (there - here) / (nxt - at)
+            at, here = nxt, there
+            if not np.isfinite(slope) or slope == 0:
+                name = case.candidates[run].name
+                raise InputError(f"{name}: no zeta lets the reference model follow its sinkage")
+            nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
+        return at
+
+    return np.array(case.each_run(of))
+
+
+# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
+SINKAGE_PER_LOG_ZETA = 0.023
+
+
+def _early(case: Case, run: int) -> np.ndarray:
+    """The samples compared early in the motion, past its start: before most effects have grown."""
+    trial = case.candidates[run].trial
+    omega = np.interp(case.time(run), np.asarray(trial.time), np.abs(np.asarray(trial.omega)))
+    vx = np.interp(case.time(run), np.asarray(trial.time), np.abs(np.asarray(trial.vx)))
+    moved = np.cumsum(omega + vx)
+    return (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])
+
+
+def threads() -> ThreadPoolExecutor:
+    """As many threads as there are cores; JAX computes outside Python's lock."""
+    return ThreadPoolExecutor(os.cpu_count() or 1)
+
+
+__all__ = ["Case", "GrouserWheel", "baseline", "pitch", "threads", "with_zeta"]

@@ -1,0 +1,251 @@
+"""A hypothesis: some effects with all their numbers, judged by free-running simulation.
+
+Its columns come from the bench's straight lines; every simulation then corrects them along the way
+it went (Broyden's update), so that a few simulations settle a hypothesis even far from the null.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnose.bench import Bench, Variant
+from diagnose.evidence import LINES_ERR, Line, coarseness, fit_line, worth_of
+from diagnose.response import Model
+from drftjax.effects.catalogue import numbers, strengths
+from drftjax.effects.stage import AbstractEffect
+
+# Width of the belief about a strength, in typical sizes, and about a shape's logarithm.
+STRENGTH_BELIEF = 5.0
+SHAPE_BELIEF = 1.0
+# One unit of each coordinate, for the shares that Broyden's update gives them.
+ZETA_UNIT = 0.02
+# A fit moves a logarithm (of zeta, of a shape) by no more than this at once.
+LONGEST_MOVE = 0.25
+# Share of a move's response that corrected columns may be wrong by.
+CORRECTED_ERR = 0.05
+# The first turns take every floor for this share of the worst block's distance from its own.
+SHARES = (0.3, 0.1, 0.03)
+# Turns end where the score gains less.
+SMALL_GAIN = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Effects with their numbers.
+
+    Attributes:
+        model: The effects.
+        log_zeta: Each run's log zeta over its set-up's, shape (runs,).
+        coordinates: The effects' free numbers.
+        line: What a fit in the neighbourhood says: score, what is left by block, scatter of zeta.
+        columns: By run, derivatives by (own log zeta, coordinates).
+        residual: By run, simulated less recorded.
+        simulated: Whether `line` is by simulation, or still by straight lines.
+        ahead: Change of log zeta and of the coordinates that straight lines propose.
+    """
+
+    model: Model
+    log_zeta: np.ndarray
+    coordinates: np.ndarray
+    line: Line
+    columns: list[np.ndarray]
+    residual: list[np.ndarray]
+    simulated: bool
+    ahead: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def score(self) -> float:
+        return self.line.score
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.model.names
+
+
+def on_lines(bench: Bench, variants: Sequence[Variant], coarse: float = 1.0) -> Line:
+    """What some effects would explain, were all responses straight lines.
+
+    Args:
+        bench: The case.
+        variants: The effects.
+        coarse: See `fit_line`.
+    """
+    columns = [column for variant in variants for column in variant.columns]
+    belief = np.full(len(columns), STRENGTH_BELIEF)
+    least = np.array([bound for variant in variants for bound in leasts(variant.effect)])
+    return fit_line(bench.products, columns, prior=belief, least=least, coarse=coarse)
+
+
+def leasts(effect: type[AbstractEffect]) -> list[float]:
+    """Least value of each strength of an effect: none, or zero where only one sign makes sense."""
+    about = numbers(effect)
+    return [about[name]["least"] for name in strengths(effect)]
+
+
+def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None) -> Hypothesis:
+    """A hypothesis as straight lines give it."""
+    line = on_lines(bench, variants) if line is None else line
+    model = Model(tuple(variant.effect for variant in variants))
+    coordinates: list[float] = []
+    weights: list[list[tuple[int, float]]] = []
+    used = 0
+    for variant in variants:
+        count = len(variant.columns)
+        strength = line.strengths[used : used + count]
+        used += count
+        coordinates += list(strength)
+        weights += [[(column, 1.0)] for column in variant.columns]
+        for axis, value in enumerate(variant.shapes):
+            coordinates.append(float(np.log(value)))
+            weights.append(_by_shape(bench, variant, axis, strength))
+    columns = [
+        np.concatenate(
+            [own[:, :, :1], *(_mixed(own, mix)[:, :, None] for mix in weights)], axis=2
+        )
+        for own in bench.columns
+    ]
+    scales = [f.scale for f in model.free]
+    null = np.array([0.0 if s is not None else c for s, c in zip(scales, coordinates, strict=True)])
+    return Hypothesis(
+        model,
+        bench.log_zeta,
+        null,
+        line,
+        columns,
+        bench.residual,
+        simulated=False,
+        ahead=(line.zeta, np.array(coordinates) - null),
+    )
+
+
+def _by_shape(
+    bench: Bench, variant: Variant, axis: int, strength: np.ndarray
+) -> list[tuple[int, float]]:
+    """A shape's column as a mix of the neighbouring variants', at these strengths."""
+    before, after = (bench.variants[number] for number in variant.near[axis])
+    apart = np.log(after.shapes[axis] / before.shapes[axis])
+    if apart == 0:
+        return []
+    mix = [(c, s / apart) for c, s in zip(after.columns, strength, strict=True)]
+    return mix + [(c, -s / apart) for c, s in zip(before.columns, strength, strict=True)]
+
+
+def _mixed(columns: np.ndarray, mix: list[tuple[int, float]]) -> np.ndarray:
+    found = np.zeros(columns.shape[:2])
+    for column, weight in mix:
+        found += weight * columns[:, :, 1 + column]
+    return found
+
+
+def _beliefs(model: Model, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Width of the belief about each coordinate, and where it is centred."""
+    width = np.array([STRENGTH_BELIEF if f.scale is not None else SHAPE_BELIEF for f in model.free])
+    centre = np.array(
+        [0.0 if f.scale is not None else s for f, s in zip(model.free, start, strict=True)]
+    )
+    return width, centre
+
+
+def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
+    """The hypothesis after some simulations, each followed by a fit; the best of them.
+
+    A hypothesis whose simulation fails keeps the last that did not.
+    """
+    width, centre = _beliefs(start.model, start.coordinates)
+    best = start if start.simulated else None
+    here = start
+    if start.ahead is None:
+        nxt_zeta, nxt = _step(bench, start, width, centre, SHARES[0])
+    else:
+        moves = np.clip(start.ahead[0], -LONGEST_MOVE, LONGEST_MOVE)
+        nxt_zeta, nxt = start.log_zeta + moves, start.coordinates + start.ahead[1]
+    for turn in range(turns):
+        moved = _simulated(bench, here, nxt_zeta, nxt)
+        if moved is None:
+            nxt_zeta, nxt = (here.log_zeta + nxt_zeta) / 2, (here.coordinates + nxt) / 2
+            continue
+        gained = moved.score - (best.score if best is not None else -np.inf)
+        if best is None or gained > 0:
+            best = moved
+        if gained < -SMALL_GAIN:
+            # Past the best: the corrected columns are kept, the fit goes on from the better place.
+            here = replace(best, columns=moved.columns)
+        else:
+            here = moved
+        if turn >= len(SHARES) and 0 <= gained < SMALL_GAIN:
+            break
+        share = SHARES[turn + 1] if turn + 1 < len(SHARES) else 0.0
+        nxt_zeta, nxt = _step(bench, here, width, centre, share)
+    return start if best is None else best
+
+
+def _step(
+    bench: Bench, here: Hypothesis, width: np.ndarray, centre: np.ndarray, share: float
+) -> tuple[np.ndarray, np.ndarray]:
+    products = bench.products_of(here.columns, here.residual, here.log_zeta)
+    count = len(here.coordinates)
+    least = np.array(
+        [
+            -np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["least"]
+            for f in here.model.free
+        ]
+    )
+    line = fit_line(
+        products,
+        range(count),
+        prior=width,
+        at=here.coordinates - centre,
+        least=least - here.coordinates,
+        trust=CORRECTED_ERR if here.simulated else LINES_ERR,
+        coarse=coarseness(bench.products.blocks, here.line.left, share),
+    )
+    logarithmic = np.array([f.scale is None for f in here.model.free], bool)
+    change = np.where(
+        logarithmic, np.clip(line.strengths, -LONGEST_MOVE, LONGEST_MOVE), line.strengths
+    )
+    zeta = np.clip(line.zeta, -LONGEST_MOVE, LONGEST_MOVE)
+    return here.log_zeta + zeta, here.coordinates + change
+
+
+def _simulated(
+    bench: Bench, before: Hypothesis, log_zeta: np.ndarray, coordinates: np.ndarray
+) -> Hypothesis | None:
+    """The hypothesis simulated elsewhere, with columns corrected by how it came out."""
+    case = bench.case
+    units = np.array([1.0 if f.scale is not None else 0.3 for f in before.model.free])
+    change = (coordinates - before.coordinates) / units
+
+    def of(run: int) -> tuple[np.ndarray, np.ndarray]:
+        predicted = case.predicted(before.model, run, log_zeta[run], coordinates)
+        residual = predicted - case.recorded(run)
+        own = (log_zeta[run] - before.log_zeta[run]) / ZETA_UNIT
+        step = np.concatenate([[own], change])
+        scaled = before.columns[run] * np.concatenate([[ZETA_UNIT], units])
+        size = step @ step
+        if size > 0:
+            surprise = residual - before.residual[run] - scaled @ step
+            scaled = scaled + surprise[:, :, None] * step / size
+        return scaled / np.concatenate([[ZETA_UNIT], units]), residual
+
+    both = case.each_run(of)
+    if not all(np.isfinite(residual[~np.isnan(case.recorded(run))]).all()
+               for run, (_, residual) in enumerate(both)):
+        return None
+    columns, residual = [c for c, _ in both], [r for _, r in both]
+    moved = log_zeta + bench.reference
+    left, number = _left(bench, residual)
+    scatter = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
+    score = worth_of(bench.products.blocks, number, left, scatter, len(moved))
+    line = Line(score, coordinates, log_zeta - before.log_zeta, left, scatter)
+    return Hypothesis(
+        before.model, log_zeta, coordinates, line, columns, residual, simulated=True
+    )
+
+
+def _left(bench: Bench, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square of residuals in each block, and how many values each has."""
+    nothing = [np.zeros((*each.shape, 0)) for each in residual]
+    products = bench.products_of(nothing, residual, np.zeros(len(residual)))
+    number = products.number.sum(axis=0)
+    return products.gram[:, :, -1, -1].sum(axis=0) / np.maximum(number, 1), number

@@ -1,0 +1,101 @@
+"""Errors at one place of the simulation, constant over a step: what an unknown effect would be."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractDrive,
+    AbstractLoad,
+    AbstractSurface,
+    AbstractZetaFactor,
+    Memory,
+    Moment,
+    strength,
+)
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+
+class ZetaError(AbstractZetaFactor):
+    """zeta is off by a factor."""
+
+    about: ClassVar = About("zeta_error", "terrain", "ζ = ζ exp(error)", "an unknown zeta factor")
+    error: Number = strength("-", 0.1, "logarithm of the factor")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return jnp.exp(self.error)
+
+
+class ForceError(AbstractLoad):
+    """A force is missing."""
+
+    about: ClassVar = About("force_error", "rig", "F = F + (x, z)", "an unknown force")
+    x: Number = strength("N", 5.0, "horizontal force")
+    z: Number = strength("N", 5.0, "vertical force")
+
+    def begin(self, position: Pair) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        return jnp.stack([self.x, self.z])
+
+
+class SpeedError(AbstractDrive):
+    """The wheel turns at another speed than commanded."""
+
+    about: ClassVar = About("speed_error", "drive", "ω = ω + error", "an unknown drive speed error")
+    error: Number = strength("rad/s", 0.02, "excess of the speed")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return ()
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        return omega + self.error, ()
+
+
+class HeightError(AbstractSurface):
+    """The surface lies higher."""
+
+    about: ClassVar = About("height_error", "terrain", "h = h + error", "an unknown surface height")
+    error: Number = strength("m", 0.001, "height of the surface")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def height(
+        self, x: Float[Array, " plates"], memory: Memory
+    ) -> Float[Array, " plates"]:
+        return jnp.full_like(x, self.error)
+
+
+# The inputs of a linearised run, in order.
+INPUTS = ("zeta", "force_x", "force_z", "speed", "height")
+
+
+def latents(inputs: Float[Array, "5"]) -> tuple:
+    """Effects that carry these inputs: log zeta [-], forces [N], speed [rad/s] and height [m]."""
+    zeta, force_x, force_z, speed, height = inputs
+    return (
+        SpeedError(error=speed),
+        ZetaError(error=zeta),
+        HeightError(error=height),
+        ForceError(x=force_x, z=force_z),
+    )

@@ -1,0 +1,152 @@
+"""What a model with some effects gives for every run, and how that changes with its numbers.
+
+One compiled program for each choice of effects serves every step of a fit and every set of runs of
+about the same size. Programs of different effects run side by side in threads.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.effects.catalogue import numbers, shapes, strengths
+from drftjax.effects.stage import AbstractEffect
+from drftjax.trial import Trial
+from identify.batch import Observed, between_rows
+
+
+@dataclass(frozen=True)
+class Free:
+    """A number of an effect that is fitted.
+
+    Attributes:
+        index: Place of the effect among those added.
+        field: The number's name.
+        scale: A strength's typical size, one unit of its coordinate; None for a shape, whose
+            coordinate is its logarithm.
+    """
+
+    index: int
+    field: str
+    scale: float | None
+
+    def value(self, coordinate):
+        """The number, from its coordinate."""
+        return jnp.exp(coordinate) if self.scale is None else self.scale * coordinate
+
+    def coordinate(self, value: float) -> float:
+        """The coordinate of a number."""
+        return float(np.log(value) if self.scale is None else value / self.scale)
+
+
+@dataclass(frozen=True)
+class Model:
+    """Effects added to the reference model, and which of their numbers are free.
+
+    Attributes:
+        effects: Classes of the effects.
+        shaped: Whether their shapes are free, or stay at what they are given.
+    """
+
+    effects: tuple[type[AbstractEffect], ...] = ()
+    shaped: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(each.about.name for each in self.effects)
+
+    @cached_property
+    def free(self) -> tuple[Free, ...]:
+        """The free numbers, in the order of the coordinates."""
+        found = []
+        for index, effect in enumerate(self.effects):
+            about = numbers(effect)
+            found += [Free(index, name, about[name]["typical"]) for name in strengths(effect)]
+            if self.shaped:
+                found += [Free(index, name, None) for name in shapes(effect)]
+        return tuple(found)
+
+    def null(self) -> np.ndarray:
+        """Coordinates at which no effect acts, shapes at their defaults."""
+        return np.array(
+            [0.0 if f.scale is not None else f.coordinate(self._default(f)) for f in self.free]
+        )
+
+    def _default(self, free: Free) -> float:
+        return float(getattr(self.effects[free.index](), free.field))
+
+    def build(self, coordinates, held: Sequence[dict] = ()) -> tuple[AbstractEffect, ...]:
+        """The effects with these coordinates; `held` gives numbers that are not free."""
+        values: list[dict] = [dict(each) for each in held] or [{} for _ in self.effects]
+        for free, coordinate in zip(self.free, coordinates, strict=True):
+            values[free.index][free.field] = free.value(coordinate)
+        return tuple(effect(**given) for effect, given in zip(self.effects, values, strict=True))
+
+
+def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
+    """The trial with effects added to what it has."""
+    simulator = replace(trial.simulator, effects=trial.simulator.effects + effects)
+    return replace(trial, simulator=simulator)
+
+
+def _predicted(
+    model: Model,
+    channels: tuple[str, ...],
+    trial: Trial,
+    observed: Observed,
+    log_zeta: Array,
+    at: Array,
+) -> Array:
+    zeta = trial.simulator.terrain.zeta.value * jnp.exp(log_zeta)  # pyright: ignore
+    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
+    trial = with_effects(trial, model.build(at))
+    return between_rows(trial.run_to(observed.compared_rows, channels), observed)
+
+
+@eqx.filter_jit
+def predict(
+    model: Model,
+    channels: tuple[str, ...],
+    trial: Trial,
+    observed: Observed,
+    log_zeta: Float[Array, ""],
+    coordinates: Float[Array, " free"],
+) -> Float[Array, "channels samples"]:
+    """One run's channels at its recorded times, with effects.
+
+    Args:
+        model: Effects added (static).
+        channels: Which channels (static).
+        trial, observed: The run, padded like the others of its set.
+        log_zeta: Logarithm of its zeta over its set-up's.
+        coordinates: Free numbers of the effects.
+
+    Returns:
+        Simulated channels [m, N, N m].
+    """
+    return _predicted(model, channels, trial, observed, log_zeta, coordinates)
+
+
+@eqx.filter_jit
+def respond(
+    model: Model,
+    channels: tuple[str, ...],
+    trial: Trial,
+    observed: Observed,
+    log_zeta: Float[Array, ""],
+    coordinates: Float[Array, " free"],
+) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples all"]]:
+    """As `predict`, with the exact derivative by log zeta and the coordinates."""
+
+    def values(both: Array) -> tuple[Array, Array]:
+        found = _predicted(model, channels, trial, observed, both[0], both[1:])
+        return found, found
+
+    both = jnp.concatenate([log_zeta[None], coordinates])
+    slope, value = jax.jacfwd(values, has_aux=True)(both)
+    return value, slope

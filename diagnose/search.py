@@ -1,0 +1,173 @@
+"""The search: which effects, alone or in pairs, explain a case."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.bench import Bench, Variant
+from diagnose.case import Case, baseline
+from diagnose.evidence import FLOOR, Line, coarseness, fit_line
+from diagnose.hypothesis import (
+    STRENGTH_BELIEF,
+    Hypothesis,
+    leasts,
+    on_lines,
+    proposed,
+    settled,
+)
+from diagnose.response import Model
+from drftjax.effects.stage import AbstractEffect
+
+# Effects that straight lines put first are simulated; straight lines may order them, not decide.
+SINGLES = 12
+PAIRS = 5
+PAIRED_SINGLES = 5
+TURNS = 7
+PAIR_TURNS = 7
+COARSE = 0.1
+# Pairs are looked for where the best single effect leaves this many times a model's own error.
+MUCH = 1.5
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found.
+
+    Attributes:
+        bench: The case, linearised.
+        none: The reference model with each run's own zeta, settled.
+        singles: Effects simulated alone, best first.
+        pairs: Pairs simulated, best first.
+        lines: By effect, what straight lines say of its best variant.
+    """
+
+    bench: Bench
+    none: Hypothesis
+    singles: tuple[Hypothesis, ...]
+    pairs: tuple[Hypothesis, ...]
+    lines: dict[str, float]
+
+
+def search(
+    case: Case, effects: Sequence[type[AbstractEffect]], report: Report = lambda stage: None
+) -> Found:
+    """Screen every effect, simulate the leading ones, then pairs of them with all.
+
+    Args:
+        case: Runs of one rig.
+        effects: The catalogue.
+        report: Called with what is done next.
+    """
+    report("baseline: zeta of each run")
+    log_zeta = baseline(case)
+    report(f"linearising {len(case.candidates)} runs, and {len(effects)} effects along them")
+    bench = Bench.of(case, log_zeta, effects)
+    none = settled(bench, proposed(bench, []), 3)
+    report("screening")
+    ranked = _ranked(bench)
+    report(f"simulating the leading {min(SINGLES, len(ranked))} effects")
+    singles = [settled(bench, proposed(bench, [v], line), TURNS) for v, line in ranked[:SINGLES]]
+    singles.sort(key=lambda each: -each.score)
+    pairs: list[Hypothesis] = []
+    if singles and _leaves_much(bench, singles[0]):
+        report("pairs of effects")
+        pairs = _pairs(bench, singles)
+    return Found(
+        bench,
+        none,
+        tuple(singles),
+        tuple(pairs),
+        {v.effect.about.name: line.score for v, line in ranked},
+    )
+
+
+def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
+    """Each effect's best variant by straight lines, best first: finely judged, and coarsely.
+
+    Where the gap is large a straight line's own error hides what an effect explains; so the two
+    orders take turns.
+    """
+    start = on_lines(bench, [])
+    orders = []
+    for share in (0.0, COARSE):
+        coarse = coarseness(bench.products.blocks, start.left, share)
+        best: dict[str, tuple[Variant, Line]] = {}
+        for variant in bench.variants:
+            line = on_lines(bench, [variant], coarse)
+            name = variant.effect.about.name
+            if name not in best or line.score > best[name][1].score:
+                best[name] = variant, line
+        orders.append(sorted(best.values(), key=lambda each: -each[1].score))
+    found: dict[str, tuple[Variant, Line]] = {}
+    for pair in zip(*orders, strict=True):
+        for variant, line in pair:
+            found.setdefault(variant.effect.about.name, (variant, line))
+    return list(found.values())
+
+
+def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
+    """Whether a hypothesis leaves more than a model's own error in the slow part of a channel."""
+    blocks = bench.products.blocks
+    return any(
+        np.sqrt(left) > MUCH * FLOOR[block]
+        for block, left in zip(blocks, best.line.left, strict=True)
+        if block[1] == "slow"
+    )
+
+
+def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Pairs that straight lines from the settled singles put first, simulated."""
+    proposals: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
+    for single in singles[:PAIRED_SINGLES]:
+        count = len(single.coordinates)
+        columns = [
+            np.concatenate([mine, theirs[:, :, 1:]], axis=2)
+            for mine, theirs in zip(single.columns, bench.columns, strict=True)
+        ]
+        products = bench.products_of(columns, single.residual, single.log_zeta)
+        for variant in bench.variants:
+            name = variant.effect.about.name
+            if name in single.names:
+                continue
+            both = [*range(count), *(count + c for c in variant.columns)]
+            least = np.r_[np.full(count, -np.inf), leasts(variant.effect)]
+            prior = np.full(len(both), STRENGTH_BELIEF)
+            line = fit_line(products, both, prior=prior, least=least)
+            pair = frozenset((*single.names, name))
+            if pair not in proposals or line.score > proposals[pair][0]:
+                proposals[pair] = line.score, single, variant, line
+    leading = sorted(proposals.values(), key=lambda each: -each[0])[:PAIRS]
+    found = [settled(bench, _joined(bench, s, v, line), PAIR_TURNS) for _, s, v, line in leading]
+    return sorted(found, key=lambda each: -each.score)
+
+
+def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> Hypothesis:
+    """A settled single with one more effect, as straight lines from there give both."""
+    added = proposed(bench, [variant], _part(line, len(single.coordinates)))
+    columns = [
+        np.concatenate([mine, more[:, :, 1:]], axis=2)
+        for mine, more in zip(single.columns, added.columns, strict=True)
+    ]
+    start = added.coordinates.copy()
+    scales = [f.scale for f in added.model.free]
+    nothing = np.array(
+        [0.0 if s is not None else c for s, c in zip(scales, start, strict=True)]
+    )
+    change = np.r_[line.strengths[: len(single.coordinates)], start - nothing]
+    return Hypothesis(
+        Model(single.model.effects + added.model.effects),
+        single.log_zeta,
+        np.r_[single.coordinates, nothing],
+        line,
+        columns,
+        single.residual,
+        simulated=False,
+        ahead=(line.zeta, change),
+    )
+
+
+def _part(line: Line, skipped: int) -> Line:
+    return Line(line.score, line.strengths[skipped:], line.zeta, line.left, line.scatter)
