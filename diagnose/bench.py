@@ -79,9 +79,7 @@ class Bench:
 
         both = case.each_run(of)
         splitters = [Splitter.of(case.time(run)) for run in range(len(case.candidates))]
-        return cls(
-            case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters
-        )
+        return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)
 
     @cached_property
     def reference(self) -> np.ndarray:

@@ -37,9 +37,7 @@ class Splitter:
         mean[place, np.arange(len(time))] = 1
         mean /= mean.sum(axis=1, keepdims=True)
         centre = mean @ time
-        back = np.stack(
-            [np.interp(time, centre, unit) for unit in np.eye(bins)], axis=1
-        )
+        back = np.stack([np.interp(time, centre, unit) for unit in np.eye(bins)], axis=1)
         return cls(mean, back)
 
     def split(self, channel: str, values: np.ndarray) -> dict[str, np.ndarray]:

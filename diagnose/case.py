@@ -16,7 +16,6 @@ from diagnose.path import steadied, steps_in_a_node, trace
 from diagnose.response import Model, predict
 from drftjax.errors import InputError
 from drftjax.trial import Trial
-from drftjax.wheel import GrouserWheel
 from identify.batch import Batch, Observed, make_batch, roomy
 from identify.candidate import Candidate
 
@@ -25,6 +24,8 @@ Result = TypeVar("Result")
 # zeta is found to this share of itself.
 CLOSE_ENOUGH = 2e-5
 MOST_TURNS = 12
+# Lengths are padded to this at least; padding costs next to nothing.
+SMALLEST_SIZE = 2304
 # A step of log zeta that one straight line is trusted for.
 LONGEST_MOVE = 0.2
 # Part of the way, of all that a run turns and travels, over which sinkage is met at first.
@@ -53,7 +54,9 @@ class Case:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
         batch = make_batch(
-            [each.trial for each in candidates], [each.observation for each in candidates]
+            [each.trial for each in candidates],
+            [each.observation for each in candidates],
+            size=next_size,
         )
         return cls(candidates, batch, threads)
 
@@ -114,13 +117,19 @@ class Case:
         steps = [steps_in_a_node(each) for each in self.trials]
         rows = np.asarray(self.batch.observed.compared_rows)
         nodes = [int(r) * t.every // s for r, t, s in zip(rows, self.trials, steps, strict=False)]
-        found = trace(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), roomy(max(nodes)))
+        size = max(SMALLEST_SIZE, roomy(max(nodes)))
+        found = trace(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
         return steadied(found, pitch(trial))
 
     def node(self, run: int) -> float:
         """Length of a node of its trace [s]."""
         trial = self.trials[run]
         return float(trial.step) * steps_in_a_node(trial)
+
+
+def next_size(count: int) -> int:
+    """The next power of two, but never small: cases of most rigs share their programs."""
+    return max(SMALLEST_SIZE, 2 ** (count - 1).bit_length())
 
 
 def with_zeta(trial: Trial, log_zeta: float) -> Trial:
@@ -191,6 +200,3 @@ def _early(case: Case, run: int) -> np.ndarray:
 def threads() -> ThreadPoolExecutor:
     """As many threads as there are cores; JAX computes outside Python's lock."""
     return ThreadPoolExecutor(os.cpu_count() or 1)
-
-
-__all__ = ["Case", "GrouserWheel", "baseline", "pitch", "threads", "with_zeta"]

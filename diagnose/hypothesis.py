@@ -7,11 +7,12 @@ it went (Broyden's update), so that a few simulations settle a hypothesis even f
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from diagnose.bench import Bench, Variant
-from diagnose.evidence import LINES_ERR, Line, coarseness, fit_line, worth_of
-from diagnose.response import Model
+from diagnose.evidence import LINES_ERR, Line, Products, coarseness, fit_line, worth_of
+from diagnose.response import Model, respond
 from drftjax.effects.catalogue import numbers, strengths
 from drftjax.effects.stage import AbstractEffect
 
@@ -21,11 +22,13 @@ SHAPE_BELIEF = 1.0
 # One unit of each coordinate, for the shares that Broyden's update gives them.
 ZETA_UNIT = 0.02
 # A fit moves a logarithm (of zeta, of a shape) by no more than this at once.
-LONGEST_MOVE = 0.25
+LONGEST_MOVE = 0.5
 # Share of a move's response that corrected columns may be wrong by.
 CORRECTED_ERR = 0.05
 # The first turns take every floor for this share of the worst block's distance from its own.
 SHARES = (0.3, 0.1, 0.03)
+# A step is not shortened under this share of itself.
+SHORTEST = 0.1
 # Turns end where the score gains less.
 SMALL_GAIN = 0.2
 
@@ -100,9 +103,7 @@ def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None
             coordinates.append(float(np.log(value)))
             weights.append(_by_shape(bench, variant, axis, strength))
     columns = [
-        np.concatenate(
-            [own[:, :, :1], *(_mixed(own, mix)[:, :, None] for mix in weights)], axis=2
-        )
+        np.concatenate([own[:, :, :1], *(_mixed(own, mix)[:, :, None] for mix in weights)], axis=2)
         for own in bench.columns
     ]
     scales = [f.scale for f in model.free]
@@ -138,53 +139,86 @@ def _mixed(columns: np.ndarray, mix: list[tuple[int, float]]) -> np.ndarray:
     return found
 
 
-def _beliefs(model: Model, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def beliefs(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Width of the belief about each coordinate, and where it is centred."""
-    width = np.array([STRENGTH_BELIEF if f.scale is not None else SHAPE_BELIEF for f in model.free])
-    centre = np.array(
-        [0.0 if f.scale is not None else s for f, s in zip(model.free, start, strict=True)]
-    )
-    return width, centre
+    width, centre = [], []
+    for free in model.free:
+        if free.scale is not None:
+            width.append(STRENGTH_BELIEF)
+            centre.append(0.0)
+            continue
+        starts = np.log(numbers(model.effects[free.index])[free.field]["starts"])
+        width.append(max(SHAPE_BELIEF, float(np.ptp(starts)) / 2))
+        centre.append(float(starts.mean()))
+    return np.array(width), np.array(centre)
 
 
 def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
     """The hypothesis after some simulations, each followed by a fit; the best of them.
 
-    A hypothesis whose simulation fails keeps the last that did not.
+    A hypothesis whose first simulations fail stays as it was proposed.
     """
-    width, centre = _beliefs(start.model, start.coordinates)
-    best = start if start.simulated else None
-    here = start
+    here, best = start, start if start.simulated else None
     if start.ahead is None:
-        nxt_zeta, nxt = _step(bench, start, width, centre, SHARES[0])
+        zeta, coordinates = _step(bench, start, 0.0)
     else:
-        moves = np.clip(start.ahead[0], -LONGEST_MOVE, LONGEST_MOVE)
-        nxt_zeta, nxt = start.log_zeta + moves, start.coordinates + start.ahead[1]
+        zeta, coordinates = start.log_zeta + start.ahead[0], start.coordinates + start.ahead[1]
+    reach = 1.0
     for turn in range(turns):
-        moved = _simulated(bench, here, nxt_zeta, nxt)
-        if moved is None:
-            nxt_zeta, nxt = (here.log_zeta + nxt_zeta) / 2, (here.coordinates + nxt) / 2
-            continue
-        gained = moved.score - (best.score if best is not None else -np.inf)
-        if best is None or gained > 0:
+        moved = _simulated(bench, here, zeta, coordinates)
+        leading = not start.simulated and turn < len(SHARES)
+        share = SHARES[turn] if leading else 0.0
+        before = -np.inf if best is None else best.score
+        if moved is not None and moved.score > before:
             best = moved
-        if gained < -SMALL_GAIN:
-            # Past the best: the corrected columns are kept, the fit goes on from the better place.
-            here = replace(best, columns=moved.columns)
+        if moved is None:
+            reach /= 4
+        elif leading or moved.score > before:
+            here, reach = moved, 1.0
+            if not leading and moved.score - before < SMALL_GAIN:
+                break
         else:
-            here = moved
-        if turn >= len(SHARES) and 0 <= gained < SMALL_GAIN:
-            break
-        share = SHARES[turn + 1] if turn + 1 < len(SHARES) else 0.0
-        nxt_zeta, nxt = _step(bench, here, width, centre, share)
+            # Not so far; but the way there has corrected the columns.
+            here = replace(best or here, columns=moved.columns)
+            reach /= 2
+            if reach < SHORTEST:
+                break
+        far_zeta, far = _step(bench, here, share)
+        zeta = here.log_zeta + reach * (far_zeta - here.log_zeta)
+        coordinates = here.coordinates + reach * (far - here.coordinates)
     return start if best is None else best
 
 
-def _step(
-    bench: Bench, here: Hypothesis, width: np.ndarray, centre: np.ndarray, share: float
+def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
+    """The hypothesis with its columns by the simulator's own derivative where it stands."""
+    case = bench.case
+
+    def of(run: int) -> np.ndarray:
+        _, slope = respond(
+            here.model,
+            case.channels,
+            case.trials[run],
+            case.observed[run],
+            jnp.asarray(here.log_zeta[run]),
+            jnp.asarray(here.coordinates, float),
+        )
+        counts = case.counts(run)
+        return np.asarray(slope)[:, : len(counts)][:, counts]
+
+    return replace(here, columns=case.each_run(of))
+
+
+def changes(
+    here: Hypothesis, products: Products, coarse: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    products = bench.products_of(here.columns, here.residual, here.log_zeta)
-    count = len(here.coordinates)
+    """Change of the runs' log zeta and of the coordinates that straight lines from here propose.
+
+    Args:
+        here: Where the lines start.
+        products: Of its columns and residuals, over the runs that count.
+        coarse: See `fit_line`.
+    """
+    width, centre = beliefs(here.model)
     least = np.array(
         [
             -np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["least"]
@@ -193,18 +227,24 @@ def _step(
     )
     line = fit_line(
         products,
-        range(count),
+        range(len(here.coordinates)),
         prior=width,
         at=here.coordinates - centre,
         least=least - here.coordinates,
         trust=CORRECTED_ERR if here.simulated else LINES_ERR,
-        coarse=coarseness(bench.products.blocks, here.line.left, share),
+        coarse=coarse,
     )
     logarithmic = np.array([f.scale is None for f in here.model.free], bool)
-    change = np.where(
-        logarithmic, np.clip(line.strengths, -LONGEST_MOVE, LONGEST_MOVE), line.strengths
-    )
-    zeta = np.clip(line.zeta, -LONGEST_MOVE, LONGEST_MOVE)
+    # The whole step is shortened, or the numbers that belong together would part.
+    longest = np.abs(np.r_[line.zeta, line.strengths[logarithmic]]).max(initial=0.0)
+    part = min(1.0, LONGEST_MOVE / max(longest, 1e-12))
+    return part * line.zeta, part * line.strengths
+
+
+def _step(bench: Bench, here: Hypothesis, share: float) -> tuple[np.ndarray, np.ndarray]:
+    products = bench.products_of(here.columns, here.residual, here.log_zeta)
+    coarse = coarseness(bench.products.blocks, here.line.left, share)
+    zeta, change = changes(here, products, coarse)
     return here.log_zeta + zeta, here.coordinates + change
 
 
@@ -229,21 +269,21 @@ def _simulated(
         return scaled / np.concatenate([[ZETA_UNIT], units]), residual
 
     both = case.each_run(of)
-    if not all(np.isfinite(residual[~np.isnan(case.recorded(run))]).all()
-               for run, (_, residual) in enumerate(both)):
+    if not all(
+        np.isfinite(residual[~np.isnan(case.recorded(run))]).all()
+        for run, (_, residual) in enumerate(both)
+    ):
         return None
     columns, residual = [c for c, _ in both], [r for _, r in both]
     moved = log_zeta + bench.reference
-    left, number = _left(bench, residual)
+    left, number = left_of(bench, residual)
     scatter = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
     score = worth_of(bench.products.blocks, number, left, scatter, len(moved))
     line = Line(score, coordinates, log_zeta - before.log_zeta, left, scatter)
-    return Hypothesis(
-        before.model, log_zeta, coordinates, line, columns, residual, simulated=True
-    )
+    return Hypothesis(before.model, log_zeta, coordinates, line, columns, residual, simulated=True)
 
 
-def _left(bench: Bench, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def left_of(bench: Bench, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Mean square of residuals in each block, and how many values each has."""
     nothing = [np.zeros((*each.shape, 0)) for each in residual]
     products = bench.products_of(nothing, residual, np.zeros(len(residual)))

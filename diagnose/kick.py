@@ -83,9 +83,7 @@ def kick(
     if not shapes:
         return of({})
     found = jax.lax.map(of, shapes)  # (variants, nodes, what, strengths)
-    return jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found
-    )
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found)
 
 
 def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, ""]) -> Kick:
@@ -166,9 +164,7 @@ def _readings(effect: AbstractSensor, path: Path, node) -> Float[Array, "nodes 5
         x, z, vx, vz, angle = motion
         fx, fz, torque = forces
         nought = jnp.zeros_like(time)
-        return Output(
-            time, x, z, vx, vz, angle, omega, fx, fz, torque, nought, -z, nought
-        )
+        return Output(time, x, z, vx, vz, angle, omega, fx, fz, torque, nought, -z, nought)
 
     ends = path.time[1:], path.motion[1:], path.omega[1:], path.forces
 
@@ -239,6 +235,4 @@ def grid(effect: type[AbstractEffect]) -> Variants:
     if not starts:
         return {}
     mesh = np.meshgrid(*starts, indexing="ij")
-    return {
-        name: jnp.asarray(m.ravel()) for name, m in zip(shapes(effect), mesh, strict=True)
-    }
+    return {name: jnp.asarray(m.ravel()) for name, m in zip(shapes(effect), mesh, strict=True)}

@@ -80,9 +80,7 @@ class HeightError(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return ()
 
-    def height(
-        self, x: Float[Array, " plates"], memory: Memory
-    ) -> Float[Array, " plates"]:
+    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
         return jnp.full_like(x, self.error)
 
 

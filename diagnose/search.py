@@ -14,17 +14,25 @@ from diagnose.hypothesis import (
     leasts,
     on_lines,
     proposed,
+    refreshed,
     settled,
 )
 from diagnose.response import Model
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
-SINGLES = 12
-PAIRS = 5
-PAIRED_SINGLES = 5
-TURNS = 7
-PAIR_TURNS = 7
+SINGLES = 9
+PAIRS = 3
+PAIRED_SINGLES = 3
+TURNS = 3
+PAIR_TURNS = 4
+# The leading ones go on, with fresh derivatives, while that gains something.
+FINISHED = 4
+ROUNDS = 3
+MORE_TURNS = 5
+WORTH_A_ROUND = 3.0
+# A hypothesis this far behind the best is not taken further.
+HOPELESS = 100.0
 COARSE = 0.1
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
 MUCH = 1.5
@@ -70,7 +78,7 @@ def search(
     ranked = _ranked(bench)
     report(f"simulating the leading {min(SINGLES, len(ranked))} effects")
     singles = [settled(bench, proposed(bench, [v], line), TURNS) for v, line in ranked[:SINGLES]]
-    singles.sort(key=lambda each: -each.score)
+    singles = _finished(bench, singles)
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
@@ -82,6 +90,26 @@ def search(
         tuple(pairs),
         {v.effect.about.name: line.score for v, line in ranked},
     )
+
+
+def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """The leading hypotheses settled to their end, all of them best first."""
+    hypotheses = sorted(hypotheses, key=lambda each: -each.score)
+    done: list[Hypothesis] = []
+    for each in hypotheses[:FINISHED]:
+        each = settled(bench, each, MORE_TURNS)
+        for _ in range(ROUNDS):
+            if not each.simulated or not _leaves_much(bench, each):
+                break
+            if done and each.score < done[0].score - HOPELESS:
+                break
+            further = settled(bench, refreshed(bench, each), MORE_TURNS)
+            gained = further.score - each.score
+            each = further
+            if gained < WORTH_A_ROUND:
+                break
+        done.append(each)
+    return sorted(done + hypotheses[FINISHED:], key=lambda each: -each.score)
 
 
 def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
@@ -141,7 +169,7 @@ def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
                 proposals[pair] = line.score, single, variant, line
     leading = sorted(proposals.values(), key=lambda each: -each[0])[:PAIRS]
     found = [settled(bench, _joined(bench, s, v, line), PAIR_TURNS) for _, s, v, line in leading]
-    return sorted(found, key=lambda each: -each.score)
+    return _finished(bench, found) if found else []
 
 
 def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> Hypothesis:
@@ -153,9 +181,7 @@ def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> H
     ]
     start = added.coordinates.copy()
     scales = [f.scale for f in added.model.free]
-    nothing = np.array(
-        [0.0 if s is not None else c for s, c in zip(scales, start, strict=True)]
-    )
+    nothing = np.array([0.0 if s is not None else c for s, c in zip(scales, start, strict=True)])
     change = np.r_[line.strengths[: len(single.coordinates)], start - nothing]
     return Hypothesis(
         Model(single.model.effects + added.model.effects),

@@ -6,7 +6,7 @@ on each.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import equinox as eqx
@@ -66,7 +66,10 @@ class Batch(eqx.Module):
 
 
 def make_batch(
-    trials: Sequence[Trial], observations: Sequence[Observation], multiple: int = 1
+    trials: Sequence[Trial],
+    observations: Sequence[Observation],
+    multiple: int = 1,
+    size: Callable[[int], int] | None = None,
 ) -> Batch:
     """Stack trials and observations, padded to a multiple of the devices.
 
@@ -74,6 +77,7 @@ def make_batch(
         trials: One for each run, all of the same kind of wheel, law and carriage.
         observations: What was recorded of each.
         multiple: The number of runs is padded to a multiple of this.
+        size: What lengths are padded to; `roomy` where none is given.
 
     Raises:
         InputError: where the trials are not alike.
@@ -82,9 +86,10 @@ def make_batch(
         if not alike(trial, trials[0]):
             raise InputError(f"run {number} {OTHER_KIND} than the first; fit such runs apart")
     channels = tuple(c for c in CHANNELS if any(c in o.channels for o in observations))
-    rows = roomy(max(trial.rows for trial in trials))
-    knots = roomy(max(len(trial.time) for trial in trials))
-    samples = roomy(max(len(o.time) for o in observations))
+    size = roomy if size is None else size
+    rows = size(max(trial.rows for trial in trials))
+    knots = size(max(len(trial.time) for trial in trials))
+    samples = size(max(len(o.time) for o in observations))
     padded = [_without_lengths(trial, rows, knots) for trial in trials]
     recorded = [
         _observed(o, channels, samples, trial)

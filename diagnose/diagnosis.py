@@ -1,0 +1,258 @@
+"""A diagnosis: which effect makes a rig's runs differ from the model, where, and by how much."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from diagnose.bench import Bench
+from diagnose.case import Case
+from diagnose.evidence import FLOOR
+from diagnose.floor import noise_floors
+from diagnose.hypothesis import Hypothesis, left_of
+from diagnose.left_out import conditions, predicted_unseen
+from diagnose.search import Found, Report, search
+from diagnose.shrinkage import Gap, gaps
+from diagnose.weights import NONE, UNKNOWN, Judged, weights
+from drftjax.effects.catalogue import numbers
+from drftjax.effects.stage import AbstractEffect
+
+SCHEMA = "drft-diagnosis"
+# Effects are named together until this much of the weight is named.
+GROUPED = 0.95
+# An effect of less weight than this is not named at all.
+NAMED = 0.02
+# Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
+JUDGED_SINGLES, JUDGED_PAIRS = 4, 2
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fitted number of an effect.
+
+    Attributes:
+        value, error: The number and its standard error, in `unit`.
+        unit: "-" for none.
+    """
+
+    value: float
+    error: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found.
+
+    Attributes:
+        verdict: Effects that explain the runs, or ("none",), or ("unknown",).
+        weights: Weight of each effect, of none and of unknown.
+        groups: Names that these runs cannot tell apart, the likeliest first.
+        gap: Before and after on runs left out, by channel.
+        parameters: Numbers of the verdict's effects, by effect and field.
+        notes: What else must be known, in sentences.
+        next_run: What would tell the group apart; empty where nothing need be.
+        found: The search behind it.
+        chosen: The hypothesis that the verdict stands for; the reference model for none.
+        before, after: By run, simulated less recorded by the reference model, and by the chosen
+            one fitted to the other conditions, shape (channels, samples).
+        floors: Noise floor of each channel [m, N, N m].
+    """
+
+    verdict: tuple[str, ...]
+    weights: Mapping[str, float]
+    groups: Sequence[Sequence[str]]
+    gap: Mapping[str, Gap]
+    parameters: Mapping[str, Mapping[str, Number]]
+    notes: Sequence[str]
+    next_run: Mapping[str, object]
+    found: Found
+    chosen: Hypothesis
+    before: list[np.ndarray]
+    after: list[np.ndarray]
+    floors: Mapping[str, float]
+    where: Sequence[Any] = field(default_factory=list)
+
+    @property
+    def case(self) -> Case:
+        return self.found.bench.case
+
+    def document(self) -> dict:
+        """The diagnosis as plain values, in the layout of diagnosis.json."""
+        return {
+            "schema": SCHEMA,
+            "schema_version": 1,
+            "verdict": list(self.verdict),
+            "weights": dict(self.weights),
+            "groups": [list(group) for group in self.groups],
+            "gap": {channel: gap.document() for channel, gap in self.gap.items()},
+            "where": [
+                {
+                    "axis": each.axis,
+                    "label": each.label,
+                    "share": each.share,
+                    "interval": list(each.interval),
+                }
+                for each in self.where
+            ],
+            "parameters": {
+                name: {
+                    number: {"value": n.value, "error": n.error, "unit": n.unit}
+                    for number, n in fields.items()
+                }
+                for name, fields in self.parameters.items()
+            },
+            "next_run": dict(self.next_run),
+            "notes": list(self.notes),
+        }
+
+
+def diagnose(
+    case: Case,
+    effects: Sequence[type[AbstractEffect]],
+    report: Report = lambda stage: None,
+) -> Diagnosis:
+    """Find which effects explain the runs of a case.
+
+    Args:
+        case: Runs of one rig.
+        effects: Effects to choose from.
+        report: Called with what is done next.
+
+    Raises:
+        InputError: where the runs cannot be simulated.
+    """
+    found = search(case, effects, report)
+    report("predicting the runs left out")
+    leading = [*found.singles[:JUDGED_SINGLES], *found.pairs[:JUDGED_PAIRS]]
+    unseen = {each.names: predicted_unseen(found.bench, each) for each in leading}
+    share = _weights(found, leading, unseen)
+    verdict, groups = _verdict(share)
+    chosen = _chosen(found, leading, share, verdict)
+    before = found.none.residual
+    after = unseen.get(chosen.names, chosen.residual)
+    floors, how = noise_floors(case, before, after)
+    return Diagnosis(
+        verdict=verdict,
+        weights=_by_name(share),
+        groups=groups,
+        gap=gaps(case, before, after, floors),
+        parameters=_parameters(found.bench, chosen) if chosen.names else {},
+        notes=[how, *_warnings(case)],
+        next_run={},
+        found=found,
+        chosen=chosen,
+        before=before,
+        after=after,
+        floors=floors,
+    )
+
+
+def _weights(
+    found: Found,
+    leading: Sequence[Hypothesis],
+    unseen: Mapping[tuple[str, ...], list[np.ndarray]],
+) -> dict[tuple[str, ...], float]:
+    products = found.bench.products
+    judged = [Judged((), found.none.line.left, found.none.line.scatter, 0)]
+    for each in leading:
+        left, _ = left_of(found.bench, unseen[each.names])
+        judged.append(Judged(each.names, left, each.line.scatter, len(each.coordinates)))
+    total = products.number.sum(axis=0)
+    return weights(judged, products.blocks, total, len(products.log_zeta))
+
+
+def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
+    """Weight of each name: that of every hypothesis it is part of."""
+    total: dict[str, float] = {}
+    for names, weight in share.items():
+        for name in names:
+            total[name] = total.get(name, 0.0) + weight
+    return dict(sorted(total.items(), key=lambda each: -each[1]))
+
+
+def _verdict(
+    share: Mapping[tuple[str, ...], float],
+) -> tuple[tuple[str, ...], list[list[str]]]:
+    """The likeliest explanation, and the groups that cannot be told apart from it."""
+    ranked = sorted(share.items(), key=lambda each: -each[1])
+    verdict = ranked[0][0]
+    named, total = [], 0.0
+    for names, weight in ranked:
+        if named and (total >= GROUPED or weight < NAMED):
+            break
+        named.append(names)
+        total += weight
+    groups = []
+    for place, first in enumerate(verdict):
+        group = [first]
+        for names in named[1:]:
+            others = [n for n in names if n not in verdict]
+            if len(names) == len(verdict) and place < len(names):
+                kept = set(names) & set(verdict)
+                if len(verdict) == 1 or (len(kept) == 1 and first not in kept):
+                    group += [n for n in others if n not in group]
+        groups.append(group)
+    return verdict, groups
+
+
+def _chosen(
+    found: Found,
+    leading: Sequence[Hypothesis],
+    share: Mapping[tuple[str, ...], float],
+    verdict: tuple[str, ...],
+) -> Hypothesis:
+    """The hypothesis that the verdict stands for; for unknown, the likeliest written one."""
+    if verdict == (NONE,):
+        return found.none
+    if verdict == (UNKNOWN,):
+        return max(leading, key=lambda each: share[each.names], default=found.none)
+    return next(each for each in leading if each.names == verdict)
+
+
+def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]]:
+    """The chosen effects' numbers with standard errors, by their own columns."""
+    products = bench.products_of(chosen.columns, chosen.residual, chosen.log_zeta)
+    worth = np.array([1.0 if kind == "slow" else 0.1 for _, kind in products.blocks])
+    floor = np.array([FLOOR[block] for block in products.blocks]) ** 2
+    weight = worth / (chosen.line.left + floor)
+    gram = np.einsum("b,rbij->rij", weight, products.gram[:, :, :-1, :-1])
+    count = len(chosen.coordinates)
+    information = np.zeros((count, count))
+    for run in gram:
+        own = max(run[0, 0], 1e-300)
+        information += run[1:, 1:] - np.outer(run[1:, 0], run[0, 1:]) / own
+    error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0))
+    found: dict[str, dict[str, Number]] = {}
+    for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
+        effect = chosen.model.effects[free.index]
+        value = float(free.value(at))
+        scale = free.scale if free.scale is not None else value
+        fields = found.setdefault(effect.about.name, {})
+        unit = numbers(effect)[free.field]["unit"]
+        fields[free.field] = Number(value, float(scale * spread), unit)
+    return found
+
+
+def _warnings(case: Case) -> list[str]:
+    """What these runs cannot say, whatever comes of them."""
+    notes = []
+    if len(case.candidates) == 1:
+        notes.append(
+            "One run only: nothing can be predicted that was not fitted, and no repeat shows what "
+            "is chance; what follows is a description of this run, not a finding."
+        )
+    elif len(conditions_of(case)) == 1:
+        notes.append(
+            "All runs have one command and load: no run of another condition checks the effect."
+        )
+    for missing in ("x", "z"):
+        if missing not in case.channels:
+            notes.append(f"No run has {missing}: effects that show in it cannot be told apart.")
+    return notes
+
+
+def conditions_of(case: Case) -> list[list[int]]:
+    """Runs of the same command and load, by number."""
+    return conditions(case.candidates)

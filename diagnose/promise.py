@@ -1,0 +1,77 @@
+"""What a diagnosis promised, measured on runs that it never saw."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from diagnose.case import Case
+from diagnose.diagnosis import Diagnosis
+from diagnose.hypothesis import Hypothesis
+from diagnose.response import Model
+from diagnose.shrinkage import Gap, gaps
+from drftjax.effects.stage import AbstractEffect
+from identify.candidate import candidates_of
+
+# A run's own zeta is found by so many secant steps on its mean sinkage.
+MOST_TURNS = 8
+CLOSE_ENOUGH = 1e-4
+
+
+def measured_on(
+    diagnosis: Diagnosis, paths: Sequence[Path], pool: ThreadPoolExecutor
+) -> dict[str, Gap]:
+    """The gap before and after on other runs of the same rig, by channel.
+
+    Args:
+        diagnosis: Whose effects are added, with their numbers as they are.
+        paths: The other runs.
+        pool: Where runs are simulated side by side.
+    """
+    case = Case.of(candidates_of(list(paths)), pool)
+    before, after = residuals(case, diagnosis.chosen)
+    return gaps(case, before, after, diagnosis.floors)
+
+
+def residuals(case: Case, hypothesis: Hypothesis) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Simulated less recorded without and with a hypothesis's effects; zeta fitted to each run.
+
+    Args:
+        case: Runs, not those of the hypothesis.
+        hypothesis: Effects with their numbers.
+    """
+    coordinates = np.asarray(hypothesis.coordinates)
+    plain = Model()
+    before = case.each_run(lambda run: _with_own_zeta(case, plain, run, np.zeros(0)))
+    after = case.each_run(lambda run: _with_own_zeta(case, hypothesis.model, run, coordinates))
+    return before, after
+
+
+def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) -> np.ndarray:
+    """The residual of a run at the zeta that meets its mean sinkage."""
+    recorded = case.recorded(run)
+    z = case.channels.index("z")
+
+    def of(log_zeta: float) -> np.ndarray:
+        return case.predicted(model, run, log_zeta, coordinates) - recorded
+
+    at, here = 0.0, of(0.0)
+    move = float(np.clip(-here[z].mean() / 0.02, -0.2, 0.2))
+    for _ in range(MOST_TURNS):
+        there = of(at + move)
+        slope = (there[z].mean() - here[z].mean()) / move if move else 0.0
+        at, here = at + move, there
+        if not np.isfinite(slope) or slope <= 0:
+            break
+        move = float(np.clip(-here[z].mean() / slope, -0.2, 0.2))
+        if abs(move) < CLOSE_ENOUGH:
+            break
+    return here
+
+
+def effects_of(hypothesis: Hypothesis) -> tuple[AbstractEffect, ...]:
+    """The effects with their numbers, as a simulator takes them."""
+    built = hypothesis.model.build(hypothesis.coordinates)
+    return jax.tree.map(np.asarray, built)

@@ -1,0 +1,111 @@
+"""Weights over effects, pairs of them, none and unknown.
+
+A hypothesis is judged by what it leaves on runs it was not fitted to, block by block, each block
+with a variance of its own: half its worth times the logarithm of what is left, on top of a model's
+own error. `unknown` stands for a model that nobody has written: it is taken to leave a small share
+of what the reference model leaves, so that a listed effect must explain nearly all of a gap to be
+believed. The numbers in `Scale` were chosen on sets of our own generator (`drft blind make`) by the
+probability that the weights give to the truth, and are no part of any single case.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.evidence import FLOOR, ZETA_SCATTER
+
+NONE, UNKNOWN = "none", "unknown"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What evidence is worth.
+
+    Attributes:
+        slow, fast: Worth of a bin of the slow part, and of a sample of the fast part.
+        zeta: Worth of a run's log zeta.
+        floor: What a model's own error is taken for, over `FLOOR`.
+        number: Cost of each free number.
+        reached: Share of the reference model's residual (in amplitude) that `unknown` leaves.
+        none, unknown, pair: Logarithms of what is believed before any run, over a single effect.
+    """
+
+    slow: float = 0.05
+    fast: float = 0.003
+    zeta: float = 0.6
+    floor: float = 1.5
+    number: float = 1.0
+    reached: float = 0.1
+    none: float = 3.0
+    unknown: float = 0.0
+    pair: float = -4.0
+
+
+SCALE = Scale()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A hypothesis as far as its weight goes.
+
+    Attributes:
+        names: Its effects; none for the reference model.
+        left: Mean square left in each block on runs it was not fitted to.
+        scatter: Mean square of log zeta about its mean.
+        numbers: How many numbers it has free.
+    """
+
+    names: tuple[str, ...]
+    left: np.ndarray
+    scatter: float
+    numbers: int
+
+
+def log_weights(
+    judged: Sequence[Judged],
+    blocks: Sequence[tuple[str, str]],
+    number: np.ndarray,
+    runs: int,
+    scale: Scale = SCALE,
+) -> tuple[np.ndarray, float]:
+    """Logarithms of the weights, not yet summing to one: of each hypothesis, and of unknown.
+
+    Args:
+        judged: Hypotheses, the reference model first.
+        blocks: Blocks of `left`.
+        number: Values in each block.
+        runs: Number of runs.
+        scale: What evidence is worth.
+    """
+    floor = (scale.floor * np.array([FLOOR[block] for block in blocks])) ** 2
+    worth = number * np.array([getattr(scale, kind) for _, kind in blocks])
+    zeta = scale.zeta * max(runs - 1, 0)
+
+    def evidence(left: np.ndarray, scatter: float) -> float:
+        explained = -0.5 * float((worth * np.log(left + floor)).sum())
+        return explained - 0.5 * zeta * float(np.log(scatter + ZETA_SCATTER**2))
+
+    found = []
+    for each in judged:
+        before = {0: scale.none, 1: 0.0}.get(len(each.names), scale.pair)
+        found.append(evidence(each.left, each.scatter) - scale.number * each.numbers + before)
+    unwritten = evidence(scale.reached**2 * judged[0].left, 0.0)
+    # Were there no gap, an unwritten model would explain nothing either.
+    return np.array(found), unwritten + scale.unknown - scale.number * 3
+
+
+def weights(
+    judged: Sequence[Judged],
+    blocks: Sequence[tuple[str, str]],
+    number: np.ndarray,
+    runs: int,
+    scale: Scale = SCALE,
+) -> dict[tuple[str, ...], float]:
+    """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too."""
+    known, unwritten = log_weights(judged, blocks, number, runs, scale)
+    logs = np.r_[known, unwritten]
+    share = np.exp(logs - logs.max())
+    share /= share.sum()
+    names = [each.names or (NONE,) for each in judged] + [(UNKNOWN,)]
+    return dict(zip(names, share.tolist(), strict=True))
