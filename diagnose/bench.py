@@ -93,6 +93,23 @@ class Bench:
         """Products of all columns with each other and with what the baseline leaves."""
         return self.products_of(self.columns, self.residual, self.log_zeta)
 
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """Mean square of the instruments' white noise in each block."""
+        found = []
+        for channel, kind in block_names(self.case.channels):
+            power = []
+            for run, splitter in enumerate(self.splitters):
+                observation = self.case.candidates[run].observation
+                if channel not in observation.channels:
+                    continue
+                sigma = float(observation.noise[observation.channels.index(channel)])
+                mean = float((splitter.mean**2).sum(axis=1).mean())
+                part = {"slow": mean * (2 if channel == "x" else 1), "fast": 1 - mean}[kind]
+                power.append(sigma**2 * part)
+            found.append(float(np.mean(power)))
+        return np.array(found)
+
     def products_of(
         self, columns: list[np.ndarray], residual: list[np.ndarray], log_zeta: np.ndarray
     ) -> Products:

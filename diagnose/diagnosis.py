@@ -160,7 +160,8 @@ def _weights(
         left, _ = left_of(found.bench, unseen[each.names])
         judged.append(Judged(each.names, left, each.line.scatter, len(each.coordinates)))
     total = products.number.sum(axis=0)
-    return weights(judged, products.blocks, total, len(products.log_zeta))
+    runs = len(products.log_zeta)
+    return weights(judged, products.blocks, total, found.bench.noise, runs)
 
 
 def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:

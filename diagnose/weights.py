@@ -66,6 +66,7 @@ def log_weights(
     judged: Sequence[Judged],
     blocks: Sequence[tuple[str, str]],
     number: np.ndarray,
+    noise: np.ndarray,
     runs: int,
     scale: Scale = SCALE,
 ) -> tuple[np.ndarray, float]:
@@ -75,6 +76,7 @@ def log_weights(
         judged: Hypotheses, the reference model first.
         blocks: Blocks of `left`.
         number: Values in each block.
+        noise: Mean square of the instruments' white noise in each block.
         runs: Number of runs.
         scale: What evidence is worth.
     """
@@ -90,8 +92,8 @@ def log_weights(
     for each in judged:
         before = {0: scale.none, 1: 0.0}.get(len(each.names), scale.pair)
         found.append(evidence(each.left, each.scatter) - scale.number * each.numbers + before)
-    unwritten = evidence(scale.reached**2 * judged[0].left, 0.0)
-    # Were there no gap, an unwritten model would explain nothing either.
+    beyond = np.maximum(judged[0].left - noise - floor, 0)
+    unwritten = evidence(noise + scale.reached**2 * beyond, judged[0].scatter)
     return np.array(found), unwritten + scale.unknown - scale.number * 3
 
 
@@ -99,11 +101,12 @@ def weights(
     judged: Sequence[Judged],
     blocks: Sequence[tuple[str, str]],
     number: np.ndarray,
+    noise: np.ndarray,
     runs: int,
     scale: Scale = SCALE,
 ) -> dict[tuple[str, ...], float]:
     """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too."""
-    known, unwritten = log_weights(judged, blocks, number, runs, scale)
+    known, unwritten = log_weights(judged, blocks, number, noise, runs, scale)
     logs = np.r_[known, unwritten]
     share = np.exp(logs - logs.max())
     share /= share.sum()

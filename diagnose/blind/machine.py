@@ -144,7 +144,7 @@ class Eccentricity(AbstractPlacement):
     def place(self, plates: Plates, angle: Number) -> Plates:
         turned = angle - self.phase
         x = self.offset * jnp.cos(turned)
-        z = self.offset * (-jnp.sin(turned) - jnp.sin(self.phase))
+        z = -self.offset * jnp.sin(turned)
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
 
 

@@ -13,7 +13,6 @@ from drftjax.effects.stage import (
     AbstractAdjustment,
     AbstractLoad,
     AbstractPlacement,
-    AbstractSurface,
     Memory,
     Moment,
     strength,
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from drftjax.simulator import Simulator
 
 Number = Float[Array, ""]
-Each = Float[Array, " plates"]
 
 
 class WheelRadius(AbstractAdjustment):
@@ -66,11 +64,8 @@ class GrouserHeight(AbstractAdjustment):
         return eqx.tree_at(lambda s: s.wheel.grouser_height, simulator, height)
 
 
-class Eccentricity(AbstractPlacement, AbstractSurface):
-    """The axle is off the wheel's centre; z = 0 where the wheel touches at angle zero.
-
-    So the surface lies higher, as seen from z = 0, by what the wheel's lowest point does.
-    """
+class Eccentricity(AbstractPlacement):
+    """The axle is off the wheel's centre; z = 0 is where a centred wheel would touch."""
 
     about: ClassVar = About(
         "eccentricity",
@@ -86,15 +81,6 @@ class Eccentricity(AbstractPlacement, AbstractSurface):
         x = self.along * cosine + self.up * sine
         z = self.up * cosine - self.along * sine
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
-    def height(self, x: Each, memory: Memory) -> Each:
-        return jnp.broadcast_to(self.up, x.shape)
 
 
 class Imbalance(AbstractLoad):
