@@ -12,6 +12,7 @@ from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, left_of
 from diagnose.left_out import conditions, predicted_unseen
+from diagnose.next_run import next_run
 from diagnose.search import Found, Report, search
 from diagnose.shrinkage import Gap, gaps
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
@@ -133,6 +134,9 @@ def diagnose(
     before = found.none.residual
     after = unseen.get(chosen.names, chosen.residual)
     floors, how = noise_floors(case, before, after)
+    rival = _rival(found, leading, share, verdict)
+    report("what to run next")
+    advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
         verdict=verdict,
         weights=_by_name(share),
@@ -140,7 +144,7 @@ def diagnose(
         gap=gaps(case, before, after, floors),
         parameters=_parameters(found.bench, chosen) if chosen.names else {},
         notes=[how, *_warnings(case)],
-        next_run={},
+        next_run=advice,
         found=found,
         chosen=chosen,
         before=before,
@@ -185,7 +189,7 @@ def _verdict(
             break
         named.append(names)
         total += weight
-    groups = []
+    groups: list[list[str]] = []
     for place, first in enumerate(verdict):
         group = [first]
         for names in named[1:]:
@@ -210,6 +214,20 @@ def _chosen(
     if verdict == (UNKNOWN,):
         return max(leading, key=lambda each: share[each.names], default=found.none)
     return next(each for each in leading if each.names == verdict)
+
+
+def _rival(
+    found: Found,
+    leading: Sequence[Hypothesis],
+    share: Mapping[tuple[str, ...], float],
+    verdict: tuple[str, ...],
+) -> Hypothesis | None:
+    """The likeliest other explanation, where it is likely enough to matter."""
+    others = {each.names or (NONE,): each for each in (found.none, *leading)}
+    named = {names: share[names] for names in others if names != verdict and share[names] >= NAMED}
+    if not named or verdict == (UNKNOWN,):
+        return None
+    return others[max(named, key=lambda names: named[names])]
 
 
 def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]]:

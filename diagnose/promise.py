@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -31,26 +32,44 @@ def measured_on(
         pool: Where runs are simulated side by side.
     """
     case = Case.of(candidates_of(list(paths)), pool)
-    before, after = residuals(case, diagnosis.chosen)
-    return gaps(case, before, after, diagnosis.floors)
+    chosen = diagnosis.chosen
+    before = followed(case, Model(), np.zeros(0))
+    after = followed(case, chosen.model, chosen.coordinates)
+    return gaps(
+        case,
+        [each.residual for each in before],
+        [each.residual for each in after],
+        diagnosis.floors,
+    )
 
 
-def residuals(case: Case, hypothesis: Hypothesis) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Simulated less recorded without and with a hypothesis's effects; zeta fitted to each run.
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A run simulated with its own zeta.
+
+    Attributes:
+        residual: Simulated less recorded, shape (channels, samples).
+        log_zeta: Logarithm of its zeta over its set-up's.
+    """
+
+    residual: np.ndarray
+    log_zeta: float
+
+
+def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed]:
+    """Every run simulated with a model's effects, zeta fitted to each.
 
     Args:
-        case: Runs, not those of the hypothesis.
-        hypothesis: Effects with their numbers.
+        case: Runs that the effects were not found on.
+        model: The effects.
+        coordinates: Their numbers, which stay.
     """
-    coordinates = np.asarray(hypothesis.coordinates)
-    plain = Model()
-    before = case.each_run(lambda run: _with_own_zeta(case, plain, run, np.zeros(0)))
-    after = case.each_run(lambda run: _with_own_zeta(case, hypothesis.model, run, coordinates))
-    return before, after
+    at = np.asarray(coordinates)
+    return case.each_run(lambda run: _with_own_zeta(case, model, run, at))
 
 
-def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) -> np.ndarray:
-    """The residual of a run at the zeta that meets its mean sinkage."""
+def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) -> Followed:
+    """A run at the zeta that meets its mean sinkage."""
     recorded = case.recorded(run)
     z = case.channels.index("z")
 
@@ -68,7 +87,7 @@ def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) 
         move = float(np.clip(-here[z].mean() / slope, -0.2, 0.2))
         if abs(move) < CLOSE_ENOUGH:
             break
-    return here
+    return Followed(here, at)
 
 
 def effects_of(hypothesis: Hypothesis) -> tuple[AbstractEffect, ...]:

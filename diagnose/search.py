@@ -22,7 +22,7 @@ from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
 SINGLES = 9
-PAIRS = 3
+PAIRS = 6
 PAIRED_SINGLES = 3
 TURNS = 3
 PAIR_TURNS = 4
@@ -148,7 +148,22 @@ def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
 
 def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Pairs that straight lines from the settled singles put first, simulated."""
-    proposals: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
+    orders = [_proposals(bench, singles, share) for share in (0.0, COARSE)]
+    leading: dict[frozenset[str], Hypothesis] = {}
+    for both in zip(*orders, strict=True):
+        for pair, hypothesis in both:
+            if len(leading) < PAIRS:
+                leading.setdefault(pair, hypothesis)
+    found = [settled(bench, each, PAIR_TURNS) for each in leading.values()]
+    return _finished(bench, found) if found else []
+
+
+def _proposals(
+    bench: Bench, singles: Sequence[Hypothesis], share: float
+) -> list[tuple[frozenset[str], Hypothesis]]:
+    """Pairs of a settled single and any other effect, best first by straight lines."""
+    best: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
+    worst = coarseness(bench.products.blocks, singles[0].line.left, share)
     for single in singles[:PAIRED_SINGLES]:
         count = len(single.coordinates)
         columns = [
@@ -163,13 +178,12 @@ def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
             both = [*range(count), *(count + c for c in variant.columns)]
             least = np.r_[np.full(count, -np.inf), leasts(variant.effect)]
             prior = np.full(len(both), STRENGTH_BELIEF)
-            line = fit_line(products, both, prior=prior, least=least)
+            line = fit_line(products, both, prior=prior, least=least, coarse=worst)
             pair = frozenset((*single.names, name))
-            if pair not in proposals or line.score > proposals[pair][0]:
-                proposals[pair] = line.score, single, variant, line
-    leading = sorted(proposals.values(), key=lambda each: -each[0])[:PAIRS]
-    found = [settled(bench, _joined(bench, s, v, line), PAIR_TURNS) for _, s, v, line in leading]
-    return _finished(bench, found) if found else []
+            if pair not in best or line.score > best[pair][0]:
+                best[pair] = line.score, single, variant, line
+    ranked = sorted(best.items(), key=lambda each: -each[1][0])[:PAIRS]
+    return [(pair, _joined(bench, s, v, line)) for pair, (_, s, v, line) in ranked]
 
 
 def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> Hypothesis:

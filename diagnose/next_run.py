@@ -1,0 +1,184 @@
+"""What to run or record next, so that two explanations of the same runs part.
+
+Both are simulated, with the numbers fitted to the runs there are, on variations of those runs; the
+one where their readings differ by most noise floors is the one to make.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diagnose.case import Case, with_zeta
+from diagnose.hypothesis import Hypothesis
+from diagnose.response import Model, with_effects
+from drftjax.integrator import steady_step
+from drftjax.trial import Trial
+from identify.candidate import STEPS_A_ROW
+
+CHANNELS = ("x", "z", "fx", "fz", "torque")
+UNITS = {"x": "mm", "z": "mm", "fx": "N", "fz": "N", "torque": "N m"}
+SHOWN = {"x": 1e3, "z": 1e3, "fx": 1.0, "fz": 1.0, "torque": 1.0}
+# What a force sensor and a torque sensor of a wheel test bed can be trusted to [N], [N m].
+FORCE_FLOOR, TORQUE_FLOOR = 1.0, 0.1
+# A rig's limits: fastest wheel [rad/s], and the load over the one that was run.
+FASTEST = np.deg2rad(300.0)
+SPEEDS = (0.5, 2.0, 4.0, 8.0)
+LOADS = (0.7, 1.3)
+# Differences under so many floors part nothing.
+TELLING = 2.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A run, and how far two explanations part on it.
+
+    Attributes:
+        run: The run in words.
+        channel: The channel in which they part most.
+        difference: Root mean square of how they differ there, in `unit`.
+        unit: Of the difference.
+        floors: The same in noise floors.
+    """
+
+    run: str
+    channel: str
+    difference: float
+    unit: str
+    floors: float
+
+    def document(self) -> dict:
+        """Plain values."""
+        return {
+            "run": self.run,
+            "channel": self.channel,
+            "difference": self.difference,
+            "unit": self.unit,
+            "floors": self.floors,
+        }
+
+
+def next_run(
+    case: Case, first: Hypothesis, second: Hypothesis, floors: Mapping[str, float]
+) -> dict:
+    """The variation of a run that parts two hypotheses, and the channel that would part them now.
+
+    Args:
+        case: The runs there are.
+        first, second: Hypotheses settled on them.
+        floors: Noise floor of each recorded channel [m, N, N m].
+
+    Returns:
+        Plain values: `tells` the two apart, `run` to make, and `channel` to record on a run as
+        made; either is None where nothing helps.
+    """
+    floor = {"fx": FORCE_FLOOR, "fz": FORCE_FLOOR, "torque": TORQUE_FLOOR} | dict(floors)
+    base = _typical(case)
+    variations = _variations(case, base)
+    proposals: list[Proposal] = []
+    for words, trial in variations:
+        apart = _apart(trial, base, first, second)
+        for channel, difference in apart.items():
+            proposals.append(
+                Proposal(
+                    words,
+                    channel,
+                    difference * SHOWN[channel],
+                    UNITS[channel],
+                    difference / floor[channel],
+                )
+            )
+    recorded = set(case.channels)
+    new = [p for p in proposals if p.channel in recorded and p.run != variations[0][0]]
+    now = [p for p in proposals if p.channel not in recorded and p.run == variations[0][0]]
+    return {
+        "tells": ["+".join(first.names or ("none",)), "+".join(second.names or ("none",))],
+        "run": _best(new),
+        "channel": _best(now),
+    }
+
+
+def _best(proposals: Sequence[Proposal]) -> dict | None:
+    best = max(proposals, key=lambda each: each.floors, default=None)
+    return best.document() if best is not None and best.floors >= TELLING else None
+
+
+def _typical(case: Case) -> int:
+    """The run of middling top speed."""
+    tops = [float(np.abs(np.asarray(c.trial.omega)).max()) for c in case.candidates]
+    return int(np.argsort(tops)[len(tops) // 2])
+
+
+def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
+    candidate = case.candidates[base]
+    trial = case.trials[base]
+    found = [(f"{candidate.name} as it was", trial)]
+    top = float(np.abs(np.asarray(trial.omega)).max())
+    for factor in SPEEDS:
+        if top * factor <= FASTEST:
+            words = f"{candidate.name} at {np.rad2deg(top * factor):.0f} deg/s"
+            found.append((words, _steady(replace(trial, omega=trial.omega * factor))))
+    found.append((f"{candidate.name} backward", replace(trial, omega=-trial.omega)))
+    for factor in LOADS:
+        mass = float(trial.simulator.rig.mass_z) * factor
+        heavier = eqx.tree_at(
+            lambda t: (t.simulator.rig.mass_z, t.start.position),
+            trial,
+            (
+                jnp.asarray(mass),
+                trial.start.position.at[1].multiply(factor),
+            ),
+        )
+        found.append((f"{candidate.name} with {mass:.1f} kg", heavier))
+    return found
+
+
+def _steady(trial: Trial) -> Trial:
+    """The same at a step that its command allows, over the rows there are."""
+    moved = np.flatnonzero(np.diff(np.asarray(trial.time)) > 0)
+    step = steady_step(
+        float(trial.simulator.wheel.radius),
+        np.asarray(trial.time)[: moved[-1] + 2],
+        np.asarray(trial.omega)[: moved[-1] + 2],
+    )
+    return replace(trial, step=jnp.asarray(step))
+
+
+@eqx.filter_jit
+def _simulated(model: Model, trial: Trial, coordinates, rows):
+    return with_effects(trial, model.build(coordinates)).run_to(rows, CHANNELS)
+
+
+def _apart(trial: Trial, base: int, first: Hypothesis, second: Hypothesis) -> dict[str, float]:
+    """Root mean square of the difference of two hypotheses' readings, by channel [m, N, N m].
+
+    The second one's zeta is moved so that both sink alike on the mean: a new run has its own.
+    """
+    rows = min(trial.rows, int(np.ceil(float(_end(trial)) / (STEPS_A_ROW * float(trial.step)))))
+
+    def of(hypothesis: Hypothesis, more: float = 0.0) -> np.ndarray:
+        scaled = with_zeta(trial, hypothesis.log_zeta[base] + more)
+        at = jnp.asarray(hypothesis.coordinates, float)
+        found = _simulated(hypothesis.model, scaled, at, jnp.asarray(rows))
+        return np.asarray(jax.block_until_ready(found))[:, : rows + 1]
+
+    z = CHANNELS.index("z")
+    one, two = of(first), of(second)
+    moved = of(second, 0.01)
+    slope = (moved[z].mean() - two[z].mean()) / 0.01
+    if slope > 0:
+        two = of(second, float(np.clip((one[z] - two[z]).mean() / slope, -0.2, 0.2)))
+    power = np.mean((one - two) ** 2, axis=1)
+    if not np.isfinite(power).all():
+        return {}
+    return dict(zip(CHANNELS, np.sqrt(power).tolist(), strict=True))
+
+
+def _end(trial: Trial) -> float:
+    """When the wheel is last asked to move [s]."""
+    time, omega = np.asarray(trial.time), np.asarray(trial.omega)
+    moving = np.flatnonzero(omega != 0)
+    return float(time[min(moving[-1] + 1, len(time) - 1)]) if moving.size else float(time[-1])
