@@ -136,16 +136,25 @@ class CableSpring(AbstractLoad):
         return _along_x(-self.stiffness * (position[0] - memory))
 
 
-class VerticalSpring(_Memoryless):
-    """A vertical force that grows with sinkage."""
+class VerticalSpring(AbstractLoad):
+    """A vertical force that grows with sinkage from where the wheel stood at the start."""
 
     about: ClassVar = About(
-        "vertical_spring", "rig", "F_z = stiffness H", "a vertical force proportional to sinkage"
+        "vertical_spring",
+        "rig",
+        "F_z = stiffness (H - H(0))",
+        "a vertical force proportional to sinkage",
     )
     stiffness: Number = strength("N/m", 500.0, "upward force per sinkage")
 
+    def begin(self, position: Pair) -> Memory:
+        return position[1]
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return memory
+
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_z(-self.stiffness * position[1])
+        return _along_z(-self.stiffness * (position[1] - memory))
 
 
 RIG = (
