@@ -20,10 +20,13 @@ HERTZ_LABELS = (
 # A line is looked for between these and is as wide as the last [Hz].
 LINE_FROM, LINE_WIDTH = 0.5, 0.2
 # Likewise in periods in a turn of the wheel.
-ORDER_FROM, ORDER_TO, ORDER_WIDTH = 1.5, 60.0, 0.5
+ORDER_FROM, ORDER_TO, ORDER_WIDTH = 0.7, 60.0, 0.5
 # A line holds this share of the power in its own octave, and this many times what it would hold
 # of it counted the other way: by order for one at fixed hertz, and the reverse.
 LINE_SHARE, LINE_GAIN = 0.5, 1.5
+# Cells, four in a line's width, that are summed; how far off its neighbourhood is, and how much of
+# the line that may hold.
+WIDE, AWAY, BESIDE = 5, 6, 0.5
 STANDS = "while standing"
 
 
@@ -102,6 +105,8 @@ class Line:
 
     def __init__(self, first: float, last: float, width: float):
         self.width = width
+        # From further down, so that what stands beside the first place is seen.
+        first -= AWAY * width / 4
         self.grid = np.arange(first, max(last, first) + width / 4, width / 4)
         self.power = np.zeros(len(self.grid))
 
@@ -118,15 +123,24 @@ class Line:
         self.power += np.diff(between)
 
     def strongest(self) -> tuple[float, float]:
-        """Place of the strongest line, and the share that it holds of its own octave."""
+        """Place of the strongest line, and the share that it holds of its own octave.
+
+        What only rises or falls with frequency is no line: to both sides there must be less.
+        """
         if not self.power.any():
             return 0.0, 0.0
-        near = np.convolve(self.power, np.ones(5), mode="same")
-        peak = int(np.argmax(near))
-        at = self.grid[peak]
+        near = np.convolve(self.power, np.ones(WIDE), mode="same")
+        beside = np.pad(near, AWAY, mode="edge")
+        beside = np.maximum(beside[: -2 * AWAY], beside[2 * AWAY :])
+        stands_out = np.where(beside < near * BESIDE, near, 0)
+        stands_out[:AWAY] = 0
+        peak = int(np.argmax(stands_out))
+        if not stands_out[peak]:
+            return 0.0, 0.0
+        cells = slice(max(peak - WIDE // 2, 0), peak + WIDE // 2 + 1)
+        at = float(np.average(self.grid[cells], weights=self.power[cells]))
         octave = (self.grid > at / 1.5) & (self.grid < at * 1.5)
-        width = octave.sum()
         held = near[peak] / max(float(self.power[octave].sum()), 1e-300)
         # As much as an even spread gives is no line.
-        even = min(1.0, 5 / max(width, 1))
-        return float(at), float(max(0.0, (held - even) / max(1 - even, 1e-9)))
+        even = min(1.0, WIDE / max(int(octave.sum()), 1))
+        return at, float(max(0.0, (held - even) / max(1 - even, 1e-9)))

@@ -40,6 +40,10 @@ ROUNDING = 1e-6
 SLIP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.5)
 UNSEEN = "not recorded"
 SLOWER, OTHER = "slower than once a turn", "other orders of the drive"
+# What a sentence names holds this share of the gap at least; and how many it names at most.
+LEAST_TOLD, MOST_TOLD = 0.25, 3
+# Share of the gap that a marked order (once a turn, grousers, a line) holds where nothing is there.
+MARKED = 0.05
 # Bins of the orders that say nothing in a sentence.
 NOTHING_SAID = (SLOWER, OTHER, STANDS)
 
@@ -148,19 +152,21 @@ def sentence(shares: Sequence[Share]) -> str:
         if len(parts) < 2 or axis in ("run", "frequency"):
             continue
         for part in parts:
-            expected = part.time if np.isfinite(part.time) else 1 / len(parts)
-            sure = part.interval[0] > expected and part.share > 0.25
-            plain = axis == "order" and part.label in NOTHING_SAID
-            if sure and not plain:
+            even = MARKED if axis == "order" else 1 / len(parts)
+            expected = part.time if np.isfinite(part.time) else even
+            sure = part.interval[0] > expected and part.share > LEAST_TOLD
+            if sure and not (axis == "order" and part.label in NOTHING_SAID):
                 told.append((part.share * np.log(part.share / max(expected, 1e-3)), part))
     told.sort(key=lambda each: -each[0])
-    chosen: list[Share] = []
+    chosen: dict[str, Share] = {}
     for _, part in told:
-        if part.axis not in {each.axis for each in chosen} and len(chosen) < 3:
-            chosen.append(part)
+        # A profile is fast or slow: one of the two says it.
+        kind = "speed" if part.axis in ("profile", "angular velocity") else part.axis
+        if len(chosen) < MOST_TOLD:
+            chosen.setdefault(kind, part)
     if not chosen:
         return "The gap is spread about evenly over runs, phases and states."
-    return "Most of the gap lies " + "; ".join(_in_words(each) for each in chosen) + "."
+    return "Most of the gap lies " + "; ".join(_in_words(each) for each in chosen.values()) + "."
 
 
 def _in_words(part: Share) -> str:
@@ -254,7 +260,7 @@ def _shares(cut: _Cut, draws: np.ndarray, total: float) -> list[Share]:
             float(time[k]),
         )
         for k, label in enumerate(cut.labels)
-        if share[k] > 0 or time[k] > 0
+        if cut.samples is None or time[k] > 0
     ]
 
 
@@ -365,7 +371,7 @@ def _by_order(runs: Sequence[_Run]) -> _Cut:
     grousers = runs[0].motion.grousers
     drive = _shared_order(runs, grousers) if hertz is None else None
     edges, names = _orders(grousers, drive)
-    fixed = f"at {hertz:.3g} Hz, whatever the speed" if hertz is not None else "at fixed hertz"
+    fixed = f"at {hertz:.2g} Hz, whatever the speed" if hertz is not None else "at fixed hertz"
     labels = [*dict.fromkeys(names), fixed, STANDS]
     power = []
     for run in runs:
@@ -402,7 +408,7 @@ def _orders(grousers: int, drive: float | None) -> tuple[tuple[float, ...], list
         passing = f"grouser passing ({grousers} a turn)"
         marks += [(float(grousers), passing), (2.0 * grousers, passing)]
     if drive is not None:
-        marks.append((drive, f"drive order {drive:.3g}"))
+        marks.append((drive, f"drive order {drive:.2g}"))
     edges: list[float] = []
     names: list[str] = []
     for at, name in sorted(marks):

@@ -1,0 +1,175 @@
+"""Where a gap lies: shares worked out by hand, and lines put into made-up errors."""
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from diagnose.case import Case
+from diagnose.where import Share, sentence, where
+from drftjax.runlog.record import Command, Measured, RunLog
+from tests.virtual_runs import SLOW, coarse, recorded, setup_of
+
+# Shares that are sums of squares alone are exact; a band's edge leaks a little of a line.
+EXACT = 1e-9
+LEAK = 0.12
+FLOOR = {"x": 1e-4, "z": 1e-4, "fx": 1.0, "fz": 1.0, "torque": 0.1}
+POOL = ThreadPoolExecutor(1)
+
+
+@cache
+def template(driven: bool = False) -> RunLog:
+    vx = [0.0, 0.0, 0.06, 0.06] if driven else None
+    channels = ("z", "fx", "fz", "torque") if driven else ("x", "z")
+    return recorded(setup_of(SLOW, vx=vx), channels=channels)
+
+
+def run_of(speed: float, seconds: float = 12.0, vx: bool = False) -> RunLog:
+    """A run that stands for 1 s, speeds up for 1 s, keeps its speed [rad/s], slows down for 1 s."""
+    knots = np.array([0.0, 1.0, 2.0, seconds - 1.0, seconds])
+    omega = np.array([0.0, 0.0, speed, speed, 0.0])
+    time = np.arange(0, seconds, 0.02)
+    x = 0.1 * np.interp(time, knots, np.r_[0, 0, 0.5 * speed, speed * (seconds - 2.5), 0])
+    values = {"z": np.full(len(time), -0.02), "x": x}
+    if vx:
+        values |= {name: np.ones(len(time)) for name in ("fx", "fz", "torque")}
+    command = Command(knots, omega, 0.1 * omega if vx else None)
+    return dataclasses.replace(
+        template(vx), command=command, measured=Measured(time=time, **values)
+    )
+
+
+def case_of(*runs: RunLog, masses: tuple[float, ...] = ()) -> Case:
+    candidates = [coarse(f"run {k}", run) for k, run in enumerate(runs)]
+    for each, mass in zip(candidates, masses, strict=False):
+        each.setup.rig.mass_z = mass
+    return Case.of(candidates, POOL)
+
+
+def nothing(case: Case) -> list[np.ndarray]:
+    return [
+        np.zeros((len(case.channels), len(case.time(run)))) for run in range(len(case.candidates))
+    ]
+
+
+def on(shares: list[Share], axis: str) -> dict[str, float]:
+    return {each.label: each.share for each in shares if each.axis == axis}
+
+
+def check(shares: list[Share]) -> None:
+    """On each axis shares add up to one, each within its interval."""
+    for axis in {each.axis for each in shares}:
+        assert sum(on(shares, axis).values()) == pytest.approx(1, abs=EXACT), axis
+    for each in shares:
+        assert 0 <= each.interval[0] <= each.share <= each.interval[1] <= 1 + EXACT, each
+
+
+def test_shares_of_a_made_up_gap_are_its_squares():
+    case = case_of(run_of(0.5), run_of(1.0), masses=(18.0, 14.0))
+    z = case.channels.index("z")
+    residual = nothing(case)
+    time = case.time(0)
+    steady, late = (time > 2.5) & (time < 10.5), (time > 11.2) & (time < 11.8)
+    residual[0][z, steady] = 2e-4
+    residual[1][z, late] = 4e-4
+    first, second = 4.0 * steady.sum(), 16.0 * late.sum()
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    expected = first / (first + second)
+    assert on(shares, "run")["run 0"] == pytest.approx(expected, abs=EXACT)
+    assert on(shares, "load")["18 kg on the wheel"] == pytest.approx(expected, abs=EXACT)
+    assert on(shares, "phase")["steady"] == pytest.approx(expected, abs=EXACT)
+    assert on(shares, "phase")["decelerate"] == pytest.approx(1 - expected, abs=EXACT)
+    assert on(shares, "channel")["z"] == pytest.approx(1, abs=EXACT)
+    assert on(shares, "profile")["up to 28.6 deg/s in 12 s"] == pytest.approx(expected, abs=EXACT)
+
+
+def test_one_early_slip_does_not_count_for_ever():
+    case = case_of(run_of(0.5))
+    residual = nothing(case)
+    time = case.time(0)
+    residual[0][case.channels.index("x"), time >= 1.5] = 5e-3
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    assert on(shares, "phase")["accelerate"] > 0.95
+
+
+def test_time_spent_is_told_beside_the_share():
+    case = case_of(run_of(0.5))
+    residual = [np.full_like(each, 1e-4) for each in nothing(case)]
+    phases = {e.label: e.time for e in where(case, residual, FLOOR) if e.axis == "phase"}
+    assert phases["steady"] == pytest.approx(9 / 12, abs=0.03)
+    assert phases["stand"] == pytest.approx(1 / 12, abs=0.03)
+
+
+def wave(case: Case, run: int, order: float | None, hertz: float = 0.0) -> np.ndarray:
+    """A millimetre's wave while the wheel turns, in its angle or in time."""
+    time = case.time(run)
+    knots = case.candidates[run].trial
+    omega = np.interp(time, np.asarray(knots.time), np.asarray(knots.omega))
+    angle = np.cumsum(omega) * 0.02
+    phase = 2 * np.pi * hertz * time if order is None else order * angle
+    return 1e-3 * np.sin(phase) * (omega > 0)
+
+
+@pytest.mark.parametrize(
+    ("order", "hertz", "label"),
+    [
+        (1.0, 0.0, "once a turn"),
+        (12.0, 0.0, "grouser passing (12 a turn)"),
+        (7.0, 0.0, "drive order 7"),
+        (None, 3.0, "at 3 Hz, whatever the speed"),
+    ],
+)
+def test_a_line_is_named_by_what_it_is_locked_to(order, hertz, label):
+    case = case_of(*(run_of(speed, 20.0) for speed in (1.5, 2.4, 3.3)))
+    residual = nothing(case)
+    for run, each in enumerate(residual):
+        each[case.channels.index("z")] = wave(case, run, order, hertz)
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    found = on(shares, "order")
+    near = {name: share for name, share in found.items() if name == label}
+    assert sum(near.values()) > 1 - LEAK, found
+    assert label in sentence(shares)
+
+
+def test_a_driven_carriage_has_a_slip_and_forces():
+    case = case_of(run_of(0.5, vx=True))
+    residual = nothing(case)
+    residual[0][case.channels.index("fx")] = 3.0
+    residual[0][case.channels.index("torque")] = 0.1
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    assert on(shares, "channel")["fx"] == pytest.approx(0.9, abs=EXACT)
+    assert "travel" in {each.axis for each in shares}
+    assert sum(s for label, s in on(shares, "slip").items() if "standing" not in label) > 0.8
+
+
+def test_no_gap_has_no_shares():
+    case = case_of(run_of(0.5))
+    assert where(case, nothing(case), FLOOR) == []
+    assert where(case, [], FLOOR) == []
+    assert where(case, [np.zeros((2, 0))], FLOOR) == []
+    assert sentence([]) == "There is no gap to speak of."
+
+
+def test_a_sentence_names_where_the_gap_is_dense():
+    case = case_of(run_of(0.5), run_of(1.0))
+    residual = nothing(case)
+    for each in residual:
+        each[case.channels.index("z"), case.time(0) > 11.0] = 1e-3
+    told = sentence(where(case, residual, FLOOR))
+    assert "“decelerate”" in told
+    assert "in z" in told
+
+
+def test_nine_runs_take_little_time():
+    case = case_of(*(run_of(0.5 + 0.1 * k, 24.0) for k in range(9)))
+    residual = [np.random.default_rng(0).normal(size=each.shape) for each in nothing(case)]
+    start = perf_counter()
+    check(where(case, residual, FLOOR))
+    assert perf_counter() - start < 3.0
