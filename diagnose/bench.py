@@ -77,6 +77,14 @@ class Bench:
             plain = case.predicted(Model(), run, log_zeta[run], np.zeros(0))
             return columns, plain - case.recorded(run)
 
+        # Compiled once, side by side, before every thread needs all of them.
+        first = case.trace(0, log_zeta[0])
+        node = jnp.asarray(case.node(0))
+        list(
+            case.threads.map(
+                lambda each: kick(each, case.trials[0], first, node, grid(each)), effects
+            )
+        )
         both = case.each_run(of)
         splitters = [Splitter.of(case.time(run)) for run in range(len(case.candidates))]
         return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -81,6 +82,19 @@ class Case:
         """`work` done for every run, side by side."""
         return list(self.threads.map(work, range(len(self.candidates))))
 
+    def warm(self, program: Callable, models: Sequence[Model]) -> None:
+        """Compile a program for some models side by side, rather than one by one as they come.
+
+        Without this every thread that needs a program first would compile it for itself.
+        """
+        nothing = eqx.tree_at(lambda o: o.compared_rows, self.observed[0], jnp.asarray(0))
+
+        def of(model: Model) -> None:
+            at = jnp.asarray(model.null(), float)
+            program(model, self.channels, self.trials[0], nothing, jnp.asarray(0.0), at)
+
+        list(self.threads.map(of, models))
+
     def counts(self, run: int) -> np.ndarray:
         """Which of a run's recorded samples are compared."""
         return self.candidates[run].observation.counts
@@ -134,8 +148,6 @@ def next_size(count: int) -> int:
 
 def with_zeta(trial: Trial, log_zeta: float) -> Trial:
     """The trial with its zeta scaled."""
-    import equinox as eqx
-
     zeta = trial.simulator.terrain.zeta.value * np.exp(log_zeta)  # pyright: ignore
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
 
@@ -157,6 +169,7 @@ def baseline(case: Case) -> np.ndarray:
         raise InputError("no run has a recorded sinkage (/measured/z), and nothing stands for it")
     z = case.channels.index("z")
     plain = Model()
+    case.warm(predict, [plain])
 
     def of(run: int) -> float:
         wanted = case.recorded(run)[z]

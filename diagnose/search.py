@@ -17,7 +17,7 @@ from diagnose.hypothesis import (
     refreshed,
     settled,
 )
-from diagnose.response import Model
+from diagnose.response import Model, predict, respond
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
@@ -28,6 +28,7 @@ TURNS = 3
 PAIR_TURNS = 4
 # The leading ones go on, with fresh derivatives, while that gains something.
 FINISHED = 4
+REFRESHED = 2
 ROUNDS = 3
 MORE_TURNS = 5
 WORTH_A_ROUND = 3.0
@@ -77,7 +78,9 @@ def search(
     report("screening")
     ranked = _ranked(bench)
     report(f"simulating the leading {min(SINGLES, len(ranked))} effects")
-    singles = [settled(bench, proposed(bench, [v], line), TURNS) for v, line in ranked[:SINGLES]]
+    starts = [proposed(bench, [variant], line) for variant, line in ranked[:SINGLES]]
+    case.warm(predict, [each.model for each in starts])
+    singles = [settled(bench, each, TURNS) for each in starts]
     singles = _finished(bench, singles)
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
@@ -96,10 +99,12 @@ def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses settled to their end, all of them best first."""
     hypotheses = sorted(hypotheses, key=lambda each: -each.score)
     done: list[Hypothesis] = []
-    for each in hypotheses[:FINISHED]:
+    hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
+    bench.case.warm(respond, [each.model for each in hopeful])
+    for place, each in enumerate(hypotheses[:FINISHED]):
         each = settled(bench, each, MORE_TURNS)
         for _ in range(ROUNDS):
-            if not each.simulated or not _leaves_much(bench, each):
+            if place >= REFRESHED or not each.simulated or not _leaves_much(bench, each):
                 break
             if done and each.score < done[0].score - HOPELESS:
                 break
@@ -154,6 +159,7 @@ def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         for pair, hypothesis in both:
             if len(leading) < PAIRS:
                 leading.setdefault(pair, hypothesis)
+    bench.case.warm(predict, [each.model for each in leading.values()])
     found = [settled(bench, each, PAIR_TURNS) for each in leading.values()]
     return _finished(bench, found) if found else []
 
