@@ -1,0 +1,162 @@
+"""The diagnosis on small cases: short runs of a wheel with something added, or nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.bench import Bench
+from diagnose.case import Case, baseline, threads
+from diagnose.diagnosis import diagnose
+from diagnose.evidence import Products, fit_line
+from diagnose.hypothesis import proposed, settled
+from diagnose.left_out import conditions, predicted_unseen
+from diagnose.shrinkage import shrinkage
+from diagnose.weights import Judged, Scale, weights
+from drftjax.effects.drive import SpeedGain
+from drftjax.effects.rig import Drawbar
+from drftjax.effects.sensor import TravelGain
+from drftjax.effects.surface import SurfaceSlope
+from tests.virtual_runs import coarse, recorded, setup_of
+
+CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
+# Slow and fast, long enough that what grows with travel shows.
+PROFILES = (
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
+)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with threads() as executor:
+        yield executor
+
+
+def case_with(pool, *effects: dict) -> Case:
+    """Three runs, two of one command, of a rig with these effects."""
+    found = []
+    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
+        setup = setup_of(profile, zeta)
+        setup.effects = list(effects)
+        found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
+    return Case.of(found, pool)
+
+
+@pytest.fixture(scope="module")
+def sloping(pool) -> Case:
+    return case_with(pool, {"name": "surface_slope", "slope": 0.02})
+
+
+@pytest.fixture(scope="module")
+def sloping_bench(sloping) -> Bench:
+    return Bench.of(sloping, baseline(sloping), CATALOGUE)
+
+
+def variant(bench: Bench, effect):
+    return next(v for v in bench.variants if v.effect is effect)
+
+
+def test_a_lines_column_is_what_a_small_strength_does(sloping_bench):
+    case, column = sloping_bench.case, variant(sloping_bench, Drawbar).columns[0]
+    model = proposed(sloping_bench, [variant(sloping_bench, Drawbar)]).model
+    for run, log_zeta in enumerate(sloping_bench.log_zeta):
+        both = [case.predicted(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
+        change = (both[1] - both[0]) / 0.1
+        x = case.channels.index("x")
+        line = sloping_bench.columns[run][x, :, 1 + column]
+        # One node's map stands for several steps.
+        assert np.abs(line - change[x]).max() < 0.05 * np.abs(change[x]).max()
+
+
+def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(sloping_bench):
+    slope = settled(
+        sloping_bench, proposed(sloping_bench, [variant(sloping_bench, SurfaceSlope)]), 8
+    )
+    true = 0.02 / slope.model.free[0].scale
+    # Three short runs with 20 um of noise tell a slope over 0.3 m to some tenths of a per cent.
+    assert slope.coordinates[0] == pytest.approx(true, rel=0.01)
+    for residual in slope.residual:
+        assert np.sqrt(np.mean(residual**2)) < 30e-6
+
+
+def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
+    slope, gain = (
+        settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, effect)]), 8)
+        for effect in (SurfaceSlope, TravelGain)
+    )
+    z = sloping_bench.case.channels.index("z")
+
+    def missed(hypothesis) -> float:
+        unseen = predicted_unseen(sloping_bench, hypothesis)
+        return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
+
+    assert missed(slope) < 40e-6 < 10 * 40e-6 < missed(gain)
+
+
+def test_repeats_are_one_condition(sloping):
+    assert conditions(sloping.candidates) == [[0, 1], [2]]
+
+
+def test_a_slope_is_named_and_its_gap_closed(sloping):
+    found = diagnose(sloping, CATALOGUE)
+    assert found.verdict == ("surface_slope",)
+    assert found.weights["surface_slope"] > 0.9
+    assert sum(found.weights.values()) == pytest.approx(1, abs=1e-9)
+    assert found.gap["z"].before > 10 * found.gap["z"].floor
+    assert found.gap["z"].shrinkage > 0.95
+    value = found.parameters["surface_slope"]["slope"]
+    assert abs(value.value - 0.02) < 4 * value.error + 2e-4
+    assert found.document()["verdict"] == ["surface_slope"]
+    assert any("repeats" in note for note in found.notes)
+
+
+def test_nothing_added_is_none(pool):
+    found = diagnose(case_with(pool), CATALOGUE)
+    assert found.verdict == ("none",)
+    assert found.parameters == {}
+
+
+def test_one_run_says_what_cannot_be_concluded(sloping, pool):
+    alone = Case.of([sloping.candidates[0]], pool)
+    found = diagnose(alone, (SurfaceSlope, TravelGain))
+    assert any("One run only" in note for note in found.notes)
+    assert any("No run was repeated" in note for note in found.notes)
+
+
+# Numbers by hand ---------------------------------------------------------------------------------
+
+
+def made_products() -> Products:
+    """One run and block: zeta moves nothing, a column of ones misses a residual of -2."""
+    columns = np.stack([np.zeros(4), np.ones(4), np.full(4, -2.0)], axis=1)
+    gram = (columns.T @ columns)[None, None]
+    return Products((("z", "slow"),), gram, np.array([[4]]), np.zeros(1))
+
+
+def test_a_line_takes_away_what_its_column_can():
+    line = fit_line(made_products(), [0], trust=0.0)
+    assert line.strengths[0] == pytest.approx(2.0, rel=1e-6)
+    assert line.left[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_line_stays_at_its_least():
+    line = fit_line(made_products(), [0], least=np.array([3.0]), trust=0.0)
+    assert line.strengths[0] == pytest.approx(3.0)
+    assert line.left[0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_shrinkage_counts_from_the_floor():
+    assert shrinkage(1.1, 0.6, 0.1) == pytest.approx(0.5)
+    assert shrinkage(1.1, 0.05, 0.1) == pytest.approx(1.0)
+    assert shrinkage(0.1, 0.1, 0.1) == 0.0
+
+
+def test_weights_follow_what_is_left():
+    blocks = (("z", "slow"),)
+    scale = dataclasses.replace(Scale(), none=0.0, number=0.0, floor=0.0, slow=2.0, unknown=-50.0)
+    judged = [Judged((), np.array([4e-8]), 0.0, 0), Judged(("drawbar",), np.array([1e-8]), 0.0, 1)]
+    found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
+    # Half of a worth of 2 by the logarithm of a quarter: four to one.
+    assert found[("drawbar",)] / found[("none",)] == pytest.approx(4.0, rel=1e-9)
