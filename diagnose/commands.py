@@ -1,4 +1,4 @@
-"""`drft diagnose`: recorded runs in; what makes them differ from the model, and by how much, out."""
+"""`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
 
 import os
 from pathlib import Path
@@ -127,6 +127,7 @@ def _diagnosed(
 
     from diagnose.case import Case, threads
     from diagnose.diagnosis import diagnose as diagnosis_of
+    from diagnose.where import where
 
     kept, notes = list(candidates), list(left_out.values())
     with threads() as pool:
@@ -142,7 +143,11 @@ def _diagnosed(
                 kept = others
                 notes.append(why)
                 say(f"left out: {why}", "yellow")
-    return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {n}" for n in notes)])
+    return dataclasses.replace(
+        found,
+        where=found.where or where(found.case, found.before, dict(found.floors)),
+        notes=[*found.notes, *(f"Left out: {n}" for n in notes)],
+    )
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from drftjax.runlog.layout import run_from
 from drftjax.saved import HDF5_ENDINGS
 from identify.candidate import Candidate, candidate, names_of
 
-# Wheels are the same where their numbers agree to this many places [m].
-PLACES = 6
+# Wheels are the same where their lengths agree to so many places of a millimetre.
+PLACES = 3
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,9 @@ def _of_one_wheel(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dic
     kind, kept = ranked[0]
     if len(ranked) > 1 and len(ranked[1][1]) == len(kept):
         told = "; ".join(f"{', '.join(c.name for c in runs)}: {kind}" for kind, runs in ranked[:2])
-        raise InputError(f"the runs are of different wheels or carriages ({told}); diagnose each apart")
+        raise InputError(
+            f"the runs are of different wheels or carriages ({told}); diagnose each apart"
+        )
     others = {
         each.name: f"{each.name}: has {other}, where the {len(kept)} runs kept have {kind}"
         for other, runs in ranked[1:]
@@ -100,12 +102,15 @@ def _of_one_wheel(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dic
 
 
 def _kind(each: Candidate) -> str:
-    wheel, mm = each.setup.wheel, 1e3
-    rim = f"radius {round(wheel.radius, PLACES) * mm:g} mm, width {round(wheel.width, PLACES) * mm:g} mm"
+    wheel = each.setup.wheel
+    words = f"a wheel of radius {_mm(wheel.radius)}, width {_mm(wheel.width)}, "
     if wheel.shape == "grouser":
-        height = round(wheel.grouser_height, PLACES) * mm
-        thickness = round(wheel.grouser_thickness, PLACES) * mm
-        rim += f", {wheel.grouser_count} grousers of {height:g} x {thickness:g} mm"
+        tip = f"{_mm(wheel.grouser_height)} x {_mm(wheel.grouser_thickness)}"
+        words += f"{wheel.grouser_count} grousers of {tip}"
     else:
-        rim += ", no grousers"
-    return f"a wheel of {rim} on a {each.setup.rig.carriage} carriage"
+        words += "no grousers"
+    return f"{words}, on a {each.setup.rig.carriage} carriage"
+
+
+def _mm(length: float) -> str:
+    return f"{round(1e3 * length, PLACES):g} mm"

@@ -1,0 +1,203 @@
+"""`drft evaluate`: a diagnosis's model against runs that it was not found on."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from diagnose.evaluation import Evaluation
+    from diagnose.tuned import Moves
+
+app = typer.Typer(add_completion=False)
+
+SCHEMA = "drft-evaluation"
+EXAMPLES = """
+Examples:
+
+  drft evaluate fresh/*.h5 --model out/diagnosis/model.toml
+
+  drft evaluate fresh/ --model out/diagnosis/model.toml --tuner --json out/evaluation.json
+
+Each run is simulated freely from its start, by the reference model and by that with the effects
+of the model file, each with the zeta that meets the run's mean sinkage. All other numbers are the
+run's own.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+def evaluate(
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
+    model: Annotated[
+        Path,
+        typer.Option(help="A set-up file with [[effect]]s: model.toml of a diagnosis."),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--json", help="Write the numbers here (JSON).")
+    ] = None,
+    tuner: Annotated[
+        bool, typer.Option("--tuner", help="Replay the online tuner of eq. 7 with each model too.")
+    ] = False,
+    tick: Annotated[float, typer.Option(help="Control period of the tuner [s].")] = 0.01,
+    zeta_step: Annotated[float, typer.Option(help="Change of zeta on one tick.")] = 0.001,
+    tolerance: Annotated[
+        float, typer.Option(help="Error of the sinkage that is left alone [m].")
+    ] = 1e-4,
+) -> None:
+    """Hold a model with effects against runs, beside the reference model."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from diagnose.case import Case, threads
+    from diagnose.evaluation import evaluated
+    from diagnose.model_file import read_effects
+    from diagnose.runs import gather
+    from diagnose.tuned import moves
+    from drftjax.runlog.content import printable
+    from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.tuner import StepTuner
+
+    setting = StepTuner(tick, zeta_step, tolerance)
+    effects = read_effects(model)
+    if output is not None:
+        if output.suffix.lower() != ".json":
+            raise InputError(f"{output}: the file of --json must end in .json")
+        make_folder(output.parent)
+    console = Console()
+
+    def say(text: str, style: str | None = None) -> None:
+        # File names may hold brackets, and are to be copied from one line.
+        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    moved: list[tuple[Moves, Moves]] = []
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("reading runs", total=None)
+        gathered = gather(runs)
+        for why in gathered.left_out.values():
+            say(f"left out: {why}", "yellow")
+        bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
+        with threads() as pool:
+            found = evaluated(Case.of(gathered.candidates, pool), effects)
+            if tuner:
+                bar.update(task, description="replaying the tuner")
+                moved = moves(found, setting)
+
+    console.print(gap_table(found))
+    if moved:
+        console.print(moves_table(found, moved))
+    for sentence in sentences(found):
+        say(sentence)
+    if output is not None:
+        document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
+        document["notes"] += [f"Left out: {why}" for why in gathered.left_out.values()]
+        if moved:
+            document["tuner"] = moves_document(found, moved, setting)
+        replace_file(output, (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode())
+        say(f"written: {output}")
+
+
+def sentences(found: "Evaluation") -> list[str]:
+    """What the numbers rest on."""
+    names = ", ".join(each.about.name for each in found.effects)
+    if not names:
+        return ["The model has no effect: it is the reference model.", found.how]
+    return [f"before: the reference model; after: with {names}. zeta is each run's own.", found.how]
+
+
+def gap_table(found: "Evaluation") -> "Table":
+    """The gap of every run and of all, before and after."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from diagnose.evaluation import shown
+
+    table = Table()
+    table.add_column("run")
+    table.add_column("zeta", justify="right")
+    channels = found.case.channels
+    for channel in channels:
+        table.add_column(escape(f"{channel} [{shown(channel)[0]}]"), justify="right")
+    for run, each in enumerate(found.case.candidates):
+        cells = found.rmse(run)
+        first, last = found.zeta(run)
+        table.add_row(
+            escape(each.name),
+            f"{first:.4f} → {last:.4f}",
+            *(_pair(channel, *cells[channel]) if channel in cells else "-" for channel in channels),
+        )
+    table.add_section()
+    gaps = [found.gap[channel] for channel in channels]
+    pairs = zip(channels, gaps, strict=True)
+    table.add_row("all runs", "", *(_pair(c, gap.before, gap.after) for c, gap in pairs))
+    scaled = [f"{shown(c)[1] * found.floors[c]:.3f}" for c in channels]
+    table.add_row("noise floor", "", *scaled)
+    floors = [f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}" for gap in gaps]
+    table.add_row("in floors", "", *floors)
+    return table
+
+
+def _pair(channel: str, before: float, after: float) -> str:
+    from diagnose.evaluation import shown
+
+    scale = shown(channel)[1]
+    return f"{scale * before:.3f} → {scale * after:.3f}"
+
+
+def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Table":
+    """How much the tuner moves zeta, before and after."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title="online tuner", title_justify="left")
+    for name in ("run", "sum of |dzeta|", "range of zeta"):
+        table.add_column(name, justify="left" if name == "run" else "right")
+    for each, (before, after) in zip(found.case.candidates, moved, strict=True):
+        table.add_row(
+            escape(each.name),
+            f"{before.moved:.3f} → {after.moved:.3f}",
+            f"{before.range:.3f} → {after.range:.3f}",
+        )
+    table.add_section()
+    first, last = (sum(pair[which].moved for pair in moved) for which in (0, 1))
+    table.add_row("all runs", f"{first:.3f} → {last:.3f}", _less(first, last))
+    return table
+
+
+def _less(before: float, after: float) -> str:
+    if before == 0:
+        return "-"
+    return f"{abs(1 - after / before):.0%} {'less' if after <= before else 'more'} to move"
+
+
+def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", setting) -> dict:
+    """The tuner's moves as plain values."""
+    import dataclasses
+
+    return {
+        "tick": float(setting.tick),
+        "zeta_step": float(setting.zeta_step),
+        "tolerance": float(setting.tolerance),
+        "runs": [
+            {
+                "name": each.name,
+                "before": dataclasses.asdict(before),
+                "after": dataclasses.asdict(after),
+            }
+            for each, (before, after) in zip(found.case.candidates, moved, strict=True)
+        ],
+    }
+
+
+if __name__ == "__main__":
+    app()

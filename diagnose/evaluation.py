@@ -1,0 +1,114 @@
+"""A model with effects against runs that it was not found on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.case import Case
+from diagnose.floor import noise_floors
+from diagnose.model_file import as_model
+from diagnose.promise import Followed, followed
+from diagnose.response import Model
+from diagnose.shrinkage import Gap, gaps
+from drftjax.effects.stage import AbstractEffect
+
+CHANNEL_UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1.0), "fz": ("N", 1.0)}
+TORQUE = ("N m", 1.0)
+
+
+def shown(channel: str) -> tuple[str, float]:
+    """Unit that a channel is told in, and how many of it make one of SI."""
+    return CHANNEL_UNITS.get(channel, TORQUE)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What a model leaves of the gap.
+
+    Attributes:
+        case: The runs.
+        effects: What the model adds to the reference model.
+        before, after: Each run by the reference model, and with the effects.
+        gap: Pooled over the runs, by channel.
+        floors: Noise floor of each channel [m, N, N m].
+        how: On what the floors rest.
+    """
+
+    case: Case
+    effects: tuple[AbstractEffect, ...]
+    before: list[Followed]
+    after: list[Followed]
+    gap: Mapping[str, Gap]
+    floors: Mapping[str, float]
+    how: str
+
+    def rmse(self, run: int) -> dict[str, tuple[float, float]]:
+        """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""
+        pairs = zip(
+            self.case.channels, self.before[run].residual, self.after[run].residual, strict=True
+        )
+        return {
+            channel: (_rms(before), _rms(after))
+            for channel, before, after in pairs
+            if np.isfinite(before).all()
+        }
+
+    def zeta(self, run: int) -> tuple[float, float]:
+        """zeta of one run by the reference model, and with the effects."""
+        own = float(self.case.candidates[run].setup.terrain.zeta)  # pyright: ignore
+        first, last = (float(np.exp(f[run].log_zeta)) for f in (self.before, self.after))
+        return own * first, own * last
+
+    def document(self) -> dict:
+        """Plain values, in the layout of the JSON file."""
+        return {
+            "floor": {channel: _named(channel, floor=f) for channel, f in self.floors.items()},
+            "gap": {
+                channel: {
+                    **_named(channel, before=gap.before, after=gap.after, floor=gap.floor),
+                    "shrinkage": gap.shrinkage,
+                    "shrinkage_interval": list(gap.interval),
+                }
+                for channel, gap in self.gap.items()
+            },
+            "runs": [
+                {
+                    "name": each.name,
+                    "zeta": dict(zip(("before", "after"), self.zeta(run), strict=True)),
+                    "gap": {
+                        channel: _named(channel, before=before, after=after)
+                        for channel, (before, after) in self.rmse(run).items()
+                    },
+                }
+                for run, each in enumerate(self.case.candidates)
+            ],
+            "notes": [self.how],
+        }
+
+
+def _named(channel: str, **values: float) -> dict[str, float | str]:
+    """Numbers of a channel in the unit that is given beside them."""
+    unit, scale = shown(channel)
+    return {**{name: value * scale for name, value in values.items()}, "unit": unit}
+
+
+def evaluated(case: Case, effects: Sequence[AbstractEffect]) -> Evaluation:
+    """The gap of runs without and with effects whose numbers stay as they are.
+
+    Args:
+        case: The runs.
+        effects: Added to what each run's set-up says.
+    """
+    model, coordinates = as_model(effects)
+    before = followed(case, Model(), np.zeros(0))
+    after = followed(case, model, coordinates) if effects else before
+    residuals = [each.residual for each in before], [each.residual for each in after]
+    floors, how = noise_floors(case, *residuals)
+    return Evaluation(
+        case, tuple(effects), before, after, gaps(case, *residuals, floors), floors, how
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

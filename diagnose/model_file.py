@@ -1,0 +1,102 @@
+"""A diagnosis as a model: a set-up file with the effects that were found."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from diagnose.diagnosis import Diagnosis, Number
+from diagnose.response import Model
+from diagnose.weights import NONE, UNKNOWN
+from drftjax.effects.entry import built
+from drftjax.effects.stage import AbstractEffect
+from drftjax.runlog.content import printable
+from drftjax.saved import thinned
+from drftjax.setup import read_setup
+
+
+def model_toml(found: Diagnosis) -> str:
+    """The model with what was found, as a set-up file.
+
+    Wheel, rig, start and command are those of the first run. zeta is the mean over the runs. The
+    effects stand with their numbers, and these with their standard errors in comments.
+    """
+    candidates = found.case.candidates
+    setup = candidates[0].setup
+    zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
+    zeta = zeta * np.exp(found.chosen.log_zeta)
+    document = msgspec.to_builtins(setup)
+    document["command"] = msgspec.to_builtins(thinned(setup.command))
+    document["terrain"]["zeta"] = float(zeta.mean())
+    document.pop("effect")
+    about = {("terrain", "zeta"): _scatter(zeta)}
+    lines = [f"# {line}" for line in _head(found)]
+    lines.append(f"title = {_toml(f'{printable(setup.title)}, with what a diagnosis found')}")
+    for name, table in document.items():
+        if not isinstance(table, dict):
+            continue
+        lines += ["", f"[{name}]"]
+        for key, value in table.items():
+            if value is not None:
+                comment = about.get((name, key))
+                lines.append(f"{key} = {_toml(value)}" + (f"  # {comment}" if comment else ""))
+    for name, numbers in found.parameters.items():
+        lines += ["", "[[effect]]", f"name = {_toml(name)}"]
+        lines += [f"{key} = {each.value!r}  # {told(each)}" for key, each in numbers.items()]
+    return "\n".join(lines) + "\n"
+
+
+def told(number: Number) -> str:
+    """A number with its standard error and unit, in words of one line."""
+    unit = "" if number.unit == "-" else f" {number.unit}"
+    return f"{number.value:.4g} ± {number.error:.2g}{unit}"
+
+
+def _head(found: Diagnosis) -> list[str]:
+    names = ", ".join(printable(each.name) for each in found.case.candidates)
+    lines = [f"From a diagnosis of {names}."]
+    if found.verdict == (NONE,):
+        lines.append("No effect was found: this is the reference model.")
+    elif found.verdict == (UNKNOWN,):
+        lines.append("No effect explains these runs; the likeliest one that is known stands below.")
+    lines += [
+        "Wheel, rig, start and command are those of the first run; the effects go with any:",
+        "  drft simulate model.toml -o run.h5",
+        "  drft evaluate --model model.toml OTHER_RUNS",
+    ]
+    return lines
+
+
+def _scatter(zeta: np.ndarray) -> str:
+    if len(zeta) == 1:
+        return "of the one run"
+    return f"mean of {len(zeta)} runs, which scatter by {zeta.std(ddof=1) / zeta.mean():.2%}"
+
+
+def _toml(value: object) -> str:
+    """A value of a set-up as TOML writes it."""
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    # Text and numbers are written alike in JSON and TOML.
+    return json.dumps(value, ensure_ascii=False)
+
+
+def read_effects(path: Path) -> tuple[AbstractEffect, ...]:
+    """The effects of a model file, with their numbers.
+
+    Raises:
+        InputError: names the file, the entry and what must hold.
+    """
+    setup = read_setup(path)
+    return tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
+
+
+def as_model(effects: Sequence[AbstractEffect]) -> tuple[Model, np.ndarray]:
+    """Effects with numbers as a model and its coordinates."""
+    model = Model(tuple(type(each) for each in effects))
+    values = [
+        free.coordinate(float(getattr(effects[free.index], free.field))) for free in model.free
+    ]
+    return model, np.array(values, float)

@@ -1,0 +1,255 @@
+"""A diagnosis told: in sentences and tables for a terminal, and as files for a folder."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from diagnose import where as location
+from diagnose.diagnosis import Diagnosis, conditions_of
+from diagnose.evaluation import shown
+from diagnose.model_file import model_toml, told
+from diagnose.report_figures import as_source, at_a_glance, residuals, weights
+from diagnose.shrinkage import Gap
+from diagnose.weights import NONE, UNKNOWN
+from drftjax import __version__
+from drftjax.effects.catalogue import effect_class
+from drftjax.runlog.content import printable
+from drftjax.runlog.replace import make_folder, replace_file
+
+# Weights under this are not told.
+TOLD = 0.01
+
+
+def verdict(found: Diagnosis) -> str:
+    """What was found, in one sentence."""
+    weight = sum_weight(found)
+    if found.verdict == (NONE,):
+        return (
+            f"Nothing beyond the reference model shows in these runs (weight {weight:.0%}): with a "
+            "zeta of its own, it follows each of them."
+        )
+    if found.verdict == (UNKNOWN,):
+        return (
+            f"Something makes these runs differ from the reference model (weight {weight:.0%}), "
+            "but no effect that is known here explains it."
+        )
+    effects = " and ".join(f"{name} ({effect_class(name).about.meaning})" for name in found.verdict)
+    return f"These runs show {effects}, with weight {weight:.0%}."
+
+
+def sum_weight(found: Diagnosis) -> float:
+    """Weight of the verdict: of the least sure part of it."""
+    return min(found.weights.get(name, 0.0) for name in found.verdict)
+
+
+def paragraphs(found: Diagnosis) -> list[str]:
+    """All else that was found, in sentences."""
+    others = [w for w in found.weights.items() if w[1] >= TOLD]
+    told_weights = ", ".join(f"{name} {weight:.0%}" for name, weight in others)
+    lines = [f"weights: {told_weights}"]
+    lines += group_sentences(found)
+    lines += gap_sentences(found)
+    if found.verdict != (NONE,):
+        lines.append(location.sentence(found.where))  # pyright: ignore[reportArgumentType]
+    lines += parameter_sentences(found)
+    lines += [f"note: {note}" for note in found.notes]
+    lines += next_sentences(found)
+    return lines
+
+
+def group_sentences(found: Diagnosis) -> list[str]:
+    """What these runs cannot tell apart."""
+    return [
+        f"These runs cannot tell {_worded(group[0])} from {' or '.join(map(_worded, group[1:]))}."
+        for group in found.groups
+        if len(group) > 1
+    ]
+
+
+def _worded(name: str) -> str:
+    return {NONE: "nothing at all", UNKNOWN: "something that is not known here"}.get(name, name)
+
+
+def reducible(gap: Gap) -> bool:
+    """Whether there is a gap above the floor that could shrink."""
+    return gap.before > 1.1 * gap.floor
+
+
+def shrunk(gap: Gap) -> str:
+    """How far a gap shrinks, with the interval."""
+    if not reducible(gap):
+        return "at the floor"
+    low, high = gap.interval
+    return f"{gap.shrinkage:.0%} ({low:.0%} to {high:.0%})"
+
+
+def gap_sentences(found: Diagnosis) -> list[str]:
+    """On what the gap was measured, and how far it shrinks."""
+    if not found.chosen.names:
+        return []
+    least = " and ".join(found.chosen.names)
+    if len(conditions_of(found.case)) > 1:
+        on = "on runs left out while the effect's numbers were found"
+    else:
+        on = "on the very runs that the effect's numbers were found on, which flatters it"
+    shares = [f"{channel} {shrunk(gap)}" for channel, gap in found.gap.items() if reducible(gap)]
+    if not shares:
+        return [f"There is no gap above the noise floor that {least} could shrink."]
+    return [f"With {least} the gap above the noise floor shrinks by {', '.join(shares)}, {on}."]
+
+
+def parameter_sentences(found: Diagnosis) -> list[str]:
+    """The effects' numbers with errors and units."""
+    head = ""
+    if found.verdict == (UNKNOWN,) and found.parameters:
+        head = "the likeliest effect that is known, which does not explain the runs: "
+    return [
+        f"{head}{name}: " + ", ".join(f"{key} = {told(each)}" for key, each in numbers.items())
+        for name, numbers in found.parameters.items()
+    ]
+
+
+def next_sentences(found: Diagnosis) -> list[str]:
+    """What to run next, so that what cannot be told apart can be."""
+    advice = dict[str, Any](found.next_run)
+    if not advice:
+        return []
+    first, second = (" with ".join(map(_worded, each.split("+"))) for each in advice["tells"])
+    ways = []
+    for key, words in (("run", "run {run}"), ("channel", "record {channel} on {run}")):
+        way = advice.get(key)
+        if isinstance(way, dict):
+            ways.append(
+                f"{words.format(**way)}, where {way['channel']} differs by "
+                f"{way['difference']:.3g} {way['unit']} ({way['floors']:.1f} noise floors)"
+            )
+    if not ways:
+        return [f"No variation of these runs would tell {first} from {second}."]
+    return [f"To tell {first} from {second}: {'; or '.join(ways)}."]
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
+    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval."""
+    rows = []
+    for channel, gap in found.gap.items():
+        unit, scale = shown(channel)
+        rows.append(
+            (
+                f"{channel} [{unit}]",
+                f"{gap.before * scale:.3f}",
+                f"{gap.after * scale:.3f}",
+                f"{gap.floor * scale:.3f}",
+                f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
+                shrunk(gap) if found.chosen.names else "-",
+            )
+        )
+    return rows
+
+
+GAP_COLUMNS = ("gap", "before", "after", "noise floor", "in floors", "shrinkage (90 %)")
+
+
+def gap_table(found: Diagnosis) -> Table:
+    """The gap before and after, against the noise floor."""
+    table = Table()
+    for name in GAP_COLUMNS:
+        table.add_column(name, justify="left" if name == "gap" else "right")
+    for row in gap_rows(found):
+        table.add_row(*map(escape, row))
+    return table
+
+
+def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
+    """By run: name, title, duration, zeta, and the gap before and after by channel."""
+    rows = []
+    for number, each in enumerate(found.case.candidates):
+        zeta = float(each.setup.terrain.zeta) * np.exp(found.chosen.log_zeta[number])  # pyright: ignore
+        cells = [
+            _rms_pair(found.before[number][place], found.after[number][place], channel)
+            for place, channel in enumerate(found.case.channels)
+        ]
+        duration = f"{found.case.time(number)[-1]:.1f}"
+        rows.append((each.name, printable(each.setup.title), duration, f"{zeta:.4f}", *cells))
+    return rows
+
+
+def _rms_pair(before: np.ndarray, after: np.ndarray, channel: str) -> str:
+    _, scale = shown(channel)
+    if not np.isfinite(before).any():
+        return "not recorded"
+    first, last = (scale * float(np.sqrt(np.nanmean(np.square(v)))) for v in (before, after))
+    return f"{first:.3f} → {last:.3f}"
+
+
+def run_columns(found: Diagnosis) -> tuple[str, ...]:
+    channels = (f"{c} [{shown(c)[0]}]" for c in found.case.channels)
+    return ("run", "title", "compared [s]", "zeta", *channels)
+
+
+# Files --------------------------------------------------------------------------------------------
+
+
+def page(found: Diagnosis) -> str:
+    """The report: one page that needs nothing else."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("diagnose"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html").render(
+        version=__version__,
+        names=[each.name for each in found.case.candidates],
+        verdict=verdict(found),
+        sentences=[
+            *group_sentences(found),
+            *gap_sentences(found),
+            *([location.sentence(found.where)] if found.verdict != (NONE,) else []),  # pyright: ignore
+        ],
+        glance=as_source(at_a_glance(found)),
+        weights=as_source(weights(found)),
+        residuals=as_source(residuals(found)),
+        gap_columns=GAP_COLUMNS,
+        gap_rows=gap_rows(found),
+        run_columns=run_columns(found),
+        run_rows=run_rows(found),
+        where=found.where,
+        parameters=_parameter_rows(found),
+        unknown=found.verdict == (UNKNOWN,),
+        next=next_sentences(found),
+        notes=found.notes,
+    )
+
+
+def _parameter_rows(found: Diagnosis) -> list[Sequence[str]]:
+    return [
+        (name, effect_class(name).about.meaning, key, told(each))
+        for name, numbers in found.parameters.items()
+        for key, each in numbers.items()
+    ]
+
+
+def write(found: Diagnosis, folder: Path) -> list[Path]:
+    """Write diagnosis.json, model.toml and report.html.
+
+    Raises:
+        InputError: where one cannot be written.
+    """
+    make_folder(folder)
+    texts = {
+        "diagnosis.json": json.dumps(found.document(), indent=1, ensure_ascii=False) + "\n",
+        "model.toml": model_toml(found),
+        "report.html": page(found),
+    }
+    for name, text in texts.items():
+        replace_file(folder / name, text.encode())
+    return [folder / name for name in texts]

@@ -1,0 +1,144 @@
+"""The figures of a report: the gap at a glance, weights, and residuals of each run."""
+
+import base64
+import io
+import re
+import warnings
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from diagnose.diagnosis import Diagnosis
+from diagnose.evaluation import shown
+
+NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}
+BEFORE, AFTER, FLOOR = "#b8542f", "#2a6f97", "0.55"
+# So many runs are drawn, so many weights, bins and points of a line.
+MOST_RUNS, MOST_WEIGHTS, MOST_BINS, MOST_POINTS = 16, 8, 9, 600
+
+
+def at_a_glance(found: Diagnosis) -> Figure:
+    """The gap before and after against the noise floor, and where it lies."""
+    figure = Figure(figsize=(9.6, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    _before_and_after(left, found)
+    _bins(right, found)
+    return figure
+
+
+def _before_and_after(axes: Axes, found: Diagnosis) -> None:
+    channels = list(found.gap)
+    place = np.arange(len(channels))
+    gaps = [found.gap[channel] for channel in channels]
+    bars = (("reference model", BEFORE, 0.2, "before"), ("with the effect", AFTER, -0.2, "after"))
+    for label, colour, shift, which in bars if found.chosen.names else bars[:1]:
+        sizes = [getattr(gap, which) / gap.floor for gap in gaps]
+        axes.barh(place + shift, sizes, 0.36, color=colour, label=label)
+        for at, size, gap, channel in zip(place + shift, sizes, gaps, channels, strict=True):
+            unit, scale = shown(channel)
+            axes.text(
+                size, at, f" {getattr(gap, which) * scale:.3g} {unit}", va="center", fontsize=8
+            )
+    axes.axvline(1, color=FLOOR, ls="--", lw=1.2, label="noise floor")
+    axes.set_yticks(place, [NAMES[channel] for channel in channels])
+    axes.invert_yaxis()
+    axes.margins(x=0.25)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("gap [noise floors]")
+    axes.set_title("Simulated against recorded", fontsize=10, loc="left")
+    axes.legend(fontsize=7, loc="lower right")
+
+
+def _bins(axes: Axes, found: Diagnosis) -> None:
+    shares = sorted(found.where, key=lambda each: -each.share)  # pyright: ignore
+    shares = [each for each in shares if each.axis != "run"][:MOST_BINS]  # pyright: ignore
+    if not shares:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "no gap to divide", ha="center", va="center", color=FLOOR)
+        return
+    place = np.arange(len(shares))
+    sizes = np.array([each.share for each in shares])  # pyright: ignore
+    spans = np.array([each.interval for each in shares]).T  # pyright: ignore
+    reach = np.abs(np.array([sizes - spans[0], spans[1] - sizes])).clip(0)
+    axes.barh(
+        place, 100 * sizes, color=BEFORE, alpha=0.75, xerr=100 * reach, ecolor="0.25", capsize=2
+    )
+    axes.set_yticks(place)
+    axes.set_yticklabels(
+        [f"{each.axis}: {each.label}" for each in shares],  # pyright: ignore
+        fontsize=8,
+        parse_math=False,
+    )
+    axes.invert_yaxis()
+    axes.set_xlim(0, 105)
+    axes.set_xlabel("share of the gap [%], each axis adds to 100")
+    axes.set_title("Where the gap lies", fontsize=10, loc="left")
+
+
+def weights(found: Diagnosis) -> Figure:
+    """The likeliest explanations."""
+    ranked = list(found.weights.items())[:MOST_WEIGHTS]
+    figure = Figure(figsize=(6.4, 0.5 + 0.32 * len(ranked)), layout="constrained")
+    axes = figure.subplots()
+    place = range(len(ranked))
+    colours = [AFTER if name in found.verdict else "0.75" for name, _ in ranked]
+    axes.barh(place, [100 * weight for _, weight in ranked], color=colours)
+    for at, (_, weight) in zip(place, ranked, strict=True):
+        axes.text(100 * weight, at, f" {weight:.1%}", va="center", fontsize=8)
+    axes.set_yticks(place)
+    axes.set_yticklabels([name for name, _ in ranked], fontsize=8, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xlim(0, 115)
+    axes.set_xlabel("weight [%]")
+    return figure
+
+
+def residuals(found: Diagnosis) -> Figure:
+    """Simulated less recorded, one row for each run, one column for each channel."""
+    case = found.case
+    runs = range(min(len(case.candidates), MOST_RUNS))
+    count = len(case.channels)
+    figure = Figure(figsize=(4.8 * count, 1.25 * len(runs) + 0.7), layout="constrained")
+    grid = figure.subplots(len(runs), count, squeeze=False, sharey="col")
+    for run, row in zip(runs, grid, strict=True):
+        name = case.candidates[run].name
+        for place, (channel, axes) in enumerate(zip(case.channels, row, strict=True)):
+            unit, scale = shown(channel)
+            floor = found.floors[channel] * scale
+            axes.axhspan(-floor, floor, color=FLOOR, alpha=0.25, lw=0, label="noise floor")
+            time = case.time(run)
+            lines = (
+                ("reference model", BEFORE, found.before),
+                ("with the effect", AFTER, found.after),
+            )
+            for label, colour, values in lines if found.chosen.names else lines[:1]:
+                _line(axes, time, scale * values[run][place], colour, label)
+            axes.set_title(f"{name}, {NAMES[channel]} [{unit}]", fontsize=8, parse_math=False)
+            axes.tick_params(labelsize=7)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]", fontsize=8)
+    grid[0][0].legend(fontsize=6, loc="best")
+    return figure
+
+
+def _line(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
+    every = max(1, len(time) // MOST_POINTS)
+    axes.plot(time[::every], values[::every], color=colour, lw=0.9, label=label)
+
+
+def as_source(figure: Figure) -> str:
+    """The figure as what an <img> shows without any file: SVG that refers to nothing."""
+    image = io.BytesIO()
+    nothing: dict[str, None] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    # The same ids for the same figure: the same diagnosis makes the same page.
+    with (
+        mpl.rc_context({"svg.hashsalt": "drft", "svg.fonttype": "path"}),
+        warnings.catch_warnings(),
+    ):
+        # A name may be in a script that the font lacks; it is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure.savefig(image, format="svg", metadata=nothing)
+    text = re.sub(r"<!DOCTYPE.*?>", "", image.getvalue().decode(), flags=re.DOTALL)
+    return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()

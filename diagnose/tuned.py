@@ -1,0 +1,104 @@
+"""How much the online tuner of eq. 7 has to move zeta, without effects and with them.
+
+Recorded runs are replayed through `drftjax.tuner.replay`. Each replay starts from the zeta that
+meets the run's mean sinkage by the model it is replayed with, so what is counted is the moving to
+and fro, not the way there. The tuner compares true sinkages: it sees no effect on a sensor.
+"""
+
+import math
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diagnose.case import Case
+from diagnose.evaluation import Evaluation
+from diagnose.response import with_effects
+from drftjax.command import Command
+from drftjax.effects.stage import AbstractEffect
+from drftjax.errors import InputError
+from drftjax.trial import Trial
+from drftjax.tuner import Loop, StepTuner, known_sinkage, replay, tick_commands, tunable
+
+
+@dataclass(frozen=True)
+class Moves:
+    """How one replay moved zeta while the wheel was asked to move.
+
+    Attributes:
+        moved: Sum of |dzeta| [-].
+        range: Largest less smallest zeta [-].
+    """
+
+    moved: float
+    range: float
+
+
+def moves(found: Evaluation, tuner: StepTuner) -> list[tuple[Moves, Moves]]:
+    """By run, the tuner's moves by the reference model and with the effects.
+
+    Raises:
+        InputError: where a replay diverges.
+    """
+    case = found.case
+    tick = float(tuner.tick)
+    longest = max(float(each.trial.time[-1]) for each in case.candidates)
+    ticks = max(1, math.ceil(longest / tick - 1e-9))
+    finest = min(float(each.trial.step) for each in case.candidates)
+    substeps = max(1, math.ceil(tick / finest - 1e-9))
+    starts = tick * np.arange(ticks)
+
+    def of(run: int) -> tuple[Moves, Moves]:
+        recorded = jnp.asarray(_known(case, run, starts))
+
+        def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> Moves:
+            arrays = jax.tree.map(jnp.asarray, effects)
+            start = jnp.asarray(zeta)
+            path = _replay(case.trials[run], arrays, start, recorded, tuner, substeps)
+            return _moves(case, run, starts, np.asarray(path))
+
+        before, after = found.zeta(run)
+        return moved((), before), moved(found.effects, after)
+
+    return case.each_run(of)
+
+
+def _known(case: Case, run: int, starts: np.ndarray) -> np.ndarray:
+    observation = case.candidates[run].observation
+    z = observation.values[observation.channels.index("z")]
+    return known_sinkage(starts, observation.time, -z)
+
+
+@eqx.filter_jit
+def _replay(
+    trial: Trial,
+    effects: tuple[AbstractEffect, ...],
+    zeta: Float[Array, ""],
+    recorded: Float[Array, " ticks"],
+    tuner: StepTuner,
+    substeps: int,
+) -> Float[Array, " ticks"]:
+    ticks = recorded.shape[0]
+    simulator = with_effects(trial, effects).simulator
+    commands = tick_commands(ticks, substeps, tuner.tick, trial.time, trial.omega, trial.vx)
+    first = Command(trial.omega[0], trial.vx[0], zeta)
+    state = tunable(simulator).remembered(trial.start, first)
+    _, found = replay(simulator, Loop(state, zeta), commands, recorded, tuner)
+    return jnp.where(jnp.isfinite(found.output.z), found.zeta, jnp.nan)
+
+
+def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray) -> Moves:
+    each = case.candidates[run]
+    knots = np.asarray(each.trial.time)
+    asked = sum(
+        np.abs(np.interp(starts, knots, np.asarray(v))) for v in (each.trial.omega, each.trial.vx)
+    )
+    moving = np.flatnonzero((asked > 1e-9) & (starts < knots[-1]))
+    counted = zeta[moving[0] : moving[-1] + 1]
+    if not np.isfinite(counted).all():
+        raise InputError(
+            f"{each.name}: a replay of the tuner diverges; give a shorter tick or a smaller step"
+        )
+    return Moves(float(np.abs(np.diff(counted)).sum()), float(np.ptp(counted)))
