@@ -1,0 +1,173 @@
+"""What an unknown error follows: the variable of which it is a curve, in runs not seen."""
+
+import numpy as np
+
+from diagnose.case import Case
+from diagnose.motion import Motion, motion_of_run
+from diagnose.smoother import OWN_ZETA
+from diagnose.stages import Columns, Stage
+from diagnose.unwritten import FIELDS, KNOTS, VARIABLES, correction, known_to
+from drftjax.effects.stage import AbstractEffect
+
+# A curve's values may be as large as this many levels of the signal, its bends as this many.
+CURVE_LEVELS, CURVE_BENDS = 5.0, 1.5
+# A correction is offered where its curve explains at least this share of what the signal does.
+OFFERED = 0.5
+# The knots span the variable but for this percentage on either side.
+OUTER = 1.0
+
+
+def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
+    """How well a curve over each variable stands for a stage's signal, best first.
+
+    One curve for all runs is put in the signal's place and fitted to all runs but one; what it
+    explains of that one, each in turn, is compared with what the signal explains of all.
+
+    Args:
+        case: The runs.
+        stage: Of `stages`.
+
+    Returns:
+        Variables of `VARIABLES` with that share [-]; with one run, of the run itself.
+    """
+    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    found = []
+    for variable in VARIABLES:
+        values = _at_knots(motions, stage.columns, variable)
+        if values is None:
+            continue
+        found.append((variable, _share(stage, _Curves.of(stage, values, variable))))
+    return sorted(found, key=lambda each: -each[1])
+
+
+def offered(case: Case, stage: Stage, variable: str | None = None) -> AbstractEffect | None:
+    """A correction fitted to all runs; None where the signal follows nothing that is known.
+
+    Args:
+        case: The runs.
+        stage: Of `stages`.
+        variable: What it follows; the best that its stage can know where none is given.
+    """
+    if variable is None:
+        known = [each for each in follows(case, stage) if each[0] in known_to(stage.name)]
+        if not known or known[0][1] < OFFERED:
+            return None
+        variable = known[0][0]
+    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    values = _at_knots(motions, stage.columns, variable)
+    if values is None:
+        return None
+    curves = _Curves.of(stage, values, variable)
+    fitted = curves.fitted(np.arange(len(values)))
+    kind = correction(stage.name, variable, curves.knots.tolist())
+    return kind(**{field: float(v) for field, v in zip(FIELDS, fitted, strict=True)})
+
+
+def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """By run, a variable and the stage's signal at its knots: what a figure of both shows."""
+    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    values = _at_knots(motions, stage.columns, variable)
+    if values is None:
+        return []
+    return list(zip(values, stage.signal, strict=True))
+
+
+class _Curves:
+    """One curve in the place of a stage's signal: its products with the data, by run."""
+
+    def __init__(self, knots: np.ndarray, gram: np.ndarray, level: float):
+        self.knots, self.gram = knots, gram
+        bends = np.diff(np.eye(KNOTS), 2, axis=0)
+        self.prior = np.eye(KNOTS) / (CURVE_LEVELS * level) ** 2
+        self.prior += bends.T @ bends / (CURVE_BENDS * level) ** 2
+
+    @classmethod
+    def of(cls, stage: Stage, values: list[np.ndarray], variable: str) -> "_Curves":
+        """Of a variable at the knots of every run."""
+        around = variable == "wheel angle"
+        knots = _places(np.concatenate(values), around)
+        gram = np.zeros((len(values), KNOTS + 2, KNOTS + 2))
+        for channel, noise in enumerate(stage.noise):
+            for run, at in enumerate(values):
+                a, y = stage.columns.columns[channel][run], stage.columns.data[channel][run]
+                shape = _basis(at, knots, around)
+                both = np.c_[a[:, :1], a[:, 1 : 1 + len(at)] @ shape, y] / noise
+                gram[run] += both.T @ both
+        return cls(knots, gram, max(stage.level, 1e-12))
+
+    def free(self, run: int) -> np.ndarray:
+        """A run's products with its own zeta fitted away."""
+        gram = self.gram[run]
+        own = gram[0, 0] + OWN_ZETA**-2
+        return gram[1:, 1:] - np.outer(gram[1:, 0], gram[0, 1:]) / own
+
+    def fitted(self, runs: np.ndarray) -> np.ndarray:
+        """Values of the curve of these runs."""
+        total = np.sum([self.free(run) for run in runs], axis=0)
+        return np.linalg.solve(total[:-1, :-1] + self.prior, total[:-1, -1])
+
+    def left(self, run: int, values: np.ndarray) -> float:
+        """Squares that a curve leaves in a run."""
+        both = np.r_[values, -1.0]
+        return float(both @ self.free(run) @ both)
+
+
+def _share(stage: Stage, curves: _Curves) -> float:
+    runs = np.arange(len(curves.gram))
+    nothing, curve = 0.0, 0.0
+    for run in range(len(runs)):
+        others = np.delete(runs, run) if len(runs) > 1 else runs
+        nothing += curves.left(run, np.zeros(KNOTS))
+        curve += curves.left(run, curves.fitted(others))
+    signal = 0.0
+    for channel, noise in enumerate(stage.noise):
+        for run in runs:
+            a, y = stage.columns.columns[channel][run], stage.columns.data[channel][run]
+            given = np.zeros(a.shape[1])
+            given[1 : 1 + len(stage.signal[run])] = stage.signal[run]
+            given[0] = stage.own[run]
+            signal += float((((y - a @ given) / noise) ** 2).sum())
+    explained = nothing - signal
+    return float(np.clip((nothing - curve) / explained, -1, 1)) if explained > 0 else 0.0
+
+
+def _at_knots(motions: list[Motion], columns: Columns, variable: str) -> list[np.ndarray] | None:
+    """A variable at the knots of every run; None where some run does not tell it."""
+    pick = {
+        "angular velocity": lambda m: m.omega,
+        "slip speed": lambda m: m.slip_speed,
+        "sinkage": lambda m: m.sinkage,
+        "travel": lambda m: m.travel,
+        "turning": lambda m: m.turning,
+        "time": lambda m: m.time,
+        "wheel angle": lambda m: m.angle,
+        "vx": lambda m: m.vx,
+        "vz": lambda m: m.vz,
+    }[variable]
+    found = []
+    for motion, at in zip(motions, columns.time, strict=True):
+        values = pick(motion)
+        if values is None:
+            return None
+        found.append(np.interp(at, motion.time, values))
+    return found
+
+
+def _places(values: np.ndarray, around: bool) -> np.ndarray:
+    """Knots over the variable's range."""
+    if around:
+        return np.arange(KNOTS) * 2 * np.pi / KNOTS
+    low, high = np.percentile(values, [OUTER, 100 - OUTER])
+    if not high - low > 1e-9 * max(abs(low), abs(high), 1e-9):
+        high = low + 1e-6
+    return np.linspace(low, high, KNOTS)
+
+
+def _basis(values: np.ndarray, knots: np.ndarray, around: bool) -> np.ndarray:
+    """Values at which each knot's own value counts, shape (values, knots)."""
+    if around:
+        turn = 2 * np.pi
+        units = [np.interp(np.mod(values, turn), knots, u, period=turn) for u in np.eye(KNOTS)]
+    else:
+        units = [np.interp(values, knots, unit) for unit in np.eye(KNOTS)]
+    return np.stack(units, axis=1)

@@ -1,0 +1,332 @@
+"""Corrections: effects that nobody has written, fitted as a curve over the variable they follow.
+
+A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed or a
+reading, by a curve that runs straight between its knots and level beyond them. Its strengths are
+the curve's values at the knots. What the knots stand on is part of its class, so that a model with
+it compiles like one with any effect; `correction` makes the class.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.effects.stage import (
+    About,
+    AbstractDrive,
+    AbstractEffect,
+    AbstractLoad,
+    AbstractSensor,
+    AbstractZetaFactor,
+    Memory,
+    Moment,
+    strength,
+)
+from drftjax.errors import InputError
+from drftjax.simulator import Output
+
+NAME = "correction"
+KNOTS = 6
+FIELDS = tuple(f"at_{k}" for k in range(KNOTS))
+
+Number = Float[Array, ""]
+Pair = Float[Array, "2"]
+
+# What a curve may stand on, with its unit.
+VARIABLES = {
+    "angular velocity": "rad/s",
+    "slip speed": "m/s",
+    "sinkage": "m",
+    "travel": "m",
+    "turning": "rad",
+    "time": "s",
+    "wheel angle": "rad",
+    "vx": "m/s",
+    "vz": "m/s",
+}
+# A drive knows no more than how it turns.
+DRIVE_KNOWS = ("angular velocity", "turning", "time", "wheel angle")
+TURN = 2 * jnp.pi
+
+
+class Gone(eqx.Module):
+    """What has gone by since the run's start: travel [m], turning [rad] and time [s]."""
+
+    travel: Number
+    turning: Number
+    time: Number
+
+    @classmethod
+    def nothing(cls) -> "Gone":
+        nought = jnp.zeros(())
+        return cls(nought, nought, nought)
+
+
+class _Curve(eqx.Module):
+    """Values at knots over a variable. The knots and the variable belong to the class."""
+
+    variable: ClassVar[str] = "time"
+    knots: ClassVar[tuple[float, ...]] = tuple(float(k) for k in range(KNOTS))
+    stage: ClassVar[str] = ""
+
+    def values(self) -> Float[Array, " knots"]:
+        return jnp.stack([getattr(self, field) for field in FIELDS])
+
+    def at(self, variable: Number) -> Number:
+        """The curve's height; around a turn, it closes."""
+        values = self.values()
+        knots = jnp.asarray(self.knots, values.dtype)
+        if self.variable == "wheel angle":
+            return jnp.interp(jnp.mod(variable, TURN), knots, values, period=TURN)
+        return jnp.interp(variable, knots, values)
+
+    def in_moment(self, moment: Moment, memory: Gone) -> Number:
+        """The curve's height in a step."""
+        match self.variable:
+            case "angular velocity":
+                return self.at(moment.omega)
+            case "slip speed":
+                return self.at(moment.rim_slip())
+            case "sinkage":
+                return self.at(-moment.position[1])
+            case "wheel angle":
+                return self.at(moment.angle)
+            case "vx":
+                return self.at(moment.velocity[0])
+            case "vz":
+                return self.at(moment.velocity[1])
+        return self.at(getattr(memory, self.variable))
+
+
+def _gone_on(memory: Gone, moment: Moment) -> Gone:
+    return Gone(
+        memory.travel + moment.dt * moment.velocity[0],
+        memory.turning + moment.dt * jnp.abs(moment.omega),
+        memory.time + moment.dt,
+    )
+
+
+class ZetaCorrection(_Curve, AbstractZetaFactor):
+    """zeta is scaled by the exponential of a curve."""
+
+    about: ClassVar = About(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
+    at_0: Number = strength("-", 0.1, "at the first knot")
+    at_1: Number = strength("-", 0.1, "at the second knot")
+    at_2: Number = strength("-", 0.1, "at the third knot")
+    at_3: Number = strength("-", 0.1, "at the fourth knot")
+    at_4: Number = strength("-", 0.1, "at the fifth knot")
+    at_5: Number = strength("-", 0.1, "at the last knot")
+
+    def begin(self) -> Memory:
+        return Gone.nothing()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return _gone_on(memory, moment)
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        return jnp.exp(self.in_moment(moment, memory))
+
+
+class _ForceCorrection(_Curve, AbstractLoad):
+    at_0: Number = strength("N", 5.0, "at the first knot")
+    at_1: Number = strength("N", 5.0, "at the second knot")
+    at_2: Number = strength("N", 5.0, "at the third knot")
+    at_3: Number = strength("N", 5.0, "at the fourth knot")
+    at_4: Number = strength("N", 5.0, "at the fifth knot")
+    at_5: Number = strength("N", 5.0, "at the last knot")
+
+    def begin(self, position: Pair) -> Memory:
+        return Gone.nothing()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return _gone_on(memory, moment)
+
+    def force(self, velocity: Pair, moment: Moment, memory: Memory) -> Number:
+        # The step linearises a load in the velocity that it is handed.
+        return self.in_moment(replace(moment, velocity=velocity), memory)
+
+
+class XForceCorrection(_ForceCorrection):
+    """A horizontal force along a curve."""
+
+    about: ClassVar = About(NAME, "rig", "F_x = F_x + curve", "a fitted horizontal force")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        force = self.force(velocity, moment, memory)
+        return jnp.stack([force, jnp.zeros_like(force)])
+
+
+class ZForceCorrection(_ForceCorrection):
+    """A vertical force along a curve."""
+
+    about: ClassVar = About(NAME, "rig", "F_z = F_z + curve", "a fitted vertical force")
+
+    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+        force = self.force(velocity, moment, memory)
+        return jnp.stack([jnp.zeros_like(force), force])
+
+
+class SpeedCorrection(_Curve, AbstractDrive):
+    """The wheel's speed is off by a curve."""
+
+    about: ClassVar = About(NAME, "drive", "ω = ω + curve", "a fitted error of the drive's speed")
+    at_0: Number = strength("rad/s", 0.02, "at the first knot")
+    at_1: Number = strength("rad/s", 0.02, "at the second knot")
+    at_2: Number = strength("rad/s", 0.02, "at the third knot")
+    at_3: Number = strength("rad/s", 0.02, "at the fourth knot")
+    at_4: Number = strength("rad/s", 0.02, "at the fifth knot")
+    at_5: Number = strength("rad/s", 0.02, "at the last knot")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return Gone.nothing()
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        gone = Gone(memory.travel, memory.turning + dt * jnp.abs(omega), memory.time + dt)
+        known = {
+            "angular velocity": omega,
+            "turning": gone.turning,
+            "time": gone.time,
+            "wheel angle": angle + dt * omega,
+        }
+        return omega + self.at(known[self.variable]), gone
+
+
+class _ReadingCorrection(_Curve, AbstractSensor):
+    channel: ClassVar[str] = ""
+
+    def begin(self, output: Output) -> Memory:
+        return output.x, Gone.nothing(), output.angle
+
+    def read(self, output: Output, dt: Number, memory: Memory) -> tuple[Output, Memory]:
+        first, gone, before = memory
+        gone = Gone(output.x - first, gone.turning + jnp.abs(output.angle - before), gone.time + dt)
+        known = {
+            "angular velocity": output.omega,
+            "sinkage": -output.z,
+            "wheel angle": output.angle,
+            "vx": output.vx,
+            "vz": output.vz,
+            "travel": gone.travel,
+            "turning": gone.turning,
+            "time": gone.time,
+        }
+        value = getattr(output, self.channel) + self.at(known[self.variable])
+        return replace(output, **{self.channel: value}), (first, gone, output.angle)
+
+
+def _reading(channel: str, unit: str, typical: float) -> type[_ReadingCorrection]:
+    """Class of an error of one channel's reading."""
+    about = About(NAME, "sensor", f"{channel} = {channel} + curve", f"a fitted error of {channel}")
+    fields: dict[str, Any] = {
+        field: strength(unit, typical, f"at knot {k}") for k, field in enumerate(FIELDS, start=1)
+    }
+    made: Any = type(_ReadingCorrection)
+    return made(
+        f"ReadingCorrection_{channel}",
+        (_ReadingCorrection,),
+        {
+            "__annotations__": dict.fromkeys(FIELDS, Number),
+            "__module__": __name__,
+            "__doc__": f"A reading of {channel} is off by a curve.",
+            "about": about,
+            "channel": channel,
+            **fields,
+        },
+    )
+
+
+STAGES: dict[str, type[AbstractEffect]] = {
+    "zeta": ZetaCorrection,
+    "force_x": XForceCorrection,
+    "force_z": ZForceCorrection,
+    "speed": SpeedCorrection,
+    "reading x": _reading("x", "m", 1e-3),
+    "reading z": _reading("z", "m", 2e-4),
+    "reading fx": _reading("fx", "N", 2.0),
+    "reading fz": _reading("fz", "N", 2.0),
+    "reading torque": _reading("torque", "N m", 0.2),
+}
+
+
+def known_to(stage: str) -> tuple[str, ...]:
+    """Variables that a correction of a stage may follow."""
+    if stage == "speed":
+        return DRIVE_KNOWS
+    if stage.startswith("reading "):
+        return tuple(each for each in VARIABLES if each != "slip speed")
+    return tuple(VARIABLES)
+
+
+def correction(stage: str, variable: str, knots: Sequence[float]) -> type[AbstractEffect]:
+    """Class of a correction.
+
+    Args:
+        stage: zeta, force_x, force_z, speed, or "reading " and a channel.
+        variable: What its curve stands on, a name of `VARIABLES`.
+        knots: Where, ascending, in the variable's unit.
+
+    Raises:
+        InputError: where there is no such stage, or it cannot know the variable.
+    """
+    return _correction(stage, variable, tuple(float(k) for k in knots))
+
+
+@cache
+def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[AbstractEffect]:
+    if stage not in STAGES:
+        raise InputError(f"a correction's stage is {stage!r}, must be one of {', '.join(STAGES)}")
+    if variable not in known_to(stage):
+        known = ", ".join(known_to(stage))
+        raise InputError(f"a correction of {stage} may follow {known}; {variable!r} was given")
+    if len(knots) != KNOTS or any(a >= b for a, b in itertools.pairwise(knots)):
+        raise InputError(f"a correction has {KNOTS} ascending knots; {list(knots)} were given")
+    base = STAGES[stage]
+    about = replace(base.about, formula=f"{base.about.formula} over {variable}")
+    made: Any = type(base)
+    return made(
+        base.__name__,
+        (base,),
+        {
+            "__annotations__": {},
+            "__module__": __name__,
+            "about": about,
+            "variable": variable,
+            "knots": knots,
+            "stage": stage,
+        },
+    )
+
+
+def entry_of(effect: AbstractEffect) -> dict[str, Any]:
+    """A correction as a file holds it."""
+    kind: Any = type(effect)
+    return {
+        "name": NAME,
+        "stage": kind.stage,
+        "variable": kind.variable,
+        "knots": list(kind.knots),
+        "values": [float(getattr(effect, field)) for field in FIELDS],
+    }
+
+
+def built(entry: Mapping[str, Any]) -> AbstractEffect:
+    """The correction that an entry describes.
+
+    Raises:
+        InputError: says what the entry lacks, or what must hold.
+    """
+    missing = [f for f in ("stage", "variable", "knots", "values") if f not in entry]
+    if missing:
+        raise InputError(f"a correction needs {', '.join(missing)}")
+    values = entry["values"]
+    if len(values) != KNOTS:
+        raise InputError(f"a correction has {KNOTS} values; {len(values)} were given")
+    kind = correction(entry["stage"], entry["variable"], entry["knots"])
+    return kind(**{field: float(v) for field, v in zip(FIELDS, values, strict=True)})

@@ -1,0 +1,177 @@
+"""Unknown errors found in the stage where they were put in, and what they follow."""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diagnose.case import Case, with_zeta
+from diagnose.follows import against, follows, offered
+from diagnose.kick import READINGS, kick, respond_to
+from diagnose.response import Model
+from diagnose.stages import Stage, stages
+from diagnose.unwritten import FIELDS, KNOTS, built, correction, entry_of, known_to
+from drftjax.effects.catalogue import numbers
+from drftjax.effects.drive import SpeedGain
+from drftjax.effects.terrain import Loosening
+from drftjax.errors import InputError
+from tests.virtual_runs import BELIEVED_ZETA, coarse, recorded, setup_of
+
+TRUE_ZETA = 0.75
+NOISE = 10e-6
+# An error holds its signal's truth within this many standard errors nearly everywhere; responses
+# are straight lines, which takes the rest.
+SIGMAS, NEARLY_EVERYWHERE = 3.0, 0.9
+# Stages whose evidence differs by less than this cannot be told apart.
+TIED = 10.0
+POOL = ThreadPoolExecutor(2)
+
+
+@cache
+def case() -> Case:
+    runs = []
+    for speed in (0.8, 1.0, 1.4):
+        profile = ([0.0, 0.25, 1.25, 3.5, 4.5], [0.0, 0.0, speed, speed, 0.2 * speed])
+        setup = setup_of(profile, TRUE_ZETA)
+        setup.integrator.step = 5e-4
+        runs.append(coarse(f"run {speed:g}", recorded(setup), step=5e-4))
+    return Case.of(runs, POOL)
+
+
+def log_zeta() -> np.ndarray:
+    return np.full(len(case().candidates), np.log(TRUE_ZETA / BELIEVED_ZETA))
+
+
+@cache
+def plain() -> list[np.ndarray]:
+    return [case().predicted(Model(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())]
+
+
+def with_(effect: type, **values: float) -> list[np.ndarray]:
+    """What every run would record with an effect, but for noise."""
+    model = Model((effect,))
+    at = [f.coordinate(values[f.field]) if f.field in values else 0.0 for f in model.free]
+    return [case().predicted(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
+
+
+def left(recorded: list[np.ndarray], seed: int = 0) -> list[np.ndarray]:
+    random = np.random.default_rng(seed)
+    return [
+        simulated - true + NOISE * random.standard_normal(true.shape)
+        for simulated, true in zip(plain(), recorded, strict=True)
+    ]
+
+
+@cache
+def of_gain() -> list[Stage]:
+    return stages(case(), log_zeta(), left(with_(SpeedGain, gain=0.05)))
+
+
+def named(found: list[Stage], name: str) -> Stage:
+    return next(each for each in found if each.name == name)
+
+
+def values_of(values) -> dict[str, float]:
+    return dict(zip(FIELDS, (float(v) for v in values), strict=True))
+
+
+def test_noise_needs_no_stage():
+    found = stages(case(), log_zeta(), left(plain()))
+    assert max(each.evidence for each in found) < 3
+    assert max(each.explained for each in found) < 0.6
+
+
+def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed():
+    found = of_gain()
+    assert found[0].name == "speed"
+    assert found[0].evidence > found[1].evidence + TIED
+    assert found[0].explained > 0.95
+    ranked = [(v, s) for v, s in follows(case(), found[0]) if v in known_to("speed")]
+    assert ranked[0][0] == "angular velocity"
+    assert ranked[0][1] > 0.9
+
+
+def test_what_is_offered_for_it_closes_the_gap():
+    found = of_gain()[0]
+    effect = offered(case(), found)
+    assert effect is not None
+    entry = entry_of(effect)
+    assert entry["variable"] == "angular velocity"
+    slope = np.polyfit(entry["knots"], entry["values"], 1)[0]
+    assert slope == pytest.approx(0.05, abs=0.015)
+    before = with_(SpeedGain, gain=0.05)
+    after = with_(type(effect), **values_of(entry["values"]))
+    for run, (truth, corrected) in enumerate(zip(before, after, strict=True)):
+        x = case().channels.index("x")
+        gap = np.abs(truth[x] - plain()[run][x])[-1]
+        assert np.abs(truth[x] - corrected[x])[-1] < 0.3 * gap
+    again = built(entry)
+    assert type(again) is type(effect)
+    assert entry_of(again) == entry
+
+
+def test_sand_that_loosens_is_an_unknown_zeta_that_follows_the_turning():
+    found = stages(case(), log_zeta(), left(with_(Loosening, loss=0.15, decay=1.5)))
+    zeta = named(found, "zeta")
+    # A slow change of the load sinks the wheel alike.
+    assert found[0].name in ("zeta", "force_z")
+    assert zeta.evidence > found[0].evidence - TIED
+    assert zeta.evidence > named(found, "speed").evidence + TIED
+    shares = dict(follows(case(), zeta))
+    assert max(shares["turning"], shares["travel"]) > 0.9
+    assert max(shares, key=lambda each: shares[each]) in ("turning", "travel")
+    (where, signal), *_ = against(case(), zeta, "turning")
+    assert where.shape == signal.shape
+    assert signal[0] > signal[-2]
+
+
+def test_a_known_force_is_recovered_within_its_error():
+    knots = np.linspace(0, 5, KNOTS)
+    truth = np.array([0.0, 0.0, -4.0, -4.0, 2.0, 2.0])
+    kind = correction("force_x", "time", knots.tolist())
+    found = stages(case(), log_zeta(), left(with_(kind, **values_of(truth))))
+    assert found[0].name == "force_x"
+    inside = []
+    for time, signal, error in zip(found[0].time, found[0].signal, found[0].error, strict=True):
+        away = np.abs(signal - np.interp(time, knots, truth))
+        inside.append(away < SIGMAS * error)
+    assert np.concatenate(inside).mean() > NEARLY_EVERYWHERE
+    assert dict(follows(case(), found[0]))["time"] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("stage", "variable", "knots"),
+    [("zeta", "travel", (0.0, 0.05, 0.1, 0.2, 0.3, 0.4)), ("reading z", "wheel angle", None)],
+)
+def test_a_correction_is_an_effect_like_any(stage, variable, knots):
+    knots = tuple(np.arange(KNOTS) * 2 * np.pi / KNOTS) if knots is None else knots
+    kind = correction(stage, variable, knots)
+    assert kind is correction(stage, variable, list(knots))
+    for null, reference in zip(with_(kind), plain(), strict=True):
+        assert np.array_equal(null, reference)
+    small = 0.01 * numbers(kind)["at_1"]["typical"]
+    moved = with_(kind, at_1=small)[0]
+    trial = with_zeta(case().trials[0], float(log_zeta()[0]))
+    path = case().trace(0, float(log_zeta()[0]))
+    slope = np.asarray(respond_to(path, kick(kind, trial, path, jnp.asarray(case().node(0)), {})))
+    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    z = slope[: len(nodes), READINGS.index("z"), FIELDS.index("at_1")]
+    line = small * np.interp(case().time(0), nodes, z)
+    row = case().channels.index("z")
+    exact = moved[row] - plain()[0][row]
+    assert np.abs(exact).max() > 0
+    assert np.abs(exact - line).max() < 0.15 * np.abs(exact).max()
+
+
+def test_a_correction_refuses_what_its_stage_cannot_know():
+    knots = list(range(KNOTS))
+    with pytest.raises(InputError, match="may follow"):
+        correction("speed", "sinkage", knots)
+    with pytest.raises(InputError, match="stage"):
+        correction("weather", "time", knots)
+    with pytest.raises(InputError, match="ascending"):
+        correction("zeta", "time", [0.0] * KNOTS)
+    with pytest.raises(InputError, match="needs values"):
+        built({"name": "correction", "stage": "zeta", "variable": "time", "knots": knots})
