@@ -26,10 +26,11 @@ $(INSTALLED): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(INSTALLED) ## Simulate the paper's run, then fit the example runs, into out/demo
+demo: $(INSTALLED) ## Simulate the paper's run, fit the example runs, diagnose a rig; into out/demo
 	@mkdir -p out/demo
 	$(BIN)/drft simulate data/paper.toml -o out/demo/paper.h5 --plot out/demo/paper.png
 	$(BIN)/drft fit data/runs/*.h5 -o out/demo/fit
+	$(BIN)/drft diagnose data/blind/demo -o out/demo/diagnosis
 
 test: check ## Check, then run the tests
 	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile

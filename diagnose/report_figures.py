@@ -12,17 +12,20 @@ from matplotlib.figure import Figure
 
 from diagnose.diagnosis import Diagnosis
 from diagnose.evaluation import shown
+from diagnose.where import Share
 
 NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}
 BEFORE, AFTER, FLOOR = "#b8542f", "#2a6f97", "0.55"
-# So many runs are drawn, so many weights, bins and points of a line.
-MOST_RUNS, MOST_WEIGHTS, MOST_BINS, MOST_POINTS = 16, 8, 9, 600
+# What the gap is cut by at a glance; the report's table has the other axes.
+CUTS = {"phase": "#c9805f", "profile": "#8fae8b", "channel": "#8d99ae"}
+# So many runs are drawn, so many weights, bins of an axis and points of a line.
+MOST_RUNS, MOST_WEIGHTS, MOST_BINS, MOST_POINTS = 16, 8, 4, 600
 
 
 def at_a_glance(found: Diagnosis) -> Figure:
     """The gap before and after against the noise floor, and where it lies."""
-    figure = Figure(figsize=(9.6, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
     _before_and_after(left, found)
     _bins(right, found)
     return figure
@@ -52,29 +55,35 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
 
 
 def _bins(axes: Axes, found: Diagnosis) -> None:
-    shares = sorted(found.where, key=lambda each: -each.share)  # pyright: ignore
-    shares = [each for each in shares if each.axis != "run"][:MOST_BINS]  # pyright: ignore
-    if not shares:
+    shares = [
+        each
+        for axis in CUTS
+        for each in sorted(_of(found, axis), key=lambda part: -part.share)[:MOST_BINS]
+    ]
+    if not shares or all(gap.before <= gap.floor for gap in found.gap.values()):
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "no gap to divide", ha="center", va="center", color=FLOOR)
+        axes.text(0.5, 0.5, "no gap above the noise floor", ha="center", va="center", color=FLOOR)
         return
-    place = np.arange(len(shares))
-    sizes = np.array([each.share for each in shares])  # pyright: ignore
-    spans = np.array([each.interval for each in shares]).T  # pyright: ignore
-    reach = np.abs(np.array([sizes - spans[0], spans[1] - sizes])).clip(0)
-    axes.barh(
-        place, 100 * sizes, color=BEFORE, alpha=0.75, xerr=100 * reach, ecolor="0.25", capsize=2
-    )
+    place = range(len(shares))
+    sizes = np.array([each.share for each in shares])
+    spans = np.array([each.interval for each in shares]).T
+    reach = np.abs(np.array([sizes - spans[0], spans[1] - sizes]))
+    colours = [CUTS[each.axis] for each in shares]
+    axes.barh(place, 100 * sizes, color=colours, xerr=100 * reach, ecolor="0.25", capsize=2)
     axes.set_yticks(place)
-    axes.set_yticklabels(
-        [f"{each.axis}: {each.label}" for each in shares],  # pyright: ignore
-        fontsize=8,
-        parse_math=False,
-    )
+    axes.set_yticklabels([_label(each) for each in shares], fontsize=8, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlim(0, 105)
-    axes.set_xlabel("share of the gap [%], each axis adds to 100")
+    axes.set_xlabel("share of the gap [%]; each colour adds up to 100")
     axes.set_title("Where the gap lies", fontsize=10, loc="left")
+
+
+def _of(found: Diagnosis, axis: str) -> list[Share]:
+    return [each for each in found.where if isinstance(each, Share) and each.axis == axis]
+
+
+def _label(share: Share) -> str:
+    return NAMES.get(share.label, share.label) if share.axis == "channel" else share.label
 
 
 def weights(found: Diagnosis) -> Figure:
