@@ -11,12 +11,18 @@ import numpy as np
 
 from diagnose.blocks import KINDS
 
-# A model's own error, in each block, that no fit is asked to go under [m].
+# A model's own error, in each block, that no fit is asked to go under [m, N, N m].
 FLOOR = {
     ("z", "slow"): 20e-6,
     ("z", "fast"): 10e-6,
     ("x", "slow"): 20e-6,
     ("x", "fast"): 20e-6,
+    ("fx", "slow"): 0.3,
+    ("fx", "fast"): 0.5,
+    ("fz", "slow"): 0.3,
+    ("fz", "fast"): 0.5,
+    ("torque", "slow"): 0.03,
+    ("torque", "fast"): 0.05,
 }
 # Scatter of log zeta from run to run that says nothing.
 ZETA_SCATTER = 0.012

@@ -21,13 +21,13 @@ from diagnose.response import Model, predict, respond
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
-SINGLES = 9
-PAIRS = 6
+SINGLES = 8
+PAIRS = 4
 PAIRED_SINGLES = 3
 TURNS = 3
 PAIR_TURNS = 4
 # The leading ones go on, with fresh derivatives, while that gains something.
-FINISHED = 4
+FINISHED = 3
 REFRESHED = 2
 ROUNDS = 3
 MORE_TURNS = 5
@@ -36,7 +36,7 @@ WORTH_A_ROUND = 3.0
 HOPELESS = 100.0
 COARSE = 0.1
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
-MUCH = 1.5
+MUCH = 2.0
 
 Report = Callable[[str], None]
 

@@ -1,0 +1,94 @@
+"""The history of DRFT as a question: what does quasi-static theory lack, and from what speed on?
+
+Runs of the dynamic theory (Agarwal et al. 2021; Fuke et al. 2024) are diagnosed against the
+quasi-static theory of Li et al. 2013: lambda and the height decrease set to zero. At several
+hundred degrees a second the two dynamic terms must be named; at the paper's 30 deg/s they must not.
+
+    python -m tests.studies.history
+"""
+
+import copy
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.case import Case, threads
+from diagnose.diagnosis import Diagnosis, diagnose
+from drftjax.effects.catalogue import catalogue, effect_class
+from drftjax.effects.stage import AbstractEffect
+from drftjax.runlog.record import Measured, RunLog
+from drftjax.saved import simulated_run
+from drftjax.setup import CommandSetUp, SetUp
+from identify.candidate import candidate
+
+# Top speeds [deg/s] of the runs; two of each half a case share a command.
+FAST = (60.0, 120.0, 120.0, 200.0, 300.0)
+SLOW = (15.0, 22.0, 22.0, 30.0, 30.0)
+NOISE = {"x": 50e-6, "z": 20e-6}
+ZETA, SCATTER = 0.78, 0.01
+# Time [s] standing, speeding up and running.
+STANDS, SPEEDS_UP, RUNS = 1.0, 3.0, 5.0
+
+
+def dynamic_runs(tops: Sequence[float], seed: int = 0) -> list[tuple[SetUp, RunLog]]:
+    """Runs of the dynamic theory to these speeds [deg/s], with noise and scatter of zeta."""
+    random = np.random.default_rng(seed)
+    found = []
+    for top in tops:
+        time = [0.0, STANDS, STANDS + SPEEDS_UP, STANDS + SPEEDS_UP + RUNS]
+        omega = [0.0, 0.0, float(np.deg2rad(top)), float(np.deg2rad(top))]
+        setup = SetUp(command=CommandSetUp(time, omega), title=f"{top:g} deg/s")
+        setup.terrain.zeta = ZETA * float(np.exp(SCATTER * random.standard_normal()))
+        run = simulated_run(setup)
+        measured = {
+            name: getattr(run.measured, name)
+            + noise * random.standard_normal(len(run.measured.time))
+            for name, noise in NOISE.items()
+        }
+        log = dataclasses.replace(run, measured=Measured(time=run.measured.time, **measured))
+        found.append((setup, log))
+    return found
+
+
+def against_quasi_static(
+    tops: Sequence[float], effects: Sequence[type[AbstractEffect]]
+) -> Diagnosis:
+    """The diagnosis of such runs, had nobody thought of the dynamic terms."""
+    candidates = []
+    for number, (setup, run) in enumerate(dynamic_runs(tops)):
+        believed = copy.deepcopy(setup)
+        believed.terrain.inertial_coefficient = 0.0
+        believed.terrain.height_decrease = 0.0
+        candidates.append(candidate(f"run {number}", run, model=believed))
+    with threads() as pool:
+        return diagnose(Case.of(candidates, pool), effects)
+
+
+def main() -> None:
+    """Print both diagnoses."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    for name, tops in (("fast", FAST), ("slow", SLOW)):
+        found = against_quasi_static(tops, tuple(catalogue().values()))
+        weights = {name: round(w, 3) for name, w in list(found.weights.items())[:4]}
+        print(f"{name} runs, {tops} deg/s: verdict {', '.join(found.verdict)}; weights {weights}")
+        for effect, fields in found.parameters.items():
+            for field, n in fields.items():
+                print(f"  {effect}.{field} = {n.value:.4g} ± {n.error:.2g} {n.unit}")
+        for channel, gap in found.gap.items():
+            print(
+                f"  {channel}: {gap.before * 1e3:.3f} -> {gap.after * 1e3:.3f} mm on runs left "
+                f"out, floor {gap.floor * 1e3:.3f} mm"
+            )
+
+
+def few() -> tuple[type[AbstractEffect], ...]:
+    """A part of the catalogue with the two terms and what could stand in for them."""
+    names = ("momentum_flux", "height_decrease", "horizontal_viscous", "rate_hardening", "drawbar")
+    return tuple(effect_class(name) for name in names)
+
+
+if __name__ == "__main__":
+    main()
