@@ -35,7 +35,7 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     channels = list(found.gap)
     place = np.arange(len(channels))
     gaps = [found.gap[channel] for channel in channels]
-    bars = (("reference model", BEFORE, 0.2, "before"), ("with the effect", AFTER, -0.2, "after"))
+    bars = (("reference model", BEFORE, -0.2, "before"), ("with the effect", AFTER, 0.2, "after"))
     for label, colour, shift, which in bars if found.chosen.names else bars[:1]:
         sizes = [getattr(gap, which) / gap.floor for gap in gaps]
         axes.barh(place + shift, sizes, 0.36, color=colour, label=label)
