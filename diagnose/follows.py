@@ -1,18 +1,26 @@
 """What an unknown error follows: the variable of which it is a curve, in runs not seen."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from diagnose.case import Case
 from diagnose.motion import Motion, motion_of_run
 from diagnose.smoother import OWN_ZETA
 from diagnose.stages import Columns, Stage
-from diagnose.unwritten import FIELDS, KNOTS, VARIABLES, correction, known_to
+from diagnose.unwritten import VARIABLES, correction, fields, known_to
 from drftjax.effects.stage import AbstractEffect
 
-# A curve's values may be as large as this many levels of the signal, its bends as this many.
-CURVE_LEVELS, CURVE_BENDS = 5.0, 1.5
+# A curve's values may be as large as this many levels of the signal; its bends as one of these,
+# whichever predicts the runs left out best.
+CURVE_LEVELS, CURVE_BENDS = 5.0, (1.5, 0.3, 0.06, 0.012)
 # A correction is offered where its curve explains at least this share of what the signal does.
 OFFERED = 0.5
+# Stages whose logarithm of evidence differs by less than this are not told apart by it.
+TIED = 10.0
+# Knots of a curve; where it may be a matter of places or of moments, patches and waves need more.
+KNOTS = 6
+MORE_KNOTS = {"travel": 16, "turning": 16, "time": 16, "wheel angle": 12}
 # The knots span the variable but for this percentage on either side.
 OUTER = 1.0
 
@@ -40,6 +48,21 @@ def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
     return sorted(found, key=lambda each: -each[1])
 
 
+def simplest(case: Case, found: Sequence[Stage]) -> tuple[Stage, list[tuple[str, float]]]:
+    """The stage to look in first, and what its signal follows.
+
+    Among stages that the runs cannot tell apart it is the one that follows one variable best: an
+    error that is a curve of something is simpler than one that only lasts.
+
+    Args:
+        case: The runs.
+        found: By `stages`, best first; not empty.
+    """
+    tied = [each for each in found if each.evidence > found[0].evidence - TIED]
+    both = [(each, follows(case, each)) for each in tied]
+    return max(both, key=lambda pair: pair[1][0][1] if pair[1] else 0.0)
+
+
 def offered(case: Case, stage: Stage, variable: str | None = None) -> AbstractEffect | None:
     """A correction fitted to all runs; None where the signal follows nothing that is known.
 
@@ -60,7 +83,7 @@ def offered(case: Case, stage: Stage, variable: str | None = None) -> AbstractEf
     curves = _Curves.of(stage, values, variable)
     fitted = curves.fitted(np.arange(len(values)))
     kind = correction(stage.name, variable, curves.knots.tolist())
-    return kind(**{field: float(v) for field, v in zip(FIELDS, fitted, strict=True)})
+    return kind(**{field: float(v) for field, v in zip(fields(len(fitted)), fitted, strict=True)})
 
 
 def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -75,25 +98,27 @@ def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, n
 class _Curves:
     """One curve in the place of a stage's signal: its products with the data, by run."""
 
-    def __init__(self, knots: np.ndarray, gram: np.ndarray, level: float):
-        self.knots, self.gram = knots, gram
-        bends = np.diff(np.eye(KNOTS), 2, axis=0)
-        self.prior = np.eye(KNOTS) / (CURVE_LEVELS * level) ** 2
-        self.prior += bends.T @ bends / (CURVE_BENDS * level) ** 2
+    def __init__(self, knots: np.ndarray, gram: np.ndarray, level: float, around: bool):
+        self.knots, self.gram, self.level = knots, gram, level
+        unit = np.eye(len(knots))
+        closed = np.roll(unit, 1, axis=0) - 2 * unit + np.roll(unit, -1, axis=0)
+        self.bends = closed if around else np.diff(unit, 2, axis=0)
+        self.bend = max(CURVE_BENDS, key=self.gained)
 
     @classmethod
     def of(cls, stage: Stage, values: list[np.ndarray], variable: str) -> "_Curves":
         """Of a variable at the knots of every run."""
         around = variable == "wheel angle"
-        knots = _places(np.concatenate(values), around)
-        gram = np.zeros((len(values), KNOTS + 2, KNOTS + 2))
+        knots = _places(np.concatenate(values), around, MORE_KNOTS.get(variable, KNOTS))
+        size = len(knots) + 2
+        gram = np.zeros((len(values), size, size))
         for channel, noise in enumerate(stage.noise):
             for run, at in enumerate(values):
                 a, y = stage.columns.columns[channel][run], stage.columns.data[channel][run]
                 shape = _basis(at, knots, around)
                 both = np.c_[a[:, :1], a[:, 1 : 1 + len(at)] @ shape, y] / noise
                 gram[run] += both.T @ both
-        return cls(knots, gram, max(stage.level, 1e-12))
+        return cls(knots, gram, max(stage.level, 1e-12), around)
 
     def free(self, run: int) -> np.ndarray:
         """A run's products with its own zeta fitted away."""
@@ -101,10 +126,22 @@ class _Curves:
         own = gram[0, 0] + OWN_ZETA**-2
         return gram[1:, 1:] - np.outer(gram[1:, 0], gram[0, 1:]) / own
 
-    def fitted(self, runs: np.ndarray) -> np.ndarray:
+    def fitted(self, runs: np.ndarray, bend: float | None = None) -> np.ndarray:
         """Values of the curve of these runs."""
         total = np.sum([self.free(run) for run in runs], axis=0)
-        return np.linalg.solve(total[:-1, :-1] + self.prior, total[:-1, -1])
+        bend = self.bend if bend is None else bend
+        prior = np.eye(len(self.knots)) / (CURVE_LEVELS * self.level) ** 2
+        prior += self.bends.T @ self.bends / (bend * self.level) ** 2
+        return np.linalg.solve(total[:-1, :-1] + prior, total[:-1, -1])
+
+    def gained(self, bend: float) -> float:
+        """Squares that a curve takes away from each run in turn, fitted to the others."""
+        runs, gain = np.arange(len(self.gram)), 0.0
+        for run in range(len(runs)):
+            others = np.delete(runs, run) if len(runs) > 1 else runs
+            values = self.fitted(others, bend)
+            gain += self.left(run, np.zeros(len(values))) - self.left(run, values)
+        return gain
 
     def left(self, run: int, values: np.ndarray) -> float:
         """Squares that a curve leaves in a run."""
@@ -113,12 +150,8 @@ class _Curves:
 
 
 def _share(stage: Stage, curves: _Curves) -> float:
-    runs = np.arange(len(curves.gram))
-    nothing, curve = 0.0, 0.0
-    for run in range(len(runs)):
-        others = np.delete(runs, run) if len(runs) > 1 else runs
-        nothing += curves.left(run, np.zeros(KNOTS))
-        curve += curves.left(run, curves.fitted(others))
+    runs = range(len(curves.gram))
+    nothing = sum(curves.left(run, np.zeros(len(curves.knots))) for run in runs)
     signal = 0.0
     for channel, noise in enumerate(stage.noise):
         for run in runs:
@@ -128,7 +161,7 @@ def _share(stage: Stage, curves: _Curves) -> float:
             given[0] = stage.own[run]
             signal += float((((y - a @ given) / noise) ** 2).sum())
     explained = nothing - signal
-    return float(np.clip((nothing - curve) / explained, -1, 1)) if explained > 0 else 0.0
+    return float(np.clip(curves.gained(curves.bend) / explained, 0, 1)) if explained > 0 else 0.0
 
 
 def _at_knots(motions: list[Motion], columns: Columns, variable: str) -> list[np.ndarray] | None:
@@ -153,21 +186,21 @@ def _at_knots(motions: list[Motion], columns: Columns, variable: str) -> list[np
     return found
 
 
-def _places(values: np.ndarray, around: bool) -> np.ndarray:
+def _places(values: np.ndarray, around: bool, count: int) -> np.ndarray:
     """Knots over the variable's range."""
     if around:
-        return np.arange(KNOTS) * 2 * np.pi / KNOTS
+        return np.arange(count) * 2 * np.pi / count
     low, high = np.percentile(values, [OUTER, 100 - OUTER])
     if not high - low > 1e-9 * max(abs(low), abs(high), 1e-9):
         high = low + 1e-6
-    return np.linspace(low, high, KNOTS)
+    return np.linspace(low, high, count)
 
 
 def _basis(values: np.ndarray, knots: np.ndarray, around: bool) -> np.ndarray:
     """Values at which each knot's own value counts, shape (values, knots)."""
     if around:
         turn = 2 * np.pi
-        units = [np.interp(np.mod(values, turn), knots, u, period=turn) for u in np.eye(KNOTS)]
+        units = [np.interp(np.mod(values, turn), knots, u, period=turn) for u in np.eye(len(knots))]
     else:
-        units = [np.interp(values, knots, unit) for unit in np.eye(KNOTS)]
+        units = [np.interp(values, knots, unit) for unit in np.eye(len(knots))]
     return np.stack(units, axis=1)

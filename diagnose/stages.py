@@ -1,7 +1,8 @@
 """Which stage of the simulation an unknown error would have to act in, to explain the runs simply.
 
 For each stage in turn an error that varies smoothly in time is estimated through the simulation's
-own derivatives: a factor on zeta, a force, an error of the drive's speed, an error of a reading.
+own derivatives: a factor on zeta, a force, an error of the drive's speed, the surface's height, an
+error of a reading.
 The stage whose error explains most for the simplest signal has the largest evidence.
 """
 
@@ -31,6 +32,7 @@ WITHIN = {
     "force_x": ("N", 5.0, "an unknown horizontal force"),
     "force_z": ("N", 5.0, "an unknown vertical force"),
     "speed": ("rad/s", 0.02, "an unknown error of the drive's speed"),
+    "height": ("m", 1e-3, "an unknown height of the surface under the wheel"),
 }
 # Errors of readings: unit and typical size.
 READ = {
@@ -64,7 +66,7 @@ class Stage:
     """An unknown error in one stage.
 
     Attributes:
-        name: zeta, force_x, force_z, speed, or "reading " and a channel.
+        name: zeta, force_x, force_z, speed, height, or "reading " and a channel.
         unit: Of the signal.
         meaning: What the signal is.
         evidence: Logarithm of how much more probable it makes the runs than no signal.

@@ -1,9 +1,9 @@
 """Corrections: effects that nobody has written, fitted as a curve over the variable they follow.
 
-A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed or a
-reading, by a curve that runs straight between its knots and level beyond them. Its strengths are
-the curve's values at the knots. What the knots stand on is part of its class, so that a model with
-it compiles like one with any effect; `correction` makes the class.
+A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed, the
+surface or a reading, by a curve that runs straight between its knots and level beyond them. Its
+strengths are the curve's values at the knots. What the knots stand on is part of its class, so that
+a model with it compiles like one with any effect; `correction` makes the class.
 """
 
 import itertools
@@ -22,6 +22,7 @@ from drftjax.effects.stage import (
     AbstractEffect,
     AbstractLoad,
     AbstractSensor,
+    AbstractSurface,
     AbstractZetaFactor,
     Memory,
     Moment,
@@ -31,8 +32,7 @@ from drftjax.errors import InputError
 from drftjax.simulator import Output
 
 NAME = "correction"
-KNOTS = 6
-FIELDS = tuple(f"at_{k}" for k in range(KNOTS))
+READING = "reading "
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
@@ -49,9 +49,15 @@ VARIABLES = {
     "vx": "m/s",
     "vz": "m/s",
 }
-# A drive knows no more than how it turns.
+# A drive knows no more than how it turns, the surface no more than what has gone by.
 DRIVE_KNOWS = ("angular velocity", "turning", "time", "wheel angle")
+SURFACE_KNOWS = ("travel", "turning", "time")
 TURN = 2 * jnp.pi
+
+
+def fields(count: int) -> tuple[str, ...]:
+    """Names of the strengths of a correction with this many knots."""
+    return tuple(f"at_{k}" for k in range(count))
 
 
 class Gone(eqx.Module):
@@ -70,12 +76,12 @@ class Gone(eqx.Module):
 class _Curve(eqx.Module):
     """Values at knots over a variable. The knots and the variable belong to the class."""
 
-    variable: ClassVar[str] = "time"
-    knots: ClassVar[tuple[float, ...]] = tuple(float(k) for k in range(KNOTS))
-    stage: ClassVar[str] = ""
+    variable: ClassVar[str]
+    knots: ClassVar[tuple[float, ...]]
+    stage: ClassVar[str]
 
     def values(self) -> Float[Array, " knots"]:
-        return jnp.stack([getattr(self, field) for field in FIELDS])
+        return jnp.stack([getattr(self, field) for field in fields(len(self.knots))])
 
     def at(self, variable: Number) -> Number:
         """The curve's height; around a turn, it closes."""
@@ -115,12 +121,6 @@ class ZetaCorrection(_Curve, AbstractZetaFactor):
     """zeta is scaled by the exponential of a curve."""
 
     about: ClassVar = About(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
-    at_0: Number = strength("-", 0.1, "at the first knot")
-    at_1: Number = strength("-", 0.1, "at the second knot")
-    at_2: Number = strength("-", 0.1, "at the third knot")
-    at_3: Number = strength("-", 0.1, "at the fourth knot")
-    at_4: Number = strength("-", 0.1, "at the fifth knot")
-    at_5: Number = strength("-", 0.1, "at the last knot")
 
     def begin(self) -> Memory:
         return Gone.nothing()
@@ -133,13 +133,6 @@ class ZetaCorrection(_Curve, AbstractZetaFactor):
 
 
 class _ForceCorrection(_Curve, AbstractLoad):
-    at_0: Number = strength("N", 5.0, "at the first knot")
-    at_1: Number = strength("N", 5.0, "at the second knot")
-    at_2: Number = strength("N", 5.0, "at the third knot")
-    at_3: Number = strength("N", 5.0, "at the fourth knot")
-    at_4: Number = strength("N", 5.0, "at the fifth knot")
-    at_5: Number = strength("N", 5.0, "at the last knot")
-
     def begin(self, position: Pair) -> Memory:
         return Gone.nothing()
 
@@ -175,12 +168,6 @@ class SpeedCorrection(_Curve, AbstractDrive):
     """The wheel's speed is off by a curve."""
 
     about: ClassVar = About(NAME, "drive", "ω = ω + curve", "a fitted error of the drive's speed")
-    at_0: Number = strength("rad/s", 0.02, "at the first knot")
-    at_1: Number = strength("rad/s", 0.02, "at the second knot")
-    at_2: Number = strength("rad/s", 0.02, "at the third knot")
-    at_3: Number = strength("rad/s", 0.02, "at the fourth knot")
-    at_4: Number = strength("rad/s", 0.02, "at the fifth knot")
-    at_5: Number = strength("rad/s", 0.02, "at the last knot")
 
     def begin(self, omega: Number, angle: Number) -> Memory:
         return Gone.nothing()
@@ -198,8 +185,25 @@ class SpeedCorrection(_Curve, AbstractDrive):
         return omega + self.at(known[self.variable]), gone
 
 
-class _ReadingCorrection(_Curve, AbstractSensor):
-    channel: ClassVar[str] = ""
+class HeightCorrection(_Curve, AbstractSurface):
+    """The surface under the wheel lies higher by a curve."""
+
+    about: ClassVar = About(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
+
+    def begin(self) -> Memory:
+        return Gone.nothing()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return _gone_on(memory, moment)
+
+    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
+        return jnp.full_like(x, self.at(getattr(memory, self.variable)))
+
+
+class ReadingCorrection(_Curve, AbstractSensor):
+    """A reading is off by a curve."""
+
+    about: ClassVar = About(NAME, "sensor", "reading = reading + curve", "a fitted reading error")
 
     def begin(self, output: Output) -> Memory:
         return output.x, Gone.nothing(), output.angle
@@ -217,41 +221,23 @@ class _ReadingCorrection(_Curve, AbstractSensor):
             "turning": gone.turning,
             "time": gone.time,
         }
-        value = getattr(output, self.channel) + self.at(known[self.variable])
-        return replace(output, **{self.channel: value}), (first, gone, output.angle)
+        channel = self.stage.removeprefix(READING)
+        value = getattr(output, channel) + self.at(known[self.variable])
+        return replace(output, **{channel: value}), (first, gone, output.angle)
 
 
-def _reading(channel: str, unit: str, typical: float) -> type[_ReadingCorrection]:
-    """Class of an error of one channel's reading."""
-    about = About(NAME, "sensor", f"{channel} = {channel} + curve", f"a fitted error of {channel}")
-    fields: dict[str, Any] = {
-        field: strength(unit, typical, f"at knot {k}") for k, field in enumerate(FIELDS, start=1)
-    }
-    made: Any = type(_ReadingCorrection)
-    return made(
-        f"ReadingCorrection_{channel}",
-        (_ReadingCorrection,),
-        {
-            "__annotations__": dict.fromkeys(FIELDS, Number),
-            "__module__": __name__,
-            "__doc__": f"A reading of {channel} is off by a curve.",
-            "about": about,
-            "channel": channel,
-            **fields,
-        },
-    )
-
-
-STAGES: dict[str, type[AbstractEffect]] = {
-    "zeta": ZetaCorrection,
-    "force_x": XForceCorrection,
-    "force_z": ZForceCorrection,
-    "speed": SpeedCorrection,
-    "reading x": _reading("x", "m", 1e-3),
-    "reading z": _reading("z", "m", 2e-4),
-    "reading fx": _reading("fx", "N", 2.0),
-    "reading fz": _reading("fz", "N", 2.0),
-    "reading torque": _reading("torque", "N m", 0.2),
+# Class, unit and typical size of a correction of each stage.
+STAGES: dict[str, tuple[type[AbstractEffect], str, float]] = {
+    "zeta": (ZetaCorrection, "-", 0.1),
+    "force_x": (XForceCorrection, "N", 5.0),
+    "force_z": (ZForceCorrection, "N", 5.0),
+    "speed": (SpeedCorrection, "rad/s", 0.02),
+    "height": (HeightCorrection, "m", 1e-3),
+    "reading x": (ReadingCorrection, "m", 1e-3),
+    "reading z": (ReadingCorrection, "m", 2e-4),
+    "reading fx": (ReadingCorrection, "N", 2.0),
+    "reading fz": (ReadingCorrection, "N", 2.0),
+    "reading torque": (ReadingCorrection, "N m", 0.2),
 }
 
 
@@ -259,7 +245,9 @@ def known_to(stage: str) -> tuple[str, ...]:
     """Variables that a correction of a stage may follow."""
     if stage == "speed":
         return DRIVE_KNOWS
-    if stage.startswith("reading "):
+    if stage == "height":
+        return SURFACE_KNOWS
+    if stage.startswith(READING):
         return tuple(each for each in VARIABLES if each != "slip speed")
     return tuple(VARIABLES)
 
@@ -268,7 +256,7 @@ def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Abstra
     """Class of a correction.
 
     Args:
-        stage: zeta, force_x, force_z, speed, or "reading " and a channel.
+        stage: zeta, force_x, force_z, speed, height, or "reading " and a channel.
         variable: What its curve stands on, a name of `VARIABLES`.
         knots: Where, ascending, in the variable's unit.
 
@@ -285,21 +273,25 @@ def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Abs
     if variable not in known_to(stage):
         known = ", ".join(known_to(stage))
         raise InputError(f"a correction of {stage} may follow {known}; {variable!r} was given")
-    if len(knots) != KNOTS or any(a >= b for a, b in itertools.pairwise(knots)):
-        raise InputError(f"a correction has {KNOTS} ascending knots; {list(knots)} were given")
-    base = STAGES[stage]
-    about = replace(base.about, formula=f"{base.about.formula} over {variable}")
+    if len(knots) < 2 or any(a >= b for a, b in itertools.pairwise(knots)):
+        raise InputError(f"a correction has ascending knots; {list(knots)} were given")
+    base, unit, typical = STAGES[stage]
+    formula = base.about.formula.replace("reading", stage.removeprefix(READING))
+    names, of = fields(len(knots)), f"at {variable} ="
+    at = [f"{of} {knot:.4g} {VARIABLES[variable]}" for knot in knots]
     made: Any = type(base)
     return made(
         base.__name__,
         (base,),
         {
-            "__annotations__": {},
+            "__annotations__": dict.fromkeys(names, Number),
             "__module__": __name__,
-            "about": about,
+            "__doc__": base.__doc__,
+            "about": replace(base.about, formula=f"{formula} over {variable}"),
             "variable": variable,
             "knots": knots,
             "stage": stage,
+            **{n: strength(unit, typical, text) for n, text in zip(names, at, strict=True)},
         },
     )
 
@@ -312,7 +304,7 @@ def entry_of(effect: AbstractEffect) -> dict[str, Any]:
         "stage": kind.stage,
         "variable": kind.variable,
         "knots": list(kind.knots),
-        "values": [float(getattr(effect, field)) for field in FIELDS],
+        "values": [float(getattr(effect, field)) for field in fields(len(kind.knots))],
     }
 
 
@@ -326,7 +318,10 @@ def built(entry: Mapping[str, Any]) -> AbstractEffect:
     if missing:
         raise InputError(f"a correction needs {', '.join(missing)}")
     values = entry["values"]
-    if len(values) != KNOTS:
-        raise InputError(f"a correction has {KNOTS} values; {len(values)} were given")
+    if len(values) != len(entry["knots"]):
+        raise InputError(
+            f"a correction has a value for each of its {len(entry['knots'])} knots; "
+            f"{len(values)} were given"
+        )
     kind = correction(entry["stage"], entry["variable"], entry["knots"])
-    return kind(**{field: float(v) for field, v in zip(FIELDS, values, strict=True)})
+    return kind(**{field: float(v) for field, v in zip(fields(len(values)), values, strict=True)})
