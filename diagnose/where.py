@@ -45,7 +45,7 @@ LEAST_TOLD, MOST_TOLD = 0.25, 3
 # Share of the gap that a marked order (once a turn, grousers, a line) holds where nothing is there.
 MARKED = 0.05
 # Bins of the orders that say nothing in a sentence.
-NOTHING_SAID = (SLOWER, OTHER, STANDS)
+NOTHING_SAID = (SLOWER, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
 
 
 @dataclass(frozen=True)

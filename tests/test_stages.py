@@ -192,3 +192,26 @@ def test_a_correction_refuses_what_its_stage_cannot_know():
         correction("zeta", "time", [0.0] * KNOTS)
     with pytest.raises(InputError, match="needs values"):
         built({"name": "correction", "stage": "zeta", "variable": "time", "knots": knots})
+
+
+def test_one_run_alone_is_described():
+    one = Case.of(case().candidates[:1], POOL)
+    found = stages(one, log_zeta()[:1], left(with_(SpeedGain, gain=0.05))[:1])
+    assert found[0].name == "speed"
+    assert follows(one, found[0])[0][1] > 0.5
+
+
+def test_a_driven_carriage_has_stages_too():
+    profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
+    setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
+    run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
+    driven = Case.of([coarse("driven", run)], POOL)
+    at = log_zeta()[:1]
+    reference = driven.predicted(Model(), 0, at[0], np.zeros(0))
+    shifted = reference.copy()
+    growing = 2.0 * np.clip(driven.time(0) - 1, 0, 2)
+    shifted[driven.channels.index("torque")] += growing
+    found = stages(driven, at, [reference - shifted])
+    assert found[0].name == "reading torque"
+    assert found[0].signal[0][6] == pytest.approx(4.0, abs=3 * found[0].error[0][6] + 0.05)
+    assert "force_x" not in {each.name for each in found if each.evidence > TIED}
