@@ -28,23 +28,30 @@ TOLD = 0.01
 
 def verdict(found: Diagnosis) -> str:
     """What was found, in one sentence."""
-    weight = sum_weight(found)
+    weight = sure(found)
+    alone = len(found.case.candidates) == 1
+    runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
         return (
-            f"Nothing beyond the reference model shows in these runs (weight {weight:.0%}): with a "
-            "zeta of its own, it follows each of them."
+            f"Nothing beyond the reference model shows in {runs} (weight {weight:.0%}): with "
+            f"{'its own zeta the model follows it' if alone else 'a zeta each it follows them'}."
         )
     if found.verdict == (UNKNOWN,):
         return (
-            f"Something makes these runs differ from the reference model (weight {weight:.0%}), "
+            f"Something makes {runs} differ from the reference model (weight {weight:.0%}), "
             "but no effect that is known here explains it."
         )
     effects = " and ".join(f"{name} ({effect_class(name).about.meaning})" for name in found.verdict)
+    if alone:
+        return (
+            f"This run looks like {effects}, with weight {weight:.0%}; one run alone describes "
+            "and does not prove."
+        )
     return f"These runs show {effects}, with weight {weight:.0%}."
 
 
-def sum_weight(found: Diagnosis) -> float:
-    """Weight of the verdict: of the least sure part of it."""
+def sure(found: Diagnosis) -> float:
+    """Weight of the verdict, or of the least sure part of it."""
     return min(found.weights.get(name, 0.0) for name in found.verdict)
 
 
@@ -65,15 +72,20 @@ def paragraphs(found: Diagnosis) -> list[str]:
 
 def group_sentences(found: Diagnosis) -> list[str]:
     """What these runs cannot tell apart."""
-    return [
-        f"These runs cannot tell {_worded(group[0])} from {' or '.join(map(_worded, group[1:]))}."
-        for group in found.groups
-        if len(group) > 1
-    ]
+    sentences = []
+    for group in found.groups:
+        first, others = group[0], " or ".join(map(_worded, group[1:]))
+        if others and first == NONE:
+            sentences.append(f"What these runs cannot rule out: {others}.")
+        elif others:
+            sentences.append(f"These runs cannot tell {_worded(first)} from {others}.")
+    return sentences
 
 
 def _worded(name: str) -> str:
-    return {NONE: "nothing at all", UNKNOWN: "something that is not known here"}.get(name, name)
+    return {NONE: "the reference model", UNKNOWN: "something that is not known here"}.get(
+        name, name
+    )
 
 
 def reducible(gap: Gap) -> bool:
@@ -81,10 +93,12 @@ def reducible(gap: Gap) -> bool:
     return gap.before > 1.1 * gap.floor
 
 
-def shrunk(gap: Gap) -> str:
-    """How far a gap shrinks, with the interval."""
+def shrunk(found: Diagnosis, gap: Gap) -> str:
+    """How far a gap shrinks; with the interval, where there are conditions to draw from."""
     if not reducible(gap):
         return "at the floor"
+    if len(conditions_of(found.case)) == 1:
+        return f"{gap.shrinkage:.0%}"
     low, high = gap.interval
     return f"{gap.shrinkage:.0%} ({low:.0%} to {high:.0%})"
 
@@ -98,7 +112,9 @@ def gap_sentences(found: Diagnosis) -> list[str]:
         on = "on runs left out while the effect's numbers were found"
     else:
         on = "on the very runs that the effect's numbers were found on, which flatters it"
-    shares = [f"{channel} {shrunk(gap)}" for channel, gap in found.gap.items() if reducible(gap)]
+    shares = [
+        f"{channel} {shrunk(found, gap)}" for channel, gap in found.gap.items() if reducible(gap)
+    ]
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]
     return [f"With {least} the gap above the noise floor shrinks by {', '.join(shares)}, {on}."]
@@ -149,7 +165,7 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
                 f"{gap.after * scale:.3f}",
                 f"{gap.floor * scale:.3f}",
                 f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
-                shrunk(gap) if found.chosen.names else "-",
+                shrunk(found, gap) if found.chosen.names else "-",
             )
         )
     return rows

@@ -243,3 +243,12 @@ def test_effects_of_a_file_keep_their_numbers(diagnosed):
     (again,) = model.build(coordinates)
     assert isinstance(again, SurfaceSlope)
     assert float(again.slope) == pytest.approx(float(effects[0].slope), rel=1e-12)
+
+
+def test_one_run_is_described_and_proves_nothing(logs, drft, tmp_path):
+    answer = drft("diagnose", logs / "run_0.h5", "--effects", "surface_slope", "-o", tmp_path)
+    assert answer.code == 0
+    assert "One run only" in answer.out
+    assert "one run alone describes and does not prove" in answer.out
+    assert "No run was repeated" in answer.out
+    assert "on the very runs" in answer.out
