@@ -10,12 +10,15 @@ from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
+from diagnose.follows import simplest
 from diagnose.hypothesis import Hypothesis, left_of
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.search import Found, Report, search
 from diagnose.shrinkage import Gap, gaps
+from diagnose.stages import Stage, stages
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
+from diagnose.where import Share, where
 from drftjax.effects.catalogue import numbers
 from drftjax.effects.stage import AbstractEffect
 
@@ -26,6 +29,8 @@ GROUPED = 0.95
 NAMED = 0.02
 # Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
 JUDGED_SINGLES, JUDGED_PAIRS = 4, 2
+# A signal follows a variable that explains this share of it.
+FOLLOWS = 0.5
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class Diagnosis:
                     "axis": each.axis,
                     "label": each.label,
                     "share": each.share,
-                    "interval": list(each.interval),
+                    "interval": [None if np.isnan(e) else e for e in each.interval],
                 }
                 for each in self.where
             ],
@@ -135,6 +140,14 @@ def diagnose(
     after = unseen.get(chosen.names, chosen.residual)
     floors, how = noise_floors(case, before, after)
     rival = _rival(found, leading, share, verdict)
+    report("where the gap lies")
+    places = list(where(case, before, dict(floors)))
+    notes = [how, *_warnings(case)]
+    if verdict != (NONE,):
+        lies = stages(case, found.none.log_zeta)
+        places += [_share(each) for each in lies]
+        if verdict == (UNKNOWN,):
+            notes += _followed(case, lies)
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
@@ -143,14 +156,33 @@ def diagnose(
         groups=groups,
         gap=gaps(case, before, after, floors),
         parameters=_parameters(found.bench, chosen) if chosen.names else {},
-        notes=[how, *_warnings(case)],
+        notes=notes,
         next_run=advice,
         found=found,
         chosen=chosen,
         before=before,
         after=after,
         floors=floors,
+        where=places,
     )
+
+
+def _share(stage: Stage) -> Share:
+    """How much of the gap an unknown signal at one stage would explain; no interval is known."""
+    label = f"{stage.name}: {stage.meaning}"
+    return Share("stage", label, float(stage.explained), (float("nan"), float("nan")))
+
+
+def _followed(case: Case, lies: Sequence[Stage]) -> list[str]:
+    """What an unwritten effect looks like, in a sentence."""
+    if not lies:
+        return []
+    stage, variables = simplest(case, lies)
+    said = f"The simplest unknown signal is one of {stage.name} ({stage.meaning})"
+    if not variables or variables[0][1] < FOLLOWS:
+        return [f"{said}; it follows none of the variables known."]
+    name, share = variables[0]
+    return [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
 
 
 def _weights(

@@ -33,21 +33,21 @@ def verdict(found: Diagnosis) -> str:
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
         return (
-            f"Nothing beyond the reference model shows in {runs} (weight {weight:.0%}): with "
+            f"Nothing beyond the reference model shows in {runs} (weight {percent(weight)}): with "
             f"{'its own zeta the model follows it' if alone else 'a zeta each it follows them'}."
         )
     if found.verdict == (UNKNOWN,):
         return (
-            f"Something makes {runs} differ from the reference model (weight {weight:.0%}), "
+            f"Something makes {runs} differ from the reference model (weight {percent(weight)}), "
             "but no effect that is known here explains it."
         )
     effects = " and ".join(f"{name} ({effect_class(name).about.meaning})" for name in found.verdict)
     if alone:
         return (
-            f"This run looks like {effects}, with weight {weight:.0%}; one run alone describes "
+            f"This run looks like {effects}, with weight {percent(weight)}; one run alone describes "
             "and does not prove."
         )
-    return f"These runs show {effects}, with weight {weight:.0%}."
+    return f"These runs show {effects}, with weight {percent(weight)}."
 
 
 def sure(found: Diagnosis) -> float:
@@ -58,7 +58,7 @@ def sure(found: Diagnosis) -> float:
 def paragraphs(found: Diagnosis) -> list[str]:
     """All else that was found, in sentences."""
     others = [w for w in found.weights.items() if w[1] >= TOLD]
-    told_weights = ", ".join(f"{name} {weight:.0%}" for name, weight in others)
+    told_weights = ", ".join(f"{name} {percent(weight)}" for name, weight in others)
     lines = [f"weights: {told_weights}"]
     lines += group_sentences(found)
     lines += gap_sentences(found)
@@ -80,6 +80,11 @@ def group_sentences(found: Diagnosis) -> list[str]:
         elif others:
             sentences.append(f"These runs cannot tell {_worded(first)} from {others}.")
     return sentences
+
+
+def percent(weight: float) -> str:
+    """A weight in words: none is certain."""
+    return "over 99%" if weight > 0.99 else f"{weight:.0%}"
 
 
 def _worded(name: str) -> str:

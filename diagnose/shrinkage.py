@@ -11,6 +11,8 @@ from diagnose.left_out import conditions
 DRAWS = 400
 LEVEL = 0.9
 MM = 1e3
+# A gap that exceeds its floor by less than this share of it cannot be said to shrink.
+LEAST_REACHABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Gap:
 def shrinkage(before: float, after: float, floor: float) -> float:
     """Share of the RMSE above the floor that is gone; zero where there was none."""
     reachable = before - floor
-    if reachable <= 0.1 * floor:
+    if reachable <= LEAST_REACHABLE * floor:
         return 0.0
     return float(np.clip((before - max(after, floor)) / reachable, -1.0, 1.0))
 

@@ -26,20 +26,23 @@ class Scale:
         slow, fast: Worth of a bin of the slow part, and of a sample of the fast part.
         zeta: Worth of a run's log zeta.
         floor: What a model's own error is taken for, over `FLOOR`.
+        form: Share of the reference model's residual (in amplitude) that a right effect may leave
+            because no rig follows a formula exactly.
         number: Cost of each free number.
         reached: Share of the reference model's residual (in amplitude) that `unknown` leaves.
         none, unknown, pair: Logarithms of what is believed before any run, over a single effect.
     """
 
     slow: float = 0.05
-    fast: float = 0.003
+    fast: float = 0.005
     zeta: float = 0.6
-    floor: float = 1.5
+    floor: float = 1.0
+    form: float = 0.1
     number: float = 1.0
-    reached: float = 0.1
-    none: float = 3.0
-    unknown: float = 0.0
-    pair: float = -4.0
+    reached: float = 0.12
+    none: float = 2.0
+    unknown: float = 0.5
+    pair: float = -8.0
 
 
 SCALE = Scale()
@@ -81,19 +84,21 @@ def log_weights(
         scale: What evidence is worth.
     """
     floor = (scale.floor * np.array([FLOOR[block] for block in blocks])) ** 2
+    beyond = np.maximum(judged[0].left - noise - floor, 0)
+    allowed = floor + scale.form**2 * beyond
     worth = number * np.array([getattr(scale, kind) for _, kind in blocks])
     zeta = scale.zeta * max(runs - 1, 0)
 
     def evidence(left: np.ndarray, scatter: float) -> float:
-        explained = -0.5 * float((worth * np.log(left + floor)).sum())
+        explained = -0.5 * float((worth * np.log(left + allowed)).sum())
         return explained - 0.5 * zeta * float(np.log(scatter + ZETA_SCATTER**2))
 
     found = []
     for each in judged:
         before = {0: scale.none, 1: 0.0}.get(len(each.names), scale.pair)
         found.append(evidence(each.left, each.scatter) - scale.number * each.numbers + before)
-    beyond = np.maximum(judged[0].left - noise - floor, 0)
-    unwritten = evidence(noise + scale.reached**2 * beyond, judged[0].scatter)
+    left = judged[0].left - (1 - scale.reached**2) * beyond
+    unwritten = evidence(left, judged[0].scatter)
     return np.array(found), unwritten + scale.unknown - scale.number * 3
 
 

@@ -155,7 +155,9 @@ def test_shrinkage_counts_from_the_floor():
 
 def test_weights_follow_what_is_left():
     blocks = (("z", "slow"),)
-    scale = dataclasses.replace(Scale(), none=0.0, number=0.0, floor=0.0, slow=2.0, unknown=-50.0)
+    scale = dataclasses.replace(
+        Scale(), none=0.0, number=0.0, floor=0.0, form=0.0, slow=2.0, unknown=-50.0
+    )
     judged = [Judged((), np.array([4e-8]), 0.0, 0), Judged(("drawbar",), np.array([1e-8]), 0.0, 1)]
     found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
     # Half of a worth of 2 by the logarithm of a quarter: four to one.
