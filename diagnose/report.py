@@ -44,8 +44,8 @@ def verdict(found: Diagnosis) -> str:
     effects = " and ".join(f"{name} ({effect_class(name).about.meaning})" for name in found.verdict)
     if alone:
         return (
-            f"This run looks like {effects}, with weight {percent(weight)}; one run alone describes "
-            "and does not prove."
+            f"This run looks like {effects}, with weight {percent(weight)}; one run alone "
+            "describes and does not prove."
         )
     return f"These runs show {effects}, with weight {percent(weight)}."
 
