@@ -47,8 +47,9 @@ from drftjax.stress import plate_motion
 # Two programs of the same arithmetic, one with the null effects and one without: the compiler
 # joins multiplications and additions in other places.
 NULL = 1e-11
-# As in test_gradients: a part in a thousand, of the largest change of that channel.
-AGREEMENT = 1e-3
+# About as in test_gradients: parts in a thousand, of the largest change of that channel. What
+# changes little is rougher beside its own size.
+AGREEMENT = 3e-3
 # Share of the typical strength. Longer changes pass corners, shorter ones drown in rounding.
 CHANGES = (1e-7, 3e-7, 1e-6)
 # Forward and reverse mode multiply the same matrices in another order.

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 Number = Float[Array, ""]
 
-# Lags in a row that together stand for a pure delay.
-DELAY_STAGES = 8
+# A delay keeps so many readings, one each so often [s].
+KEPT, KEPT_EVERY = 101, 0.01
 
 
 def _with_z(output: "Output", z: Number) -> "Output":
@@ -79,7 +79,7 @@ def _with_channels(output: "Output", values: Float[Array, "5"]) -> "Output":
 
 
 class MeasurementDelay(AbstractSensor):
-    """The readings are late; the delay is drawn as eight equal lags in a row."""
+    """The readings are late, by a second at the most; what was true is kept every 10 ms."""
 
     about: ClassVar = About(
         "measurement_delay", "sensor", "read(t) = true(t - delay)", "the readings are late"
@@ -87,16 +87,21 @@ class MeasurementDelay(AbstractSensor):
     delay: Number = strength("s", 0.1, "how late", least=0.0)
 
     def begin(self, output: "Output") -> Memory:
-        return jnp.repeat(_channels(output)[None], DELAY_STAGES, axis=0)
+        value = _channels(output)
+        ages = KEPT_EVERY * jnp.arange(KEPT, dtype=value.dtype)
+        return ages, jnp.repeat(value[None], KEPT, axis=0)
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        lag = self.delay / DELAY_STAGES
-        share = lag / (lag + dt)
-        value, held = _channels(output), []
-        for stage in range(DELAY_STAGES):
-            value = value + share * (memory[stage] - value)
-            held.append(value)
-        return _with_channels(output, value), jnp.stack(held)
+        # The present first, then what was kept, the latest before the earlier.
+        older = memory[0] + dt
+        ages = jnp.concatenate([jnp.zeros_like(older[:1]), older])
+        values = jnp.concatenate([_channels(output)[None], memory[1]])
+        later = jnp.clip(jnp.sum(ages <= self.delay) - 1, 0, KEPT - 1)
+        share = jnp.minimum((self.delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
+        value = values[later] + share * (values[later + 1] - values[later])
+        due = older[0] > KEPT_EVERY - dt / 2
+        kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
+        return _with_channels(output, value), kept
 
 
 class MeasurementFilter(AbstractSensor):
