@@ -34,6 +34,8 @@ def noise_floors(
             for index, channel in enumerate(case.channels):
                 apart = [each[first][index] - each[second][index] for each in (before, after)]
                 power = min(float(np.mean(a**2)) / 2 for a in apart)
+                if not np.isfinite(power):  # one of the two lacks the channel
+                    continue
                 powers.setdefault(channel, []).append(power)
     floors = {}
     for index, channel in enumerate(case.channels):

@@ -21,8 +21,8 @@ from diagnose.response import Model, predict, respond
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
-SINGLES = 8
-PAIRS = 4
+SINGLES = 9
+PAIRS = 6
 PAIRED_SINGLES = 3
 TURNS = 3
 PAIR_TURNS = 4
@@ -34,7 +34,8 @@ MORE_TURNS = 5
 WORTH_A_ROUND = 3.0
 # A hypothesis this far behind the best is not taken further.
 HOPELESS = 100.0
-COARSE = 0.1
+# Shares of the worst block's distance from its floor that floors are raised to, order by order.
+COARSE = (0.3, 0.1, 0.0)
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
 MUCH = 2.0
 
@@ -118,14 +119,14 @@ def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
-    """Each effect's best variant by straight lines, best first: finely judged, and coarsely.
+    """Each effect's best variant by straight lines, best first: coarsely judged, and finely.
 
-    Where the gap is large a straight line's own error hides what an effect explains; so the two
+    Where the gap is large a straight line's own error hides what an effect explains; so the
     orders take turns.
     """
     start = on_lines(bench, [])
     orders = []
-    for share in (0.0, COARSE):
+    for share in COARSE:
         coarse = coarseness(bench.products.blocks, start.left, share)
         best: dict[str, tuple[Variant, Line]] = {}
         for variant in bench.variants:
@@ -153,10 +154,10 @@ def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
 
 def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Pairs that straight lines from the settled singles put first, simulated."""
-    orders = [_proposals(bench, singles, share) for share in (0.0, COARSE)]
+    orders = [_proposals(bench, singles, share) for share in COARSE]
     leading: dict[frozenset[str], Hypothesis] = {}
-    for both in zip(*orders, strict=True):
-        for pair, hypothesis in both:
+    for every in zip(*orders, strict=True):
+        for pair, hypothesis in every:
             if len(leading) < PAIRS:
                 leading.setdefault(pair, hypothesis)
     bench.case.warm(predict, [each.model for each in leading.values()])

@@ -13,7 +13,7 @@ from drftjax.runlog import record
 from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import read_result
 from drftjax.runlog.result import ResultGroup
-from drftjax.setup import CommandSetUp, SetUp
+from drftjax.setup import CommandSetUp, SetUp, read_setup
 from drftjax.simulator import Output
 from drftjax.structfile import read_document, to_structure
 from drftjax.trial import ROW_INTERVAL, Trial, check_output
@@ -38,7 +38,7 @@ class FittedRuns(msgspec.Struct):
 
 
 def read_model(path: str | Path, run: str | None = None) -> SetUp:
-    """A fitted set-up from a fit's result, JSON or HDF5.
+    """A set-up from a fit's result, JSON or HDF5, or from a set-up file (TOML).
 
     Args:
         path: The result file.
@@ -48,6 +48,10 @@ def read_model(path: str | Path, run: str | None = None) -> SetUp:
         InputError: names the file and what must hold.
     """
     path = Path(path)
+    if path.suffix == ".toml":
+        if run is not None:
+            raise InputError(f"{path} is one set-up and holds no runs; leave --run out")
+        return read_setup(path)
     fitted = _from_hdf5(path) if path.suffix in HDF5_ENDINGS else _from_json(path)
     names = list(fitted)
     if not names:

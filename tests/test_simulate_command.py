@@ -234,9 +234,10 @@ def test_file_that_is_no_run_is_refused(drft, tmp_path, option):
     assert "is a folder" in drft("simulate", option, tmp_path).refusal
 
 
-def test_set_up_given_as_like_or_as_result_is_refused(drft, short):
+def test_set_up_given_as_like_is_refused_and_as_result_has_no_runs(drft, short):
     assert "is not an HDF5 file" in drft("simulate", "--like", short).refusal
-    assert "is not a fit's result" in drft("simulate", "--from", short).refusal
+    told = drft("simulate", "--from", short, "--run", "a").refusal
+    assert "is one set-up and holds no runs" in told
 
 
 def test_sand_too_soft_to_carry_the_wheel_is_refused(drft, short, tmp_path):
