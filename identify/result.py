@@ -93,7 +93,7 @@ class RunFit:
     before: np.ndarray
     after: np.ndarray
     status: str = "converged"
-    path: "ZetaPath | None" = None
+    path: Any = None  # a ZetaPath; decoders of results evaluate annotations, and need none of it
 
     @property
     def residuals(self) -> dict[str, np.ndarray]:
