@@ -31,6 +31,8 @@ SMALLEST_SIZE = 2304
 LONGEST_MOVE = 0.2
 # Part of the way, of all that a run turns and travels, over which sinkage is met at first.
 EARLY = (0.05, 0.4)
+# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
+SINKAGE_PER_LOG_ZETA = 0.023
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +197,6 @@ def baseline(case: Case) -> np.ndarray:
         return at
 
     return np.array(case.each_run(of))
-
-
-# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
-SINKAGE_PER_LOG_ZETA = 0.023
 
 
 def _early(case: Case, run: int) -> np.ndarray:

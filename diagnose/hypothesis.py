@@ -19,8 +19,9 @@ from drftjax.effects.stage import AbstractEffect
 # Width of the belief about a strength, in typical sizes, and about a shape's logarithm.
 STRENGTH_BELIEF = 5.0
 SHAPE_BELIEF = 1.0
-# One unit of each coordinate, for the shares that Broyden's update gives them.
-ZETA_UNIT = 0.02
+# One unit of each coordinate, for the shares that Broyden's update gives them: a strength's is its
+# typical size, these are of the logarithms of zeta and of a shape.
+ZETA_UNIT, SHAPE_UNIT = 0.02, 0.3
 # A fit moves a logarithm (of zeta, of a shape) by no more than this at once.
 LONGEST_MOVE = 0.5
 # Share of a move's response that corrected columns may be wrong by.
@@ -87,7 +88,13 @@ def leasts(effect: type[AbstractEffect]) -> list[float]:
 
 
 def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None) -> Hypothesis:
-    """A hypothesis as straight lines give it."""
+    """A hypothesis as straight lines give it: at the null, with the way ahead of it.
+
+    Args:
+        bench: The case.
+        variants: The effects.
+        line: What straight lines say of them; found here where it is not given.
+    """
     line = on_lines(bench, variants) if line is None else line
     model = Model(tuple(variant.effect for variant in variants))
     coordinates: list[float] = []
@@ -106,8 +113,9 @@ def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None
         np.concatenate([own[:, :, :1], *(_mixed(own, mix)[:, :, None] for mix in weights)], axis=2)
         for own in bench.columns
     ]
-    scales = [f.scale for f in model.free]
-    null = np.array([0.0 if s is not None else c for s, c in zip(scales, coordinates, strict=True)])
+    null = np.array(
+        [0.0 if f.scale is not None else c for f, c in zip(model.free, coordinates, strict=True)]
+    )
     return Hypothesis(
         model,
         bench.log_zeta,
@@ -208,6 +216,15 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
     return replace(here, columns=case.each_run(of))
 
 
+def least_changes(here: Hypothesis) -> np.ndarray:
+    """Least change of each coordinate that leaves the effects' numbers where they make sense."""
+    least = [
+        -np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["least"]
+        for f in here.model.free
+    ]
+    return np.array(least) - here.coordinates
+
+
 def changes(
     here: Hypothesis, products: Products, coarse: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -219,18 +236,12 @@ def changes(
         coarse: See `fit_line`.
     """
     width, centre = beliefs(here.model)
-    least = np.array(
-        [
-            -np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["least"]
-            for f in here.model.free
-        ]
-    )
     line = fit_line(
         products,
         range(len(here.coordinates)),
         prior=width,
         at=here.coordinates - centre,
-        least=least - here.coordinates,
+        least=least_changes(here),
         trust=CORRECTED_ERR if here.simulated else LINES_ERR,
         coarse=coarse,
     )
@@ -253,7 +264,7 @@ def _simulated(
 ) -> Hypothesis | None:
     """The hypothesis simulated elsewhere, with columns corrected by how it came out."""
     case = bench.case
-    units = np.array([1.0 if f.scale is not None else 0.3 for f in before.model.free])
+    units = np.array([1.0 if f.scale is not None else SHAPE_UNIT for f in before.model.free])
     change = (coordinates - before.coordinates) / units
 
     def of(run: int) -> tuple[np.ndarray, np.ndarray]:

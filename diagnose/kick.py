@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diagnose.latent import INPUTS
 from diagnose.path import FORCES, MOTION, Path, command_at_time, motion_of, state_of
-from drftjax.effects.catalogue import strengths
+from drftjax.effects.catalogue import numbers, shapes, strengths
 from drftjax.effects.stage import (
     AbstractDrive,
     AbstractEffect,
@@ -55,7 +55,11 @@ READINGS = ("x", "z", "fx", "fz", "torque")
 
 @eqx.filter_jit
 def kick(
-    effect: type[AbstractEffect], trial: Trial, path: Path, node: Float[Array, ""], shapes: Variants
+    effect: type[AbstractEffect],
+    trial: Trial,
+    path: Path,
+    node: Float[Array, ""],
+    variants: Variants,
 ) -> Kick:
     """Derivatives along one run by an effect's strengths, for every variant of its shapes.
 
@@ -64,7 +68,7 @@ def kick(
         trial: The run as it was traced.
         path: Its trace.
         node: Length of a node [s].
-        shapes: Values of the effect's shapes; may be empty.
+        variants: Values of the effect's shapes; may be empty.
 
     Returns:
         Columns go by variant, then by strength.
@@ -80,9 +84,9 @@ def kick(
         columns = [jax.jvp(along, (at_null,), (d,))[1] for d in jnp.eye(len(names))]
         return jax.tree.map(lambda *each: jnp.stack(each, axis=-1), *columns)
 
-    if not shapes:
+    if not variants:
         return of({})
-    found = jax.lax.map(of, shapes)  # (variants, nodes, what, strengths)
+    found = jax.lax.map(of, variants)  # (variants, nodes, what, strengths)
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found)
 
 
@@ -228,8 +232,6 @@ def zeta_kick(path: Path) -> Kick:
 
 def grid(effect: type[AbstractEffect]) -> Variants:
     """Values of an effect's shapes that together cover what a rig may show."""
-    from drftjax.effects.catalogue import numbers, shapes
-
     about = numbers(effect)
     starts = [np.asarray(about[name]["starts"], float) for name in shapes(effect)]
     if not starts:

@@ -5,10 +5,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from drftjax.effects.load import MemorylessLoad
 from drftjax.effects.stage import (
     About,
     AbstractDrive,
-    AbstractLoad,
     AbstractSurface,
     AbstractZetaFactor,
     Memory,
@@ -36,18 +36,12 @@ class ZetaError(AbstractZetaFactor):
         return jnp.exp(self.error)
 
 
-class ForceError(AbstractLoad):
+class ForceError(MemorylessLoad):
     """A force is missing."""
 
     about: ClassVar = About("force_error", "rig", "F = F + (x, z)", "an unknown force")
     x: Number = strength("N", 5.0, "horizontal force")
     z: Number = strength("N", 5.0, "vertical force")
-
-    def begin(self, position: Pair) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return jnp.stack([self.x, self.z])

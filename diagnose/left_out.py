@@ -1,8 +1,10 @@
 """Prediction of runs left out by condition: does an effect found on some runs help on others?
 
-All runs of one command and load are left out together, the effect's numbers are fitted to the
-others, and the left-out runs are simulated with them. Each run's own zeta stays its own: sand is
-never the same twice, and no effect can know it.
+All runs of one command and load are left out together, the effect's numbers move to where the
+others alone would have them, and the left-out runs are simulated with these. The move is one
+straight-line step from the numbers fitted to all runs, not a search anew; which effects are tried
+was chosen on all runs too. Each run's own zeta stays its own and is fitted to it: sand is never the
+same twice, and no effect can know it.
 """
 
 from collections.abc import Sequence

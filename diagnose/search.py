@@ -11,6 +11,7 @@ from diagnose.evidence import FLOOR, Line, coarseness, fit_line
 from diagnose.hypothesis import (
     STRENGTH_BELIEF,
     Hypothesis,
+    least_changes,
     leasts,
     on_lines,
     proposed,
@@ -51,14 +52,12 @@ class Found:
         none: The reference model with each run's own zeta, settled.
         singles: Effects simulated alone, best first.
         pairs: Pairs simulated, best first.
-        lines: By effect, what straight lines say of its best variant.
     """
 
     bench: Bench
     none: Hypothesis
     singles: tuple[Hypothesis, ...]
     pairs: tuple[Hypothesis, ...]
-    lines: dict[str, float]
 
 
 def search(
@@ -87,13 +86,7 @@ def search(
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
         pairs = _pairs(bench, singles)
-    return Found(
-        bench,
-        none,
-        tuple(singles),
-        tuple(pairs),
-        {v.effect.about.name: line.score for v, line in ranked},
-    )
+    return Found(bench, none, tuple(singles), tuple(pairs))
 
 
 def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
@@ -183,7 +176,7 @@ def _proposals(
             if name in single.names:
                 continue
             both = [*range(count), *(count + c for c in variant.columns)]
-            least = np.r_[np.full(count, -np.inf), leasts(variant.effect)]
+            least = np.r_[least_changes(single), leasts(variant.effect)]
             prior = np.full(len(both), STRENGTH_BELIEF)
             line = fit_line(products, both, prior=prior, least=least, coarse=worst)
             pair = frozenset((*single.names, name))
@@ -200,14 +193,12 @@ def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> H
         np.concatenate([mine, more[:, :, 1:]], axis=2)
         for mine, more in zip(single.columns, added.columns, strict=True)
     ]
-    start = added.coordinates.copy()
-    scales = [f.scale for f in added.model.free]
-    nothing = np.array([0.0 if s is not None else c for s, c in zip(scales, start, strict=True)])
-    change = np.r_[line.strengths[: len(single.coordinates)], start - nothing]
+    assert added.ahead is not None
+    change = np.r_[line.strengths[: len(single.coordinates)], added.ahead[1]]
     return Hypothesis(
         Model(single.model.effects + added.model.effects),
         single.log_zeta,
-        np.r_[single.coordinates, nothing],
+        np.r_[single.coordinates, added.coordinates],
         line,
         columns,
         single.residual,

@@ -36,6 +36,7 @@ def decoded(data: bytes) -> Lone:
 
 
 def _packed(value: Any) -> Any:
+    # msgspec asks its hooks to raise NotImplementedError for what they do not know.
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
     if isinstance(value, np.generic):

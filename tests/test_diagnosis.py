@@ -11,6 +11,7 @@ from diagnose.diagnosis import diagnose
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import conditions, predicted_unseen
+from diagnose.search import _proposals as search_proposals
 from diagnose.shrinkage import shrinkage
 from diagnose.weights import Judged, Scale, weights
 from drftjax.effects.drive import SpeedGain
@@ -93,6 +94,17 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < 40e-6 < 10 * 40e-6 < missed(gain)
+
+
+def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
+    gain = settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, TravelGain)]), 3)
+    pairs = dict(search_proposals(sloping_bench, [gain], 0.3))
+    pair = pairs[frozenset({"travel_gain", "surface_slope"})]
+    # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
+    # more than half of it is asked, and not all.
+    way = pair.coordinates + pair.ahead[1]
+    strength = way[-1] * pair.model.free[-1].scale
+    assert 0.01 < strength < 0.03
 
 
 def test_repeats_are_one_condition(sloping):

@@ -6,29 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diagnose.blind.sand import number
-from drftjax.effects.stage import AbstractLoad, AbstractPlacement, Memory, Moment
+from drftjax.effects.load import MemorylessLoad, along_x, along_z
+from drftjax.effects.stage import AbstractPlacement, Memory, Moment
 from drftjax.wheel import Plates
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
-
-
-def along_x(force: Number) -> Pair:
-    return jnp.stack([force, jnp.zeros_like(force)])
-
-
-def along_z(force: Number) -> Pair:
-    return jnp.stack([jnp.zeros_like(force), force])
-
-
-class Instant(AbstractLoad):
-    """A load that depends on the present alone."""
-
-    def begin(self, position: Pair) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
 
 def stribeck(speed: Number, stick: Number, surplus: Number) -> Number:
@@ -41,14 +24,14 @@ def drag(speed: Number, at: float, power: Number) -> Number:
     return speed * ((speed**2 + 1e-8) / at**2) ** ((power - 1) / 2)
 
 
-class VerticalLoad(Instant):
+class VerticalLoad(MemorylessLoad):
     force: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return along_z(-self.force)
 
 
-class VerticalCoulomb(Instant):
+class VerticalCoulomb(MemorylessLoad):
     force: Number = number()
     stick: Number = number(1e-4)
     surplus: Number = number()
@@ -57,7 +40,7 @@ class VerticalCoulomb(Instant):
         return along_z(-self.force * stribeck(velocity[1], self.stick, self.surplus))
 
 
-class VerticalViscous(Instant):
+class VerticalViscous(MemorylessLoad):
     damping: Number = number()
     power: Number = number(1.0)
 
@@ -65,7 +48,7 @@ class VerticalViscous(Instant):
         return along_z(-self.damping * drag(velocity[1], 2e-3, self.power))
 
 
-class HorizontalCoulomb(Instant):
+class HorizontalCoulomb(MemorylessLoad):
     force: Number = number()
     stick: Number = number(1e-3)
     surplus: Number = number()
@@ -74,7 +57,7 @@ class HorizontalCoulomb(Instant):
         return along_x(-self.force * stribeck(velocity[0], self.stick, self.surplus))
 
 
-class HorizontalViscous(Instant):
+class HorizontalViscous(MemorylessLoad):
     damping: Number = number()
     power: Number = number(1.0)
 
@@ -82,14 +65,14 @@ class HorizontalViscous(Instant):
         return along_x(-self.damping * drag(velocity[0], 0.1, self.power))
 
 
-class Drawbar(Instant):
+class Drawbar(MemorylessLoad):
     force: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
         return along_x(-self.force)
 
 
-class CableSpring(Instant):
+class CableSpring(MemorylessLoad):
     """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0."""
 
     stiffness: Number = number()
@@ -99,7 +82,7 @@ class CableSpring(Instant):
         return along_x(-self.stiffness * position[0] * (1 + self.bend * position[0]))
 
 
-class VerticalSpring(Instant):
+class VerticalSpring(MemorylessLoad):
     """A spring that stiffens by `bend` for 20 mm of sinkage."""
 
     stiffness: Number = number()
@@ -110,7 +93,7 @@ class VerticalSpring(Instant):
         return along_z(self.stiffness * sinkage * (1 + self.bend * sinkage / 0.02))
 
 
-class Imbalance(Instant):
+class Imbalance(MemorylessLoad):
     """A mass [kg m] off the axle, at `phase` [rad] from straight ahead when the wheel starts."""
 
     moment_of_mass: Number = number()

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diagnose.blind.machine import Instant, along_x, along_z
 from diagnose.blind.sand import LEAST, Momentary, number
+from drftjax.effects.load import MemorylessLoad, along_x, along_z
 from drftjax.effects.stage import AbstractZetaFactor, Memory, Moment
 
 Number = Float[Array, ""]
@@ -94,7 +94,7 @@ class CriticalSpeed(Momentary):
         return jnp.maximum(1 - self.loss * jnp.exp(-(away**2)), LEAST)
 
 
-class Catch(Instant):
+class Catch(MemorylessLoad):
     """The carriage tightens a spring at one place, and slips off it `length` [m] on."""
 
     force: Number = number()
@@ -107,7 +107,7 @@ class Catch(Instant):
         return along_x(-self.force * jnp.clip(way, 0, 1) * (1 - released))
 
 
-class SinkageDrag(Instant):
+class SinkageDrag(MemorylessLoad):
     """A drag by speed squared and sinkage squared, that lifts half as much."""
 
     drag: Number = number()
@@ -117,7 +117,7 @@ class SinkageDrag(Instant):
         return jnp.stack([-force, jnp.abs(force) / 2])
 
 
-class JammingGuide(Instant):
+class JammingGuide(MemorylessLoad):
     """Dry friction of the vertical guide that grows with the carriage's speed."""
 
     friction: Number = number()
@@ -128,7 +128,7 @@ class JammingGuide(Instant):
         return along_z(-pressed * jnp.tanh(velocity[1] / self.stick))
 
 
-class TravelLift(Instant):
+class TravelLift(MemorylessLoad):
     """A vertical force with the carriage's speed."""
 
     lift: Number = number()

@@ -5,6 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from drftjax.effects.load import MemorylessLoad, along_x, along_z
 from drftjax.effects.stage import About, AbstractLoad, Memory, Moment, strength
 
 Number = Float[Array, ""]
@@ -16,25 +17,7 @@ VERTICAL_STICK = 1e-4
 HORIZONTAL_STICK = 1e-3
 
 
-def _along_x(force: Number) -> Pair:
-    return jnp.stack([force, jnp.zeros_like(force)])
-
-
-def _along_z(force: Number) -> Pair:
-    return jnp.stack([jnp.zeros_like(force), force])
-
-
-class _Memoryless(AbstractLoad):
-    """A load that depends on the present alone."""
-
-    def begin(self, position: Pair) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
-
-class VerticalLoad(_Memoryless):
+class VerticalLoad(MemorylessLoad):
     """A constant vertical force."""
 
     about: ClassVar = About(
@@ -43,10 +26,10 @@ class VerticalLoad(_Memoryless):
     force: Number = strength("N", 10.0, "further load, downward positive")
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_z(-self.force)
+        return along_z(-self.force)
 
 
-class VerticalCoulomb(_Memoryless):
+class VerticalCoulomb(MemorylessLoad):
     """Dry friction of the vertical guide."""
 
     about: ClassVar = About(
@@ -58,10 +41,10 @@ class VerticalCoulomb(_Memoryless):
     force: Number = strength("N", 5.0, "friction", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
+        return along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
 
 
-class VerticalViscous(_Memoryless):
+class VerticalViscous(MemorylessLoad):
     """Viscous friction of the vertical guide."""
 
     about: ClassVar = About(
@@ -70,10 +53,10 @@ class VerticalViscous(_Memoryless):
     damping: Number = strength("N s/m", 1000.0, "friction per speed", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_z(-self.damping * velocity[1])
+        return along_z(-self.damping * velocity[1])
 
 
-class HorizontalCoulomb(_Memoryless):
+class HorizontalCoulomb(MemorylessLoad):
     """Dry friction of the carriage."""
 
     about: ClassVar = About(
@@ -85,10 +68,10 @@ class HorizontalCoulomb(_Memoryless):
     force: Number = strength("N", 3.0, "friction", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
+        return along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
 
 
-class HorizontalViscous(_Memoryless):
+class HorizontalViscous(MemorylessLoad):
     """Viscous friction of the carriage."""
 
     about: ClassVar = About(
@@ -97,10 +80,10 @@ class HorizontalViscous(_Memoryless):
     damping: Number = strength("N s/m", 30.0, "friction per speed", least=0.0)
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_x(-self.damping * velocity[0])
+        return along_x(-self.damping * velocity[0])
 
 
-class Drawbar(_Memoryless):
+class Drawbar(MemorylessLoad):
     """A constant horizontal force."""
 
     about: ClassVar = About(
@@ -112,7 +95,7 @@ class Drawbar(_Memoryless):
     force: Number = strength("N", 5.0, "pull against the forward direction")
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_x(-self.force)
+        return along_x(-self.force)
 
 
 class CableSpring(AbstractLoad):
@@ -133,7 +116,7 @@ class CableSpring(AbstractLoad):
         return memory
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_x(-self.stiffness * (position[0] - memory))
+        return along_x(-self.stiffness * (position[0] - memory))
 
 
 class VerticalSpring(AbstractLoad):
@@ -154,7 +137,7 @@ class VerticalSpring(AbstractLoad):
         return memory
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return _along_z(-self.stiffness * (position[1] - memory))
+        return along_z(-self.stiffness * (position[1] - memory))
 
 
 RIG = (

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.arrays import require_between
+from drftjax.effects.load import MemorylessLoad
 from drftjax.effects.stage import (
     About,
     AbstractAdjustment,
-    AbstractLoad,
     AbstractPlacement,
     Memory,
     Moment,
@@ -83,7 +83,7 @@ class Eccentricity(AbstractPlacement):
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
 
 
-class Imbalance(AbstractLoad):
+class Imbalance(MemorylessLoad):
     """Mass off the axle pulls outward with the square of the speed, once a turn."""
 
     about: ClassVar = About(
@@ -94,12 +94,6 @@ class Imbalance(AbstractLoad):
     )
     along: Number = strength("kg m", 0.2, "mass times offset, forward at angle zero")
     up: Number = strength("kg m", 0.2, "mass times offset, upward at angle zero")
-
-    def begin(self, position: Float[Array, "2"]) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def load(
         self,
