@@ -12,6 +12,8 @@ recorded run can be replayed: `replay` steps the very loop that runs online.
 
 import abc
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -29,6 +31,12 @@ from drftjax.simulator import Output, Simulator, State
 LONGEST_TICK = 10.0
 
 
+# What a tuner remembers from tick to tick: any tree of arrays.
+Memory = Any
+# One tick of the simulator: a state and zeta [-] to the state and the output at the tick's end.
+Advance = Callable[[State, Float[Array, ""]], tuple[State, Output]]
+
+
 class AbstractTuner(eqx.Module):
     """Moves zeta by what the sinkage's error says, once a tick.
 
@@ -39,12 +47,38 @@ class AbstractTuner(eqx.Module):
     tick: eqx.AbstractVar[Float[Array, ""]]
 
     @abc.abstractmethod
-    def tune(self, zeta: Float[Array, ""], error: Float[Array, ""]) -> Float[Array, ""]:
-        """zeta [-] after one tick.
+    def begin(self, state: State, zeta: Float[Array, ""]) -> Memory:
+        """What it remembers before the first tick.
 
         Args:
-            zeta: Before it [-].
-            error: Recorded minus simulated sinkage [m]; NaN where nothing was recorded.
+            state: Simulated wheel at the start.
+            zeta: Scaling factor at the start [-].
+        """
+
+    @abc.abstractmethod
+    def tune(
+        self, memory: Memory, zeta: Float[Array, ""], error: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Memory]:
+        """zeta [-] for the tick that begins, and what is remembered.
+
+        Args:
+            memory: What it remembers.
+            zeta: Over the tick before [-].
+            error: Recorded minus simulated sinkage [m]; NaN where nothing was recorded, and then
+                zeta stays as it is.
+        """
+
+    @abc.abstractmethod
+    def follow(
+        self, memory: Memory, advance: Advance, state: State, zeta: Float[Array, ""]
+    ) -> tuple[State, Output, Memory]:
+        """Simulate the tick, and learn from the simulator what zeta does where that is wanted.
+
+        Args:
+            memory: What it remembers.
+            advance: Simulates the tick.
+            state: At the tick's start.
+            zeta: Over the tick [-].
         """
 
 
@@ -66,12 +100,22 @@ class StepTuner(AbstractTuner):
         require_between("zeta-step", self.zeta_step, 0.0, LARGEST_ZETA)
         require_between("tolerance", self.tolerance, 0.0, 1.0, " m")
 
-    def tune(self, zeta: Float[Array, ""], error: Float[Array, ""]) -> Float[Array, ""]:
+    def begin(self, state: State, zeta: Float[Array, ""]) -> Memory:
+        return ()
+
+    def tune(
+        self, memory: Memory, zeta: Float[Array, ""], error: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Memory]:
         # Comparisons with NaN are false: a tick without a measurement leaves zeta alone.
         up, down = error < -self.tolerance, error > self.tolerance
         step = jnp.where(up, self.zeta_step, jnp.where(down, -self.zeta_step, 0.0))
         # Eq. 7 has no bound; sand that pulls has no meaning.
-        return jnp.maximum(zeta + step, 0.0)
+        return jnp.maximum(zeta + step, 0.0), memory
+
+    def follow(
+        self, memory: Memory, advance: Advance, state: State, zeta: Float[Array, ""]
+    ) -> tuple[State, Output, Memory]:
+        return *advance(state, zeta), memory
 
 
 class Loop(eqx.Module):
@@ -80,10 +124,12 @@ class Loop(eqx.Module):
     Attributes:
         state: State of the simulated wheel.
         zeta: Scaling factor as last tuned [-].
+        memory: What the tuner remembers; empty before `begun`.
     """
 
     state: State
     zeta: Float[Array, ""]
+    memory: Memory = ()
 
 
 class Tick(eqx.Module):
@@ -106,6 +152,13 @@ def tunable(simulator: Simulator) -> Simulator:
     return dataclasses.replace(simulator, terrain=terrain).prepared()
 
 
+def begun(tuner: AbstractTuner, loop: Loop) -> Loop:
+    """The loop as it is, or with what the tuner remembers at a start where it has no memory."""
+    if jax.tree.leaves(loop.memory):
+        return loop
+    return dataclasses.replace(loop, memory=tuner.begin(loop.state, loop.zeta))
+
+
 def tuned_tick(
     simulator: Simulator,
     tuner: AbstractTuner,
@@ -118,20 +171,23 @@ def tuned_tick(
     Args:
         simulator: A `tunable` one.
         tuner: How zeta is moved.
-        loop: At the tick's start.
+        loop: At the tick's start, `begun`.
         commands: One for each of the tick's steps, shape (substeps,); their zeta is not read.
         recorded: Newest sinkage known at the tick's start [m]; NaN where there is none.
     """
     error = recorded + loop.state.position[1]
-    zeta = tuner.tune(loop.zeta, error)
+    zeta, memory = tuner.tune(loop.memory, loop.zeta, error)
     dt = tuner.tick / commands.omega.shape[0]
 
-    def advance(state: State, command: Command) -> tuple[State, Output]:
-        return simulator.step(state, dataclasses.replace(command, zeta=zeta), dt)
+    def advance(state: State, zeta: Float[Array, ""]) -> tuple[State, Output]:
+        def step(state: State, command: Command) -> tuple[State, Output]:
+            return simulator.step(state, dataclasses.replace(command, zeta=zeta), dt)
 
-    state, outputs = jax.lax.scan(advance, loop.state, commands)
-    last = jax.tree.map(lambda values: values[-1], outputs)
-    return Loop(state, zeta), Tick(error, zeta, last)
+        state, outputs = jax.lax.scan(step, state, commands)
+        return state, jax.tree.map(lambda values: values[-1], outputs)
+
+    state, output, memory = tuner.follow(memory, advance, loop.state, zeta)
+    return Loop(state, zeta, memory), Tick(error, zeta, output)
 
 
 def replay(
@@ -158,7 +214,7 @@ def replay(
     def tick(loop: Loop, inputs: tuple[Command, Array]) -> tuple[Loop, Tick]:
         return tuned_tick(simulator, tuner, loop, *inputs)
 
-    return jax.lax.scan(tick, start, (commands, recorded))
+    return jax.lax.scan(tick, begun(tuner, start), (commands, recorded))
 
 
 def tick_commands(
