@@ -1,0 +1,69 @@
+"""What the numbers in a run log's /events and in the flags of its /online stand for.
+
+A code, once given, keeps its meaning: run logs outlive the program that wrote them. Both tables
+stand in each file, as `flag_values` and `flag_masks` beside `flag_meanings`.
+"""
+
+from collections.abc import Mapping
+from enum import IntEnum, IntFlag
+from typing import Final
+
+
+class Event(IntEnum):
+    """What happened beside the ticks. `arg` is the number that goes with it, 0 where none does."""
+
+    # The procedure.
+    CONNECTED = 1  # arg: the rig's boot_id
+    TOUCHED_DOWN = 2  # arg: the height at touch-down before zeroing [counts]
+    ARMED = 3
+    RELEASED = 4
+    SETTLED = 5  # arg: the sinkage at rest [m]
+    STARTED = 6  # arg: zeta at the start [-]
+    PROFILE_ENDED = 7
+    RAMPED_DOWN = 8
+    STOP_SENT = 9
+    DISCONNECTED = 10
+    # The loop.
+    OVERRUN = 20  # arg: time over the deadline [s]
+    TICKS_SKIPPED = 21  # arg: how many
+    # Readings and commands.
+    READING_REFUSED = 30  # arg: the reading, or the jump to it [m]
+    READINGS_REFUSED_IN_A_ROW = 31  # arg: how many
+    SENSOR_STUCK = 32  # arg: for how long [s]
+    SENSOR_MOVES_AGAIN = 33
+    READINGS_STALE = 34  # arg: age of the newest [s]
+    COMMAND_LIMITED = 35  # arg: what was asked for [rad/s or m/s]
+    # The rig and the wire.
+    RIG_STATE = 40  # arg: the state
+    RIG_FAULT = 41  # arg: the fault's number
+    RIG_RESET = 42  # arg: the new boot_id
+    EMERGENCY_STOP = 43  # arg: the reason's number
+    FRAMES_DROPPED = 44  # arg: how many since the last such event
+    # What ended the run early.
+    LINK_LOST = 50
+    INTERRUPTED = 51  # arg: the signal's number
+    STOP_ASKED = 52
+    FAILED = 53
+    DIVERGED = 54  # arg: the simulated height [m]
+    # The recorder's own.
+    ROW_NOT_FINITE = 60  # arg: 1 a command, 2 a measurement; the row is left out
+
+
+class TickFlag(IntFlag):
+    """Bits of the flags of one tick."""
+
+    FRESH = 1 << 0  # a reading not used before was used; it is the row of /measured `age` before
+    REFUSED = 1 << 1  # the newest reading was refused, so zeta was held
+    STUCK = 1 << 2  # the sensor counts as stuck
+    LATE = 1 << 3  # the deadline was missed
+    SKIPPED = 1 << 4  # ticks before this one were skipped
+    LIMITED = 1 << 5  # a command was held back by a limit
+    RAMPING = 1 << 6  # past the profile, ramping down to rest
+    FREE = 1 << 7  # nothing was simulated or tuned: the carriage ran free
+    NOT_FINITE = 1 << 31  # a number of this row was not finite; 0 stands for it
+
+
+EVENT_MEANINGS: Final[Mapping[int, str]] = {int(each): str(each.name).lower() for each in Event}
+"""The code table of /events."""
+FLAG_MEANINGS: Final[Mapping[int, str]] = {int(each): str(each.name).lower() for each in TickFlag}
+"""The bits of /online/flags."""
