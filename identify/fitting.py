@@ -21,11 +21,15 @@ from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.phases import PhaseZeta, by_phase, with_phases
 from identify.result import FitResult, RunFit, Value
-from identify.solve import NEGLIGIBLE, solve
+from identify.solve import LEAST_GAIN, NEGLIGIBLE, solve
+from identify.start import met_sinkage
 
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
 REWEIGHTINGS = 2
+# What a step must gain before the last weights are known, in residual variances: other weights
+# move the least sum of squares by more.
+ROUGHLY_LEAST = 10.0
 
 # A run whose residuals are so many times most runs' is weighed by its own: it was recorded or set
 # up amiss, and must not pass for what the others scatter by.
@@ -68,14 +72,16 @@ def fit(
     candidates = with_phases(candidates, parameters) if by_phase(parameters) else list(candidates)
     problem, before, failures = _problem(candidates, tuple(parameters))
     kept = [each for each in candidates if each.name not in failures]
-    coordinates, tried = problem.start(), None
+    coordinates, tried = met_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
     require_starts(starts)
     if starts > 1:
         coordinates, tried = best_start(
             problem, len(kept), starts, progress=lambda s, n: report(f"{starts} starts", s, n)
         )
-    solution = solve(problem, coordinates, lambda s, v: report("fit", s, v))
+    solution = solve(
+        problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
+    )
     if solution.status != "converged":
         # A number that hardly bears on the runs may throw them far off on its way: short steps.
         descent = Descent(problem, len(kept), None, solution.active)
@@ -95,7 +101,11 @@ def fit(
         problem = _reweighted(problem, simulated, noise, active)
         stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
         solution = solve(
-            problem, solution.coordinates, lambda s, v, stage=stage: report(stage, s, v), active
+            problem,
+            solution.coordinates,
+            lambda s, v, stage=stage: report(stage, s, v),
+            active,
+            LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
         )
     optimum = Optimum.of(problem, solution, tuple(kept), model_error)
     return replace(_result(optimum, before, failures), starts=tried)

@@ -65,6 +65,7 @@ def solve(
     start: Coordinates,
     progress: Callable[[int, float], None] | None = None,
     active: np.ndarray | None = None,
+    least_gain: float = LEAST_GAIN,
 ) -> Solution:
     """Minimise the sum of squared weighted residuals, a compiled step at a time.
 
@@ -73,6 +74,8 @@ def solve(
         start: Coordinates to start from.
         progress: Called with the number of the step and the sum of squares so far.
         active: False for runs that do not count.
+        least_gain: Where a step gains less than so many residual variances, and the next one
+            promises no more, the sum of squares is least.
     """
     report = progress or (lambda step, loss: None)
     counted = (np.asarray(problem.batch.observed.weight) > 0).sum(axis=(1, 2))
@@ -86,17 +89,24 @@ def solve(
 
     coordinates, status, number = start, "out of steps", 0
     task, state, loss, each, refused = begun()
+    shortened = False
     for number in range(1, MOST_STEPS + 1):
         tried = state.y_eval
-        coordinates, state, now, each_now = _step(task, coordinates, state)
+        coordinates, state, now, each_now, each_next = _step(task, coordinates, state)
         now, each_now = float(now), np.asarray(each_now)
         report(number, now)
         if now < loss:
-            if loss < np.inf and _gain(each, each_now, counted) <= LEAST_GAIN:
+            if _gain(each, each_now, counted) <= least_gain:
                 status = "converged"
+                break
+            if not shortened and _gain(each_now, np.asarray(each_next), counted) <= least_gain:
+                # So short a step is taken on the straight line's word.
+                coordinates, status = state.y_eval, "converged"
                 break
             loss, each, refused = now, each_now, 0
             continue
+        # From here on steps are damped, and promise little because they are short.
+        shortened = True
         sound, each_tried = map(np.asarray, _tried(task, coordinates, tried))
         strikes = np.where(moving & ~sound, strikes + 1, 0)
         if strikes.any():
@@ -118,6 +128,7 @@ def solve(
             status = "stalled"
             break
         task, state, loss, each, refused = begun()
+        shortened = False
     task = problem, problem.everywhere(jnp.asarray(active))
     residual, blocks, belief, belief_slope = map(np.asarray, _ending(task, coordinates))
     information, slope = normal_equations(blocks, len(problem.shared), residual)
@@ -189,7 +200,11 @@ def _step(task: Task, coordinates: Coordinates, state):
     coordinates, state = task[0].everywhere((coordinates, state))
     residual, *beliefs = state.f_info.residual
     each = jnp.sum(residual**2, axis=(1, 2))
-    return coordinates, state, each.sum() + sum(jnp.sum(part**2) for part in beliefs), each
+    loss = each.sum() + sum(jnp.sum(part**2) for part in beliefs)
+    # What a straight line says that the next step, known already, leaves of each run.
+    ahead = jax.tree.map(jnp.subtract, state.y_eval, coordinates)
+    promised, *_ = state.f_info.jac.mv(ahead)
+    return coordinates, state, loss, each, jnp.sum((residual + promised) ** 2, axis=(1, 2))
 
 
 @eqx.filter_jit
