@@ -33,6 +33,8 @@ class Event(IntEnum):
     SENSOR_MOVES_AGAIN = 33
     READINGS_STALE = 34  # arg: age of the newest [s]
     COMMAND_LIMITED = 35  # arg: what was asked for [rad/s or m/s]
+    DRIVE_OFF = 36  # arg: measured minus commanded omega [rad/s]
+    DRIVE_FOLLOWS = 37
     # The rig and the wire.
     RIG_STATE = 40  # arg: the state
     RIG_FAULT = 41  # arg: the fault's number
@@ -60,6 +62,7 @@ class TickFlag(IntFlag):
     LIMITED = 1 << 5  # a command was held back by a limit
     RAMPING = 1 << 6  # past the profile, ramping down to rest
     FREE = 1 << 7  # nothing was simulated or tuned: the carriage ran free
+    DRIVE_OFF = 1 << 8  # the wheel does not turn as commanded
     NOT_FINITE = 1 << 31  # a number of this row was not finite; 0 stands for it
 
 

@@ -63,6 +63,8 @@ def example_run(rows: int = 60) -> RunLog:
             tick=0.02,
             zeta_step=0.001,
             tolerance=1e-4,
+            loop='{"tuner": "step", "ζ": 0.1}',
+            meanings={1: "fresh", 2**31: "not_finite"},
         ),
         events=Events([0.1, 0.1, 0.2], [1, 2, 1], [0.0, -3.5, 7.0], {1: "tick late", 2: "fault"}),
         created="2024-05-06T07:08:09+02:00",
@@ -70,6 +72,7 @@ def example_run(rows: int = 60) -> RunLog:
         notes="two\nlines",
         software="drftjax",
         software_version="0.1",
+        end_reason="completed",
     )
 
 

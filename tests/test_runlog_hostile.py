@@ -194,7 +194,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "zipped": ("a.h5.gz", packed, "is not an HDF5 file"),
     "truncated": ("a.h5", truncated, "is cut short"),
     "cut header": ("a.h5", cut_header, "is cut short|is damaged"),
-    "recording": ("a.h5.part", part, "still being recorded"),
+    "recording": ("a.h5.part", part, "was cut off; .*drft log repair"),
 }
 
 # Attributes of the format that a reader can do without, and the check cannot.

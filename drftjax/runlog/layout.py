@@ -4,7 +4,7 @@ Everything here works on plain `Content`; the HDF5 library is on the other side 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +22,7 @@ from drftjax.runlog.content import (
     Violation,
     real_column,
 )
+from drftjax.runlog.head import OnlineHead
 from drftjax.runlog.record import Command, Events, Measured, Online, RunLog, Setup
 
 SCHEMA: Final = "drft-run"
@@ -56,7 +57,7 @@ OPTIONAL: Final = {
 }
 MANDATORY_GROUPS: Final = ("command", "measured")
 ONLINE_NUMBERS: Final = ("tick", "zeta_step", "tolerance")
-TEXTS: Final = ("created", "run_id", "notes", "software", "software_version")
+TEXTS: Final = ("created", "run_id", "notes", "software", "software_version", "end_reason")
 # Written by a recorder beside the format's own names.
 BOOKKEEPING: Final = frozenset({"n_committed"})
 SPELLINGS: Final = {
@@ -138,7 +139,9 @@ def from_content(content: Content) -> RunLog:
     if "online" in content.groups:
         given = content.groups["online"].attributes
         numbers: dict[str, Any] = {name: given[name] for name in ONLINE_NUMBERS}
-        online = Online(**columns("online"), **numbers)
+        bits = _meanings(content.groups["online"].datasets["flags"].attributes, "flag_masks")
+        loop = _text(given.get("loop"))
+        online = Online(**columns("online"), **numbers, loop=loop, meanings=bits)
     if "events" in content.groups:
         table = _meanings(content.groups["events"].datasets["code"].attributes)
         events = Events(**columns("events"), meanings=table)
@@ -163,19 +166,13 @@ def to_content(run: RunLog) -> Content:
         "measured": _columns("measured", run.measured),
     }
     if run.online is not None:
-        numbers = {name: getattr(run.online, name) for name in ONLINE_NUMBERS}
-        groups["online"] = Group(_columns("online", run.online).datasets, numbers)
+        columns = _columns("online", run.online).datasets
+        bits = flag_table("flag_masks", run.online.meanings)
+        groups["online"] = Group(_with(columns, "flags", bits), online_attributes(run.online))
     if run.events is not None:
-        datasets = dict(_columns("events", run.events).datasets)
-        codes = list(run.events.meanings)
-        table = {
-            "flag_values": codes,
-            "flag_meanings": " ".join("_".join(run.events.meanings[c].split()) for c in codes),
-        }
-        code = datasets["code"]
-        attributes = {**code.attributes, **(table if codes else {})}
-        datasets["code"] = Dataset(code.values, code.shape, attributes)
-        groups["events"] = Group(datasets)
+        columns = _columns("events", run.events).datasets
+        codes = flag_table("flag_values", run.events.meanings)
+        groups["events"] = Group(_with(columns, "code", codes))
     attributes: dict[str, Attribute] = {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -184,6 +181,20 @@ def to_content(run: RunLog) -> Content:
     }
     attributes |= {name: text for name in TEXTS if (text := getattr(run, name)) is not None}
     return Content(attributes, groups)
+
+
+def online_attributes(online: Online | OnlineHead) -> dict[str, Attribute]:
+    """The attributes of /online."""
+    numbers: dict[str, Attribute] = {name: getattr(online, name) for name in ONLINE_NUMBERS}
+    return numbers if online.loop is None else {**numbers, "loop": online.loop}
+
+
+def flag_table(numbers: str, meanings: Mapping[int, str]) -> dict[str, Attribute]:
+    """CF's flag table as attributes: flag_values or flag_masks, and a word for each."""
+    if not meanings:
+        return {}
+    words = " ".join("_".join(each.split()) for each in meanings.values())
+    return {numbers: list(meanings), "flag_meanings": words}
 
 
 def same_unit(given: Attribute | None, wanted: str) -> bool:
@@ -324,9 +335,17 @@ def _columns(title: str, record: Any) -> Group:
     )
 
 
-def _meanings(attributes: Mapping[str, Attribute]) -> dict[int, str]:
+def _with(
+    columns: Mapping[str, Dataset], name: str, attributes: Mapping[str, Attribute]
+) -> dict[str, Dataset]:
+    """The columns, one of them with more attributes."""
+    one = columns[name]
+    return {**columns, name: replace(one, attributes={**one.attributes, **attributes})}
+
+
+def _meanings(attributes: Mapping[str, Attribute], numbers: str = "flag_values") -> dict[int, str]:
     """CF's flag table: numbers beside words, words apart by blanks."""
-    codes, words = attributes.get("flag_values", []), attributes.get("flag_meanings", "")
+    codes, words = attributes.get(numbers, []), attributes.get("flag_meanings", "")
     codes = codes if isinstance(codes, list) else [codes]
     words = words.split() if isinstance(words, str) else words
     words = words if isinstance(words, list) else [words]

@@ -147,6 +147,8 @@ class Online:
         tick: Control period [s].
         zeta_step: Change of zeta in one tuning step [-].
         tolerance: Sinkage error that is left alone [m].
+        loop: All that the loop was given, as JSON, so that the run can be replayed.
+        meanings: A word for each bit of the flags.
     """
 
     time: Reals
@@ -165,9 +167,11 @@ class Online:
     tick: float
     zeta_step: float
     tolerance: float
+    loop: str | None = None
+    meanings: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        names = tuple(each.name for each in fields(self)[1:-3])
+        names = tuple(each.name for each in fields(self)[1:-5])
         _settle(self, "time", names, ONLINE_INTEGERS)
         for name in ("tick", "zeta_step", "tolerance"):
             value = float(getattr(self, name))
@@ -206,7 +210,10 @@ class Events:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """One run: the set-up as believed, the command, the measurement, and where it came from."""
+    """One run: the set-up as believed, the command, the measurement, and where it came from.
+
+    `end_reason` says why a recorded run ended; None for one that was not recorded online.
+    """
 
     setup: Setup
     command: Command
@@ -220,6 +227,7 @@ class RunLog:
     notes: str | None = None
     software: str | None = None
     software_version: str | None = None
+    end_reason: str | None = None
 
     def __post_init__(self) -> None:
         _require(rules.source_problems(self.source))

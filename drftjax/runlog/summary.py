@@ -76,7 +76,7 @@ def _setup(run: RunLog) -> Iterator[str]:
 
 
 def _provenance(run: RunLog) -> Iterator[tuple[str, str]]:
-    for name in ("created", "run_id", "software", "software_version", "notes"):
+    for name in ("created", "run_id", "software", "software_version", "end_reason", "notes"):
         text = getattr(run, name)
         if text is not None:
             yield name, "\n".join(map(printable, text.splitlines()))

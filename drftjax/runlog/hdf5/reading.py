@@ -1,12 +1,11 @@
-"""Run logs and result files on disk. The only module that talks to the HDF5 library.
+"""An HDF5 file's contents, and everything that speaks against reading it.
 
 A file is surveyed before anything is read: links, external storage, virtual datasets, foreign
-types and sizes past a limit are found from headers alone. A file is written as an image in
-memory and put in place whole, because the HDF5 library itself does not survive a full disk.
+types and sizes past a limit are found from headers alone.
 """
 
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import prod
 from pathlib import Path
@@ -16,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.runlog import layout
+from drftjax.runlog import layout, recording_lock
 from drftjax.runlog.content import (
     Attribute,
     Content,
@@ -27,159 +26,87 @@ from drftjax.runlog.content import (
     Violation,
     printable,
 )
-from drftjax.runlog.record import RunLog
-from drftjax.runlog.replace import replace_file
-from drftjax.runlog.result import Columns, Result, result_content, result_from
-from drftjax.runlog.seal import seal_holds, sealed
+from drftjax.runlog.hdf5.committed import committed_rows, committed_values
+from drftjax.runlog.seal import seal_holds
 
 SIZE_LIMIT: Final = 512 * 2**20
 """Most bytes that a file's datasets may declare together."""
 OBJECT_LIMIT: Final = 2000
 """Most objects in a file, and most rows of an attribute."""
-ROWS_IN_CHUNK: Final = 16384
 BUILT_IN_FILTERS: Final = 255
 """HDF5 numbers its own filters up to here; others need a plug-in, which is code."""
 
-Name = str | Path
 # What h5py raises when the library finds damage, from place to place.
 _LIBRARY_ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
+_AT_WORK: Final = "is still being recorded; it can be read when the run has ended"
 _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 
 
-def read_run(path: Name) -> RunLog:
-    """Read a run log; an InputError names the file and the first reason to refuse it.
-
-    Damage to HDF5's own metadata can hang or crash the library. For a file of unknown origin use
-    `drftjax.runlog.check.read_run_guarded`.
-    """
-    content, violations = survey_run(path)
-    return layout.run_from(content, violations)
-
-
-def survey_run(path: Name) -> tuple[Content | None, list[Violation]]:
-    """A file's contents and everything that is wrong with it as a run log."""
-    return _survey(path, layout.SCHEMA, layout.SCHEMA_VERSION, layout.examine)
-
-
-def write_run(path: Name, run: RunLog) -> None:
-    """Write a run log whole or not at all; a file of that name is replaced."""
-    replace_file(Path(path), sealed(_image(layout.to_content(run), layout.AXES)))
-
-
-def write_result(
-    path: Name,
-    schema: str,
-    attributes: Mapping[str, Attribute],
-    groups: Mapping[str, Columns],
-    version: int = 1,
-) -> None:
-    """Write a result file of another schema, with a run log's care.
+def survey(
+    path: Path, schema: str, version: int, examine: Callable[[Content], Iterable[Found]]
+) -> tuple[Content | None, list[Violation]]:
+    """A file's contents and everything that is wrong with it.
 
     Args:
-        path: Final name; what stood there is replaced.
-        schema: Name of the kind of file, such as "drft-fit".
-        attributes: Text, numbers and flat lists of either, on the root.
-        groups: Datasets as (array, unit) by group and name; a `ResultGroup` adds attributes.
-            Arrays of any rank; an infinite or absent number is allowed in a result.
-        version: Version of that schema.
+        path: The file.
+        schema, version: What it must say that it is.
+        examine: Finds what breaks the rules of that schema.
     """
-    content = result_content(schema, version, attributes, groups)
-    replace_file(Path(path), sealed(_image(content, {})))
-
-
-def read_result(path: Name, schema: str, version: int = 1) -> Result:
-    """Read a result file of this schema; an InputError names the file and the reason."""
-    content, violations = _survey(path, schema, version, lambda _: ())
-    return result_from(layout.accepted(content, violations))
-
-
-# Writing ----------------------------------------------------------------------------------------
-
-
-def _image(content: Content, axes: Mapping[str, str]) -> bytes:
-    """The bytes of an HDF5 file; format 1.10, whose metadata carry checksums."""
-    with h5py.File(
-        "image", "w", driver="core", backing_store=False, libver=("v110", "v110")
-    ) as file:
-        _put_attributes(file, content.attributes)
-        for title, group in content.groups.items():
-            node = file.create_group(title)
-            _put_attributes(node, group.attributes)
-            for name, dataset in group.datasets.items():
-                _put_dataset(node, name, dataset)
-            if title in axes:
-                _scale(node, axes[title])
-        file.flush()
-        return file.id.get_file_image()
-
-
-def _put_dataset(node: h5py.Group, name: str, dataset: Dataset) -> None:
-    values = np.atleast_1d(cast(NDArray[Any], dataset.values))
-    rows = max(1, min(values.shape[0], ROWS_IN_CHUNK))
-    # Little-endian by name, so that a file does not depend on the machine that wrote it.
-    made = node.create_dataset(
-        name,
-        data=values.astype(values.dtype.newbyteorder("<")),
-        chunks=(rows, *(max(1, extent) for extent in values.shape[1:])),
-        shuffle=True,
-        compression="gzip",
-        fletcher32=True,
-    )
-    _put_attributes(made, dataset.attributes)
-
-
-def _put_attributes(node: Any, attributes: Mapping[str, Attribute]) -> None:
-    for name, value in attributes.items():
-        if isinstance(value, list) and value and isinstance(value[0], str):
-            node.attrs.create(name, value, dtype=h5py.string_dtype())
-        else:
-            node.attrs[name] = value
-
-
-def _scale(node: h5py.Group, axis: str) -> None:
-    scale = cast(h5py.Dataset, node[axis])
-    scale.make_scale(axis)
-    for name, each in node.items():
-        if name != axis:
-            each.dims[0].attach_scale(scale)
-
-
-# Reading ----------------------------------------------------------------------------------------
-
-
-def _survey(
-    path: Name, schema: str, version: int, examine: Any
-) -> tuple[Content | None, list[Violation]]:
-    where = str(path)
-    refusal = _not_openable(Path(path))
+    refusal = _not_openable(path)
     if refusal is not None:
-        return None, [Violation(where, "/", refusal)]
+        return None, [Violation(str(path), "/", refusal)]
     try:
         with h5py.File(path, "r") as file:
             content, found = _Survey(file).content(schema, version)
     except _LIBRARY_ERRORS as error:
-        return None, [Violation(where, "/", printable(_open_failure(error)))]
+        return None, [Violation(str(path), "/", printable(_open_failure(error)))]
     identity = list(layout.identify(content, schema, version))
-    found = identity or [*found, *examine(content)]
-    return content, [
-        Violation(where, printable(place), printable(reason), level)
+    return content, named(path, identity or [*found, *examine(content)])
+
+
+def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
+    """The committed rows of a recording that was cut off, as an ordinary run log's contents."""
+    refusal = _not_a_file(path)
+    if refusal is None and recording_lock.is_held(path):
+        refusal = _AT_WORK
+    if refusal is not None:
+        return None, [Violation(str(path), "/", refusal)]
+    try:
+        with h5py.File(path, "r", swmr=True) as file:
+            rows = committed_rows(file)
+            content, found = _Survey(file, rows).content(layout.SCHEMA, layout.SCHEMA_VERSION)
+    except _LIBRARY_ERRORS as error:
+        return None, [Violation(str(path), "/", printable(_open_failure(error)))]
+    identity = list(layout.identify(content, layout.SCHEMA, layout.SCHEMA_VERSION))
+    content = _without_bookkeeping(content, rows)
+    return content, named(path, identity or [*found, *layout.examine(content)])
+
+
+def named(path: Path, found: Iterable[Found]) -> list[Violation]:
+    """Findings with the file's name, fit to be printed."""
+    return [
+        Violation(str(path), printable(place), printable(reason), level)
         for place, reason, level in found
     ]
 
 
+def _without_bookkeeping(content: Content, rows: Mapping[str, int]) -> Content:
+    """The contents without what only a recording has, and without what it did not come to."""
+    attributes = {key: value for key, value in content.attributes.items() if key != "complete"}
+    groups = {
+        title: group
+        for title, group in content.groups.items()
+        if title in layout.MANDATORY_GROUPS or rows.get(title, 1)
+    }
+    return Content(attributes, groups)
+
+
 def _not_openable(path: Path) -> str | None:
-    try:
-        facts = path.stat()
-    except OSError as error:
-        return f"cannot be read: {(error.strerror or str(error)).lower()}"
-    if stat.S_ISDIR(facts.st_mode):
-        return "is a folder, it must be a file"
-    if not stat.S_ISREG(facts.st_mode):
-        return "is not an ordinary file"
-    if facts.st_size == 0:
-        return "is empty"
-    if path.name.endswith(".part"):
-        return "is still being recorded, or its recording was cut off; close or repair it first"
+    refusal = _not_a_file(path)
+    if refusal is not None:
+        return refusal
+    if path.name.endswith(recording_lock.PART):
+        return _AT_WORK if recording_lock.is_held(path) else _cut_off(path)
     try:
         if seal_holds(path) is False:
             return "is damaged: the checksum of the whole file does not hold"
@@ -191,12 +118,36 @@ def _not_openable(path: Path) -> str | None:
     return None
 
 
+def _not_a_file(path: Path) -> str | None:
+    try:
+        facts = path.stat()
+    except OSError as error:
+        return f"cannot be read: {(error.strerror or str(error)).lower()}"
+    if stat.S_ISDIR(facts.st_mode):
+        return "is a folder, it must be a file"
+    if not stat.S_ISREG(facts.st_mode):
+        return "is not an ordinary file"
+    if facts.st_size == 0:
+        return "is empty"
+    return None
+
+
+def _cut_off(path: Path) -> str:
+    return (
+        "is a recording that was cut off; make an ordinary run log of its rows: "
+        f"drft log repair {path}"
+    )
+
+
 def _open_failure(error: Exception) -> str:
     text = str(error)
     if isinstance(error, MemoryError):
         return "is damaged: it asks for more memory than a reader is given"
     if "SWMR" in text or "already open for write" in text:
-        return "is still being recorded, or its recording was cut off; close or repair it first"
+        return (
+            "is still being recorded, or its recording was cut off; drft log repair makes an "
+            "ordinary run log of what was"
+        )
     if "unable to lock" in text:
         return "is open for writing in another program"
     if "truncated" in text or "eof" in text:
@@ -207,8 +158,15 @@ def _open_failure(error: Exception) -> str:
 class _Survey:
     """One pass over an open file: headers first, values only where nothing speaks against it."""
 
-    def __init__(self, file: h5py.File):
+    def __init__(self, file: h5py.File, rows: Mapping[str, int] | None = None):
+        """Look at nothing yet.
+
+        Args:
+            file: An open file.
+            rows: Of a recording, how many rows of each group to read.
+        """
         self.file = file
+        self.rows = rows
         self.found: list[Found] = []
         self.seen: set[Any] = {_address(file)}
         self.members = 0
@@ -306,16 +264,25 @@ class _Survey:
 
     def _filled(self, title: str, group: Group) -> Group:
         datasets = {
-            name: replace(each, values=self._values(f"/{title}/{name}"))
-            for name, each in group.datasets.items()
+            name: self._with_values(title, name, each) for name, each in group.datasets.items()
         }
         return Group(datasets, group.attributes)
 
-    def _values(self, where: str) -> NDArray[Any] | None:
+    def _with_values(self, title: str, name: str, dataset: Dataset) -> Dataset:
+        where = f"/{title}/{name}"
+        if self.rows is None or title not in self.rows:
+            return replace(dataset, values=self._values(where))
+        values = self._values(where, self.rows[title])
+        shape = dataset.shape if values is None else values.shape
+        return replace(dataset, values=values, shape=shape)
+
+    def _values(self, where: str, rows: int | None = None) -> NDArray[Any] | None:
         node = self.readable.get(where)
         if node is None:
             return None
         try:
+            if rows is not None:
+                return committed_values(node, rows)
             if node.chunks is not None and not _all_chunks_stored(node):
                 return self._refuse(where, "has rows that were never written")
             return np.asarray(node[()])
