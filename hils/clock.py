@@ -1,0 +1,67 @@
+"""The clock that a run goes by: real, or virtual for tests and studies."""
+
+import abc
+import math
+import time
+from typing import Protocol
+
+
+class AbstractClock(abc.ABC):
+    """Seconds that never go back, from an origin of its own."""
+
+    @abc.abstractmethod
+    def now(self) -> float:
+        """Time [s]."""
+
+    @abc.abstractmethod
+    def sleep_until(self, deadline: float) -> None:
+        """Return at this time [s], or at once where it has passed."""
+
+
+class MonotonicClock(AbstractClock):
+    """The operating system's monotonic clock."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep_until(self, deadline: float) -> None:
+        while (left := deadline - time.monotonic()) > 0:
+            time.sleep(left)
+
+
+class Peer(Protocol):
+    """Something that lives by a virtual clock."""
+
+    def advance(self, now: float) -> None:
+        """Live up to this time [s]."""
+
+
+class VirtualClock(AbstractClock):
+    """Time that passes when someone sleeps, and takes none.
+
+    Args:
+        start: First reading [s].
+        grain: Longest stretch in which its peers are advanced [s].
+    """
+
+    def __init__(self, start: float = 0.0, grain: float = 1e-3):
+        self._now = start
+        self._grain = grain
+        self._peers: list[Peer] = []
+
+    def attach(self, peer: Peer) -> None:
+        """Let a peer live by this clock."""
+        self._peers.append(peer)
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep_until(self, deadline: float) -> None:
+        start = self._now
+        # A hair less than a whole grain is not worth a stretch of its own.
+        stretches = math.ceil((deadline - start) / self._grain - 1e-6)
+        for number in range(1, stretches + 1):
+            self._now = deadline if number == stretches else start + number * self._grain
+            for peer in self._peers:
+                peer.advance(self._now)
+        self._now = max(self._now, deadline)

@@ -1,0 +1,81 @@
+"""What a link still has to send: commands yield to newer ones, the rest goes in order."""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from drftjax.errors import InputError
+from hils.wire import U32, Drive, EmergencyStop, Frame, Message, clock_us, encode
+
+
+class _Waiting(NamedTuple):
+    message: Message
+    data: bytes
+
+
+class Outbox:
+    """Frames that wait to be sent.
+
+    Args:
+        first: Sequence number of the first message.
+
+    Attributes:
+        sent: Frames taken so far.
+        bytes_sent: Their length.
+        replaced: Commands that gave way to a newer one, or to an emergency stop.
+    """
+
+    def __init__(self, first: int = 1):
+        self._next = first & U32
+        self._session = 0
+        self._waiting: deque[_Waiting] = deque()
+        self.sent = self.bytes_sent = self.replaced = 0
+
+    def begin(self, session: int) -> None:
+        """Stamp this session on all that follows, and forget what was not sent."""
+        if not 0 < session <= 0xFFFF:
+            raise InputError(f"session number {session} must lie between 1 and 65535")
+        self._session = session
+        self._waiting.clear()
+
+    def put(self, message: Message, now: float) -> int:
+        """Add a message at this time [s]; its sequence number."""
+        if isinstance(message, Drive):
+            _require_finite(message)
+        seq = self._next
+        data = encode(Frame(message, self._session, seq, clock_us(now)))
+        self._next = (seq + 1) & U32
+        self._yield_to(message)
+        self._waiting.append(_Waiting(message, data))
+        return seq
+
+    def take(self) -> bytes:
+        """The next frame, or nothing."""
+        if not self._waiting:
+            return b""
+        data = self._waiting.popleft().data
+        self.sent += 1
+        self.bytes_sent += len(data)
+        return data
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def _yield_to(self, message: Message) -> None:
+        """Drop what need not be sent any more once this message is."""
+        if isinstance(message, EmergencyStop):
+            gone: tuple[type, ...] = (object,)
+        elif isinstance(message, Drive):
+            gone = (Drive,)
+        else:
+            return
+        kept = [each for each in self._waiting if not isinstance(each.message, gone)]
+        self.replaced += len(self._waiting) - len(kept)
+        self._waiting = deque(kept)
+
+
+def _require_finite(command: Drive) -> None:
+    if not (math.isfinite(command.omega) and math.isfinite(command.vx)):
+        raise InputError(
+            f"a command must be finite, not omega = {command.omega} rad/s, vx = {command.vx} m/s"
+        )
