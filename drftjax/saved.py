@@ -14,7 +14,6 @@ from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import read_result
 from drftjax.runlog.result import ResultGroup
 from drftjax.setup import CommandSetUp, SetUp, read_setup
-from drftjax.simulator import Output
 from drftjax.structfile import read_document, to_structure
 from drftjax.trial import ROW_INTERVAL, Trial, check_output
 
@@ -165,7 +164,7 @@ def simulated_run(
         for name in ("x", "z", "fx", "fz", "torque")
     }
     return record.RunLog(
-        setup=_believed(setup, output),
+        setup=believed(setup, setup.start.sinkage, float(output.zeta[0])),
         command=command,
         measured=record.Measured(time=rows, **measured),
         source="simulated",
@@ -175,7 +174,8 @@ def simulated_run(
     )
 
 
-def _believed(setup: SetUp, output: Output) -> record.Setup:
+def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
+    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-]."""
     wheel = setup.wheel
     grousers = wheel.shape == "grouser"
     return record.Setup(
@@ -188,8 +188,8 @@ def _believed(setup: SetUp, output: Output) -> record.Setup:
         mass_z=setup.rig.mass_z,
         gravity=setup.rig.gravity,
         bulk_density=setup.terrain.bulk_density,
-        sinkage_static=setup.start.sinkage,
-        scaling_factor_initial=float(output.zeta[0]),
+        sinkage_static=sinkage,
+        scaling_factor_initial=zeta,
     )
 
 

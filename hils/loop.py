@@ -1,0 +1,405 @@
+"""The tick loop: absolute deadlines, the newest reading in, a command out, everything recorded."""
+
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hils.clock import AbstractClock
+from hils.events import Event, TickFlag
+from hils.guard import REST, Demand, Reading, Verdict
+from hils.link import AbstractLink, Arrival
+from hils.rows import Rows
+from hils.stop_request import StopRequest, Wish
+from hils.tick import AbstractTick, Given, LoopState, Reaction
+from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
+
+# A rig that says nothing for so long is not followed any further [s].
+SILENCE = 0.25
+# A reading older than so many ticks, and than so long [s], is worth an event.
+STALE_TICKS, STALE_TIME = 5, 0.03
+# A ramp is over where the wheel is commanded to rest and the carriage all but stands [m/s], or
+# after so much longer than the wheel takes [s].
+STANDING, LONGEST_REST = 2e-3, 2.0
+# As plain numbers: an enumeration's own arithmetic takes a microsecond each.
+FRESH, REFUSED, STUCK, LATE, SKIPPED, LIMITED, RAMPING, DRIVE_OFF = (
+    int(TickFlag[name])
+    for name in ["FRESH", "REFUSED", "STUCK", "LATE", "SKIPPED", "LIMITED", "RAMPING", "DRIVE_OFF"]
+)
+OBEYING = (RigState.ARMED, RigState.RUNNING)
+
+
+class Overruns(enum.Enum):
+    """What follows a missed deadline."""
+
+    SKIP = "skip"  # the ticks missed are simulated with the last command held, and it goes on
+    STOP = "stop"
+
+
+class Zero(NamedTuple):
+    """Counts at touch-down, and what a count is worth.
+
+    Attributes:
+        x, z: Counts where the wheel touches the sand.
+        x_scale, z_scale: Metres a count.
+    """
+
+    x: float
+    z: float
+    x_scale: float
+    z_scale: float
+
+    def reading(self, measurement: Measurement, time: float) -> Reading:
+        """The measurement in metres, arrived at this time of the run [s]."""
+        return Reading(
+            time,
+            (measurement.x - self.x) * self.x_scale,
+            (measurement.z - self.z) * self.z_scale,
+            measurement.omega,
+        )
+
+
+class LoopReport(NamedTuple):
+    """How the loop went.
+
+    Attributes:
+        reason: Why it ended, "completed" where the profile was run to its end.
+        completed: Whether that is so.
+        obeying: Whether the rig still follows, so that it can be brought to rest by a STOP.
+        ticks: Ticks made.
+        overruns: Deadlines missed, skipped ticks included.
+        skipped: Ticks that passed unused.
+        fresh: Ticks that had a reading not used before.
+        refused: Readings refused.
+        error: Measured minus simulated sinkage where there was a reading [m].
+        busy: From waking to the command being away, each tick [s].
+        woken: From the tick's due time to waking [s].
+        last: The simulation at the end.
+    """
+
+    reason: str
+    completed: bool
+    obeying: bool
+    ticks: int
+    overruns: int
+    skipped: int
+    fresh: int
+    refused: int
+    error: NDArray[np.float64]
+    busy: NDArray[np.float64]
+    woken: NDArray[np.float64]
+    last: LoopState
+
+
+class _Over(Exception):
+    """The rig no longer follows: nothing is left to ramp."""
+
+
+class TickLoop:
+    """One run of the loop.
+
+    Args:
+        conduct: What is done on each tick.
+        link, clock: The rig, and the time that the link's arrivals are told in.
+        rows: Takes what is recorded.
+        stop: Looked at on each tick.
+        zero: Counts at touch-down.
+        boot_id: Of the rig when the session was opened.
+        overruns: What follows a missed deadline.
+        valid_ms: How long the rig may hold a command [ms].
+    """
+
+    def __init__(
+        self,
+        conduct: AbstractTick,
+        link: AbstractLink,
+        clock: AbstractClock,
+        rows: Rows,
+        stop: StopRequest,
+        zero: Zero,
+        boot_id: int,
+        overruns: Overruns,
+        valid_ms: int,
+    ):
+        self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
+        self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
+        self._zero, self._boot_id = zero, boot_id
+        self._policy, self._valid_ms = overruns, valid_ms
+        # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
+        ramp = self._loop.commands.omega / self._loop.ramp + LONGEST_REST
+        room = conduct.ticks + math.ceil(ramp / self._tick) + 2
+        self._busy, self._woken, self._error = np.zeros(room), np.zeros(room), np.zeros(room)
+        self._ticks = self._fresh = self._refused = self._missed = self._skipped = 0
+        self._wish: Wish | None = None
+        self._ramping_since: int | None = None
+        self._seen: Arrival | None = None
+        self._reading_time = 0.0
+        self._rig_us: int | None = None
+        self._drops = 0
+        self._stale = self._stuck = self._drive_off = False
+        self._start = 0.0
+
+    def run(self, state: LoopState, start: float) -> LoopReport:
+        """Run the profile from `start` on, in the clock's time [s].
+
+        Raises:
+            LinkLost: the rig can no longer be reached.
+        """
+        self._start = start
+        self._seen = self._link.newest()
+        self._drops = self._link.quality().dropped
+        self._command(0.0, REST)
+        self._rows.event(0.0, Event.STARTED, state.packed[1])
+        try:
+            while not self._finished(state):
+                state = self._one(state)
+        except _Over as over:
+            return self._report(state, str(over), False)
+        self._clock.sleep_until(start + state.number * self._tick)
+        reason = "completed" if self._wish is None else self._wish.reason
+        self._event(Event.PROFILE_ENDED if self._wish is None else Event.RAMPED_DOWN)
+        return self._report(state, reason, True)
+
+    # One tick -----------------------------------------------------------------------------------
+
+    def _one(self, state: LoopState) -> LoopState:
+        clock, tick, start = self._clock, self._tick, self._start
+        clock.sleep_until(start + state.number * tick)
+        woken = clock.now()
+        number = state.number
+        while woken >= start + (number + 1) * tick:
+            number += 1
+        skipped = number - state.number
+        if skipped:
+            self._overrun(woken - (start + (state.number + 1) * tick), skipped)
+        self._look_at_requests()
+        arrival, reading = self._look_at_rig(woken)
+        ramping = self._ramps(number)
+
+        state, said = self._conduct.react(state, Given(reading, skipped, ramping))
+        if said.demand is None:
+            self._event(Event.DIVERGED, said.after.z)
+            asked = f"{said.asked.omega:.4g} rad/s and {said.asked.vx:.4g} m/s"
+            raise _Over(f"the simulation asks for {asked}, which the limits refuse")
+        seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
+        sent = clock.now()
+        late = max(0.0, sent - (start + (number + 1) * tick))
+        if late:
+            self._overrun(late, 0)
+        self._record(said, reading, arrival, woken, late, seq, skipped, ramping)
+        self._look_at_readings(state, said, reading)
+        if self._ticks < len(self._busy):
+            self._busy[self._ticks] = sent - woken
+            self._woken[self._ticks] = woken - (start + number * tick)
+        self._ticks += 1
+        return state
+
+    def _record(
+        self,
+        said: Reaction,
+        reading: Reading | None,
+        arrival: Arrival | None,
+        woken: float,
+        late: float,
+        seq: int,
+        skipped: int,
+        ramping: bool,
+    ) -> None:
+        rows, tick = self._rows, self._tick
+        time = said.number * tick
+        assert said.demand is not None
+        if skipped:
+            self._command(time, said.held)
+        self._command((said.number + 1) * tick, said.demand)
+        if reading is not None:
+            rows.measured(reading.time, reading.x, reading.z)
+            self._reading_time = reading.time
+        if said.limited:
+            rows.event(time, Event.COMMAND_LIMITED, said.asked.vx)
+        if not self._conduct.driven:
+            return
+        refused = reading is not None and said.verdict is not Verdict.USED
+        before = said.before
+        rows.online(
+            time,
+            said.after.zeta,
+            before.x,
+            before.z,
+            before.vx,
+            before.fx,
+            int(said.tuned),
+            late,
+            max(0.0, woken - self._start - self._reading_time),
+            FRESH * (reading is not None)
+            | REFUSED * refused
+            | STUCK * self._stuck
+            | LATE * (late > 0)
+            | SKIPPED * (skipped > 0)
+            | LIMITED * said.limited
+            | RAMPING * ramping
+            | DRIVE_OFF * self._drive_off,
+            seq,
+            0 if arrival is None else arrival.frame.seq,
+            (self._rig_us or 0) * 1e-6,
+        )
+        if not math.isnan(said.after.error) and self._fresh < len(self._error):
+            self._error[self._fresh] = said.after.error
+            self._fresh += 1
+
+    def _command(self, time: float, demand: Demand) -> None:
+        if self._conduct.driven:
+            self._rows.command(time, demand.omega, demand.vx)
+        else:
+            self._rows.command(time, demand.omega)
+
+    # What the rig says --------------------------------------------------------------------------
+
+    def _look_at_rig(self, now: float) -> tuple[Arrival | None, Reading | None]:
+        """The newest arrival, and its reading where it was not seen before."""
+        for report in self._link.reports():
+            self._heed(report)
+        arrival = self._link.newest()
+        seen, self._seen = self._seen, arrival
+        silent = now - (self._start if arrival is None else max(arrival.time, self._start))
+        if silent > max(STALE_TICKS * self._tick, STALE_TIME):
+            self._look_for_reset()
+            if not self._stale:
+                self._event(Event.READINGS_STALE, silent)
+            self._stale = True
+            if silent > SILENCE:
+                raise _Over(f"the rig has sent no measurement for {silent:.2f} s")
+        else:
+            self._stale = False
+        if arrival is None:
+            return None, None
+        time = arrival.time - self._start
+        if (seen is not None and arrival.frame.seq == seen.frame.seq) or time <= 0:
+            return arrival, None
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        if measurement.fault:
+            self._event(Event.RIG_FAULT, measurement.fault)
+            raise _Over(f"the rig reports fault {measurement.fault}")
+        self._require_obeying(measurement.state)
+        told = arrival.frame.t_us
+        self._rig_us = (
+            told if self._rig_us is None else self._rig_us + (told - self._rig_us) % 2**32
+        )
+        # Two may arrive at one reading of a coarse clock; a run log's times increase.
+        time = max(time, math.nextafter(self._reading_time, math.inf))
+        return arrival, self._zero.reading(measurement, time)
+
+    def _heed(self, report: Arrival) -> None:
+        message = report.frame.message
+        if isinstance(message, EmergencyStop):
+            self._event(Event.EMERGENCY_STOP, message.reason)
+            raise _Over(f"the rig made an emergency stop, reason {message.reason}")
+        if isinstance(message, StateReport | HelloAck):
+            if message.boot_id != self._boot_id:
+                self._reset(message.boot_id)
+            self._require_obeying(message.state)
+
+    def _require_obeying(self, state: RigState) -> None:
+        if state not in OBEYING:
+            self._event(Event.RIG_STATE, state)
+            raise _Over(f"the rig went {state.name}")
+
+    def _look_for_reset(self) -> None:
+        stranger = self._link.quality().stranger
+        if stranger is not None and stranger.boot_id != self._boot_id:
+            self._reset(stranger.boot_id)
+
+    def _reset(self, boot_id: int) -> None:
+        self._event(Event.RIG_RESET, boot_id)
+        raise _Over("the rig was reset")
+
+    def _look_at_readings(self, state: LoopState, said: Reaction, reading: Reading | None) -> None:
+        """Events and ends that follow from what the guard found."""
+        if reading is not None and said.verdict is not Verdict.USED:
+            self._refused += 1
+            self._event(Event.READING_REFUSED, reading.z)
+            most = self._loop.readings.in_a_row
+            if state.watch.refused >= most and self._wish is None:
+                why = "" if said.verdict is None else f", the last as {said.verdict.value}"
+                wish = f"{most} readings in a row were refused{why}"
+                self._end(Wish(wish, Event.READINGS_REFUSED_IN_A_ROW, state.watch.refused))
+        if state.watch.stuck != self._stuck:
+            self._stuck = state.watch.stuck
+            still = state.watch.time - state.watch.still_since
+            self._event(Event.SENSOR_STUCK if self._stuck else Event.SENSOR_MOVES_AGAIN, still)
+        if state.watch.drive_off != self._drive_off:
+            self._drive_off = state.watch.drive_off
+            apart = 0.0 if reading is None else reading.omega - state.demand.omega
+            self._event(Event.DRIVE_OFF if self._drive_off else Event.DRIVE_FOLLOWS, apart)
+
+    # Ends ---------------------------------------------------------------------------------------
+
+    def _look_at_requests(self) -> None:
+        if self._stop.emergency:
+            self._link.send(EmergencyStop(1))
+            self._event(Event.EMERGENCY_STOP, 1)
+            wish = self._stop.wish
+            raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
+        if self._wish is not None:
+            return
+        if self._stop.wish is not None:
+            self._end(self._stop.wish)
+        elif not self._rows.alive:
+            self._end(Wish(f"the recorder {self._rows.reason}", Event.FAILED))
+
+    def _end(self, wish: Wish) -> None:
+        """From the next tick on, ramp down."""
+        self._wish = wish
+        self._event(wish.event, wish.arg)
+
+    def _ramps(self, number: int) -> bool:
+        if self._ramping_since is None and (
+            self._wish is not None or number >= self._conduct.ticks
+        ):
+            self._ramping_since = number
+        return self._ramping_since is not None
+
+    def _finished(self, state: LoopState) -> bool:
+        at_end = state.number >= self._conduct.ticks
+        if not at_end and self._ramping_since is None:
+            return False
+        if state.demand.omega != REST.omega:
+            return False
+        since = state.number if self._ramping_since is None else self._ramping_since
+        resting = (state.number - since) * self._tick
+        ramp = self._loop.commands.omega / self._loop.ramp
+        return abs(state.demand.vx) < STANDING or resting > ramp + LONGEST_REST
+
+    def _overrun(self, late: float, skipped: int) -> None:
+        self._missed += max(skipped, 1)
+        self._skipped += skipped
+        self._event(Event.OVERRUN, late)
+        if skipped:
+            self._event(Event.TICKS_SKIPPED, skipped)
+        if self._policy is Overruns.STOP and self._wish is None:
+            self._end(Wish(f"a deadline was missed by {late * 1e3:.3g} ms", Event.FAILED, late))
+
+    def _event(self, code: int, arg: float = 0.0) -> None:
+        self._rows.event(max(0.0, self._clock.now() - self._start), code, arg)
+
+    def _report(self, state: LoopState, reason: str, obeying: bool) -> LoopReport:
+        dropped = self._link.quality().dropped - self._drops
+        if dropped:
+            self._event(Event.FRAMES_DROPPED, dropped)
+        ticks = min(self._ticks, len(self._busy))
+        return LoopReport(
+            reason,
+            obeying and self._wish is None,
+            obeying,
+            self._ticks,
+            self._missed,
+            self._skipped,
+            self._fresh,
+            self._refused,
+            self._error[: self._fresh].copy(),
+            self._busy[:ticks].copy(),
+            self._woken[:ticks].copy(),
+            state,
+        )

@@ -1,0 +1,177 @@
+"""All that the loop is given, as values that a run log keeps: a run can be replayed from them."""
+
+import inspect
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from drftjax.arrays import as_real, require_between
+from drftjax.errors import InputError
+from drftjax.setup import SetUp
+from drftjax.simulator import Simulator
+from drftjax.tuner import AbstractTuner, StepTuner, tick_commands
+from hils.guard import CommandLimits, ReadingLimits, require_profile
+from hils.step import CompiledStep
+from hils.tuners import KalmanTuner, ProportionalIntegralTuner
+
+TUNERS: dict[str, Callable[..., AbstractTuner]] = {
+    "step": StepTuner,
+    "pi": ProportionalIntegralTuner,
+    "kalman": KalmanTuner,
+}
+SHORTEST_TICK, LONGEST_TICK = 5e-4, 0.1
+MOST_TICKS = 2e6
+
+
+class TunerSetUp(msgspec.Struct, frozen=True):
+    """A tuner by name, and those of its numbers that are not its own defaults."""
+
+    name: Literal["step", "pi", "kalman"] = "step"
+    numbers: dict[str, float] = msgspec.field(default_factory=dict)
+
+    def build(self, tick: float) -> AbstractTuner:
+        """The tuner at this control period [s].
+
+        Raises:
+            InputError: a number that it does not have, or that cannot be.
+        """
+        kind = TUNERS[self.name]
+        known = [name for name in inspect.signature(kind).parameters if name != "tick"]
+        for name in self.numbers:
+            if name not in known:
+                raise InputError(
+                    f"the tuner {self.name!r} has no number {name!r}, it has {', '.join(known)}"
+                )
+        return kind(tick=tick, **self.numbers)
+
+
+class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
+    """The loop before a run.
+
+    Attributes:
+        setup: What the operator believes about wheel, sand and rig, and the profile.
+        tuner: How zeta is moved.
+        tick: Control period [s].
+        tuning_ticks: Ticks from one step of the tuner to the next, at least.
+        readings: What a reading must satisfy.
+        commands: What is asked of the rig at most.
+        ramp: Change of the angular velocity when a run is ended early [rad/s2].
+    """
+
+    setup: SetUp
+    commands: CommandLimits
+    tuner: TunerSetUp = TunerSetUp()
+    tick: float = 0.01
+    tuning_ticks: int = 1
+    readings: ReadingLimits = ReadingLimits()
+    ramp: float = 1.0
+
+
+class Start(msgspec.Struct, frozen=True):
+    """What touch-down and rest have shown.
+
+    Attributes:
+        sinkage: H at rest, when the loop starts [m].
+        zeta: Scaling factor at the start [-].
+    """
+
+    sinkage: float
+    zeta: float
+
+
+class LoopRecord(msgspec.Struct, frozen=True):
+    """The loop of one run: kept in the run log's /online as JSON."""
+
+    loop: LoopSetUp
+    start: Start
+
+    def text(self) -> str:
+        """As JSON, whose numbers read back bit for bit."""
+        return msgspec.json.encode(self).decode()
+
+    @classmethod
+    def read(cls, text: str) -> "LoopRecord":
+        """From its JSON.
+
+        Raises:
+            InputError: where it is none.
+        """
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except msgspec.DecodeError as error:
+            raise InputError(f"the run's record of its loop cannot be read: {error}") from None
+
+
+class LoopPhysics:
+    """The loop made ready: step compiled, profile laid out.
+
+    Args:
+        loop: What it is made of.
+
+    Attributes:
+        loop: The same.
+        simulator: What the step simulates.
+        step: A tick.
+        omega: Angular velocity at the end of each substep of each tick, shape (ticks, substeps)
+            [rad/s].
+
+    Raises:
+        InputError: a number that cannot be, or a profile that cannot be commanded.
+    """
+
+    loop: LoopSetUp
+    simulator: Simulator
+    step: CompiledStep
+    omega: Float[np.ndarray, "ticks substeps"]
+
+    def __init__(self, loop: LoopSetUp):
+        self.loop = loop
+        trial = loop.setup.trial()
+        substeps = max(1, math.ceil(loop.tick / loop.setup.integrator.step - 1e-9))
+        self.omega = profile(loop, substeps)
+        self.simulator = trial.simulator
+        self.step = CompiledStep(trial.simulator, loop.tuner.build(loop.tick), substeps)
+
+    @property
+    def ticks(self) -> int:
+        """Length of the profile."""
+        return len(self.omega)
+
+    def warm(self, start: Start, ticks: int = 20) -> None:
+        """Step a little beforehand, so that the first tick takes no longer than any other."""
+        packed = self.begin(start)
+        for number in range(ticks):
+            packed = self.step(packed, start.sinkage, self.omega[min(number, self.ticks - 1)])
+
+    def begin(self, start: Start) -> NDArray[np.float64]:
+        """The packed state at the start."""
+        return self.step.begin(start.sinkage, start.zeta, 0.0, self.loop.setup.start.angle)
+
+
+def profile(loop: LoopSetUp, substeps: int) -> NDArray[np.float64]:
+    """Angular velocity at the end of each substep of each tick, shape (ticks, substeps) [rad/s].
+
+    Raises:
+        InputError: a number of the loop that cannot be, or a profile that cannot be commanded.
+    """
+    require_between("tick", loop.tick, SHORTEST_TICK, LONGEST_TICK, " s")
+    require_between("tuning-ticks", loop.tuning_ticks, 1, 1e6)
+    require_between("ramp", loop.ramp, 1e-3, loop.commands.omega_slew, " rad/s2, the slew limit")
+    setup = loop.setup
+    if setup.rig.carriage != "free" or setup.command.vx is not None:
+        raise InputError(
+            "the profile drives the carriage, but the loop drives it at the simulated speed; "
+            "leave vx out of [command] and the carriage of [rig] free"
+        )
+    command = setup.command.build()
+    require_profile(command.time, command.omega, loop.commands, "the loop")
+    time = command.time - command.time[0]
+    ticks = math.ceil(time[-1] / loop.tick - 1e-9)
+    require_between("the number of ticks", ticks, 1, MOST_TICKS)
+    commands = tick_commands(ticks, substeps, loop.tick, as_real(time), as_real(command.omega))
+    return np.asarray(commands.omega)

@@ -1,0 +1,50 @@
+"""Whom the procedure talks to: a person at the terminal, or nobody."""
+
+import abc
+
+from drftjax.errors import InputError
+
+
+class AbstractDialogue(abc.ABC):
+    """Tells what happens and asks for what only hands can do."""
+
+    @abc.abstractmethod
+    def tell(self, text: str) -> None:
+        """Say a sentence."""
+
+    @abc.abstractmethod
+    def confirm(self, text: str) -> None:
+        """Ask for something to be done, and return when it is.
+
+        Raises:
+            InputError: where nobody can answer.
+        """
+
+
+class Terminal(AbstractDialogue):
+    """A person at the terminal, who presses Enter."""
+
+    def tell(self, text: str) -> None:
+        print(text, flush=True)
+
+    def confirm(self, text: str) -> None:
+        try:
+            input(f"{text}, then press Enter (Ctrl-C to leave) ")
+        except EOFError:
+            raise InputError(
+                "nobody is at the terminal to answer; give --yes where the rig needs no hands"
+            ) from None
+
+
+class Unattended(AbstractDialogue):
+    """Nobody is asked: a virtual rig, or one that prepares itself."""
+
+    def __init__(self, quiet: bool = False):
+        self._quiet = quiet
+
+    def tell(self, text: str) -> None:
+        if not self._quiet:
+            print(text, flush=True)
+
+    def confirm(self, text: str) -> None:
+        self.tell(f"{text}: taken as done")

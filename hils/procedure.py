@@ -1,0 +1,369 @@
+"""One run from the first word to the rig until the file is closed.
+
+    connect -> checks -> touch-down and zero -> ARM -> release, settle -> H_static, zeta(0)
+    -> countdown -> the loop -> ramp-down -> STOP -> BYE -> file closed
+
+Nothing can move before ARM. Whatever happens after it, STOP goes out, and the file is closed with
+the reason why the run ended.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from uuid import uuid4
+
+import jax
+import jax.numpy as jnp
+import msgspec
+
+from drftjax import __version__
+from drftjax.errors import InputError
+from drftjax.runlog.head import Head, OnlineHead
+from drftjax.saved import believed
+from drftjax.setup import SetUp
+from drftjax.simulator import Simulator
+from drftjax.statics import zeta_from_sinkage
+from hils.clock import AbstractClock
+from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
+from hils.guard import CommandLimits, require_profile
+from hils.link import AbstractLink, LinkLost, LinkQuality
+from hils.loop import LoopReport, Overruns, TickLoop, Zero
+from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
+from hils.operator_dialogue import AbstractDialogue
+from hils.pace import watchdog_ms
+from hils.rows import Rows
+from hils.session import Session
+from hils.standing import Ended, Settled, Standing, come_to_rest, touch_down
+from hils.stop_request import StopRequest
+from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
+from hils.wire import Hello, HelloAck
+
+# What D's and every other virtual rig of this project calls itself.
+VIRTUAL_RIG_ID = 0x56495254
+# zeta(0) outside of this says that something was measured or typed wrongly.
+LEAST_ZETA, MOST_ZETA = 0.05, 10.0
+# A wheel that stands less deep was not let down, or was zeroed too low [m].
+LEAST_SINKAGE = 5e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Procedure:
+    """What a run is to be.
+
+    Attributes:
+        loop: The loop's numbers, the profile among them.
+        free: Whether the carriage runs free and nothing is simulated: the paper's experiment
+            driving.
+        zeta: zeta(0) [-]; None to tell it from the sinkage at rest.
+        overruns: What follows a missed deadline.
+        countdown: From the wheel's rest to the start [s].
+        title: Of the run log.
+    """
+
+    loop: LoopSetUp
+    free: bool = False
+    zeta: float | None = None
+    overruns: Overruns = Overruns.SKIP
+    countdown: float = 3.0
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """How a run went.
+
+    Attributes:
+        reason: Why it ended; "completed" where the profile was run to its end.
+        completed: Whether that is so.
+        rested: Whether the rig was seen to rest at the end.
+        settled: The wheel at rest before the run; None where it did not get so far.
+        start: Sinkage at the start and zeta(0); None likewise.
+        loop: How the loop went; None where it was not started.
+        quality: What went over the link, from beginning to end.
+    """
+
+    reason: str
+    completed: bool
+    rested: bool
+    settled: Settled | None
+    start: Start | None
+    loop: LoopReport | None
+    quality: LinkQuality
+
+
+class _Log:
+    """Events before the run's start is known, and after."""
+
+    def __init__(self, rows: Rows, clock: AbstractClock):
+        self._rows, self._clock = rows, clock
+        self._early: list[tuple[float, Event, float]] = []
+        self._start: float | None = None
+
+    def event(self, code: Event, arg: float = 0.0) -> None:
+        now = self._clock.now()
+        if self._start is None:
+            self._early.append((now, code, arg))
+        else:
+            self._rows.event(now - self._start, code, arg)
+
+    def begin(self, start: float) -> None:
+        self._start = start
+        for time, code, arg in self._early:
+            self._rows.event(time - start, code, arg)
+
+
+def run(
+    procedure: Procedure,
+    link: AbstractLink,
+    clock: AbstractClock,
+    rows: Rows,
+    dialogue: AbstractDialogue,
+    stop: StopRequest,
+    around_motion: Callable[[], None] = lambda: None,
+) -> RunReport:
+    """Make one run. The rows are closed and the rig is at rest, or was told to, when it returns.
+
+    Args:
+        procedure: What the run is to be.
+        link, clock: The rig.
+        rows: Takes what is recorded; not begun yet.
+        dialogue: Whom to talk to.
+        stop: Asks for the run's end; looked at from ARM on.
+        around_motion: Called once when all is ready, before ARM.
+
+    Raises:
+        InputError: the run could not be begun; nothing moved, or the rig was told to rest.
+    """
+    reason = "not begun"
+    try:
+        report = _run(procedure, link, clock, rows, dialogue, stop, around_motion)
+        reason = report.reason
+        return report
+    except InputError as error:
+        reason = str(error)
+        raise
+    except BaseException as error:
+        reason = f"failed: {type(error).__name__}"
+        raise
+    finally:
+        rows.close(reason)
+
+
+def _run(
+    procedure: Procedure,
+    link: AbstractLink,
+    clock: AbstractClock,
+    rows: Rows,
+    dialogue: AbstractDialogue,
+    stop: StopRequest,
+    around_motion: Callable[[], None],
+) -> RunReport:
+    log, session = _Log(rows, clock), Session(link, clock)
+    tick_us = round(procedure.loop.tick * 1e6)
+    ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)))
+    log.event(Event.CONNECTED, ack.boot_id)
+    try:
+        loop = _within(procedure.loop, ack)
+        simulator = loop.setup.trial().simulator
+        statics = _statics(msgspec.json.encode(loop.setup))
+        conduct = _conduct(loop, procedure.free)
+        if isinstance(conduct, TunedTick):
+            conduct.warm(Start(loop.setup.start.sinkage, 1.0))
+        dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
+        zero = touch_down(link, clock, ack)
+        log.event(Event.TOUCHED_DOWN, zero.z)
+        dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
+        around_motion()
+    except BaseException:
+        session.bye()
+        raise
+    valid_ms = watchdog_ms(tick_us)
+    standing = Standing(link, clock, stop, ack.boot_id, loop.tick, not procedure.free, valid_ms)
+    settled, start, looped, reason = None, None, None, "failed"
+    rested = False
+    try:
+        standing.arm()
+        log.event(Event.ARMED)
+        dialogue.tell("Armed. The wheel settles.")
+        settled = standing.settle(zero)
+        log.event(Event.SETTLED, settled.sinkage)
+        start = _start(procedure, simulator, statics, settled)
+        dialogue.tell(
+            f"At rest {start.sinkage * 1e3:.2f} mm deep, zeta(0) {start.zeta:.4f}; "
+            f"start in {procedure.countdown:g} s"
+        )
+        began = clock.now() + max(procedure.countdown, 2 * loop.tick)
+        sinkage = standing.hold(began - loop.tick / 2, zero)
+        start = Start(start.sinkage if sinkage is None else sinkage, start.zeta)
+        state = conduct.begin(start)
+        rows.begin(_head(procedure, loop, start, ack))
+        log.begin(began)
+        looped = _loop(procedure, conduct, state, began, link, clock, rows, stop, zero, ack)
+        reason = looped.reason
+    except Ended as ended:
+        reason = str(ended)
+    except LinkLost as lost:
+        reason = f"link lost: {lost}"
+        log.event(Event.LINK_LOST)
+    finally:
+        rested = _to_rest(session, link, clock, log, dialogue)
+    return RunReport(
+        reason,
+        looped is not None and looped.completed and reason == looped.reason,
+        rested,
+        settled,
+        start,
+        looped,
+        link.quality(),
+    )
+
+
+def _loop(
+    procedure: Procedure,
+    conduct: AbstractTick,
+    state: LoopState,
+    began: float,
+    link: AbstractLink,
+    clock: AbstractClock,
+    rows: Rows,
+    stop: StopRequest,
+    zero: Zero,
+    ack: HelloAck,
+) -> LoopReport:
+    valid_ms = watchdog_ms(round(conduct.loop.tick * 1e6))
+    return TickLoop(
+        conduct, link, clock, rows, stop, zero, ack.boot_id, procedure.overruns, valid_ms
+    ).run(state, began)
+
+
+def _to_rest(
+    session: Session,
+    link: AbstractLink,
+    clock: AbstractClock,
+    log: _Log,
+    dialogue: AbstractDialogue,
+) -> bool:
+    """Bring the rig to rest and end the session, whatever state either is in."""
+    rested = False
+    try:
+        log.event(Event.STOP_SENT)
+        rested = come_to_rest(link, clock)
+        if not rested:
+            rested = session.emergency_stop(2)
+        session.bye()
+        log.event(Event.DISCONNECTED)
+    except LinkLost:
+        dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
+        return False
+    if not rested:
+        dialogue.tell("The rig has not confirmed that it rests: use its emergency stop.")
+    return rested
+
+
+# Before ARM ---------------------------------------------------------------------------------------
+
+
+def _within(loop: LoopSetUp, ack: HelloAck) -> LoopSetUp:
+    """The loop within the rig's own limits.
+
+    Raises:
+        InputError: what of the rig or of the profile does not fit.
+    """
+    for name in ("z_scale", "x_scale", "omega_max", "vx_max"):
+        value = getattr(ack, name)
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"the rig gives {name} {value:g}, it must be above 0 and finite")
+    if ack.watchdog_ms < 2e3 * loop.tick:
+        raise InputError(
+            f"the rig's watchdog of {ack.watchdog_ms} ms is shorter than two ticks of "
+            f"{loop.tick * 1e3:g} ms; give a shorter --tick"
+        )
+    if ack.watchdog_ms > max(1000, 2 * watchdog_ms(round(loop.tick * 1e6))):
+        raise InputError(
+            f"the rig's watchdog of {ack.watchdog_ms} ms is too long to be safe: asked for were "
+            f"{watchdog_ms(round(loop.tick * 1e6))} ms"
+        )
+    command = loop.setup.command.build()
+    rig = msgspec.structs.replace(loop.commands, omega=ack.omega_max, vx=ack.vx_max)
+    require_profile(command.time, command.omega, rig, "the rig")
+    both = CommandLimits(
+        min(loop.commands.omega, ack.omega_max),
+        min(loop.commands.vx, ack.vx_max),
+        loop.commands.omega_slew,
+        loop.commands.vx_slew,
+    )
+    deepest = -float(loop.setup.trial().simulator.wheel.cut().sinkage_limit)
+    readings = msgspec.structs.replace(loop.readings, lowest=deepest)
+    return msgspec.structs.replace(loop, commands=both, readings=readings)
+
+
+def _conduct(loop: LoopSetUp, free: bool) -> AbstractTick:
+    return FreeTick(loop) if free else TunedTick(shared_physics(loop))
+
+
+def shared_physics(loop: LoopSetUp) -> LoopPhysics:
+    """The compiled physics of a loop; repeats share it."""
+    return _compiled(msgspec.json.encode(loop))
+
+
+@lru_cache(maxsize=16)
+def _compiled(loop: bytes) -> LoopPhysics:
+    return LoopPhysics(msgspec.json.decode(loop, type=LoopSetUp))
+
+
+@lru_cache(maxsize=16)
+def _statics(setup: bytes) -> Callable[[float], float]:
+    """zeta by the sinkage at rest, compiled: after ARM nothing may take longer than a tick."""
+    made = msgspec.json.decode(setup, type=SetUp)
+    simulator, angle = made.trial().simulator, made.start.angle
+    told = jax.jit(lambda sinkage: zeta_from_sinkage(simulator, sinkage, angle=angle))
+    told = told.lower(jnp.asarray(0.01)).compile()
+    return lambda sinkage: float(told(jnp.asarray(sinkage)))
+
+
+def _start(
+    procedure: Procedure,
+    simulator: Simulator,
+    statics: Callable[[float], float],
+    settled: Settled,
+) -> Start:
+    deepest = float(simulator.wheel.cut().sinkage_limit)
+    if not LEAST_SINKAGE <= settled.sinkage <= deepest:
+        raise InputError(
+            f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
+            f"{LEAST_SINKAGE * 1e3:g} and {deepest * 1e3:.3g} mm: was it held at touch-down, and "
+            "does z count upward?"
+        )
+    zeta = statics(settled.sinkage) if procedure.zeta is None else procedure.zeta
+    if not LEAST_ZETA <= zeta <= MOST_ZETA:
+        raise InputError(
+            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
+            f"lie between {LEAST_ZETA:g} and {MOST_ZETA:g}: check touch-down, mass and wheel"
+        )
+    return Start(settled.sinkage, zeta)
+
+
+def _head(procedure: Procedure, loop: LoopSetUp, start: Start, ack: HelloAck) -> Head:
+    numbers = loop.tuner.build(loop.tick)
+    online = OnlineHead(
+        tick=loop.tick,
+        zeta_step=float(getattr(numbers, "zeta_step", 0.0)),
+        tolerance=float(getattr(numbers, "tolerance", 0.0)),
+        loop=LoopRecord(loop, start).text(),
+        flag_meanings=FLAG_MEANINGS,
+    )
+    return Head(
+        setup=believed(loop.setup, start.sinkage, start.zeta),
+        source="virtual rig" if ack.rig_id == VIRTUAL_RIG_ID else "measured",
+        title=procedure.title or loop.setup.title,
+        channels=("x", "z"),
+        driven=not procedure.free,
+        online=None if procedure.free else online,
+        event_meanings=EVENT_MEANINGS,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        run_id=uuid4().hex[:12],
+        software="drftjax",
+        software_version=__version__,
+    )

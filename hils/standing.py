@@ -1,0 +1,273 @@
+"""The wheel at rest: zeroed where it touches the sand, armed, and left to settle.
+
+From ARM on a command to stand goes out on each tick, because the rig's watchdog wants one.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from drftjax.errors import InputError
+from hils.clock import AbstractClock
+from hils.link import AbstractLink, Arrival
+from hils.loop import OBEYING, SILENCE, Zero
+from hils.stop_request import StopRequest
+from hils.wire import (
+    Arm,
+    Drive,
+    EmergencyStop,
+    HelloAck,
+    Measurement,
+    RigState,
+    StateReport,
+    Stop,
+    newer,
+)
+
+# Touch-down is averaged over this time [s], and needs as many readings.
+TOUCH_DOWN_TIME, TOUCH_DOWN_READINGS = 0.5, 8
+# Standard deviation of the height under which the wheel counts as held still [m].
+HELD_STILL = 3e-4
+# ARM is said again until the rig answers: so often, so far apart [s].
+ARM_TRIES, ARM_INTERVAL = 5, 0.05
+# The wheel is left alone at least so long [s]. It has settled where the mean height changes by less
+# from one window to the next [m]. Sand goes on creeping, so what it stands on at the start is told
+# again from the last of these windows.
+LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
+LONGEST_SETTLING = 20.0
+# After STOP the wheel must stand within this time [s], turning slower than [rad/s].
+LONGEST_STOP, STOPPED = 5.0, 0.02
+
+
+class Ended(Exception):
+    """The run is asked to end, or the rig no longer follows, before the profile has begun."""
+
+
+class Settled(NamedTuple):
+    """The wheel at rest on the sand.
+
+    Attributes:
+        sinkage: H_static [m].
+        noise: Standard deviation of a reading [m].
+        creep: How fast it still sank [m/s].
+    """
+
+    sinkage: float
+    noise: float
+    creep: float
+
+
+def touch_down(link: AbstractLink, clock: AbstractClock, ack: HelloAck) -> Zero:
+    """The counts of a wheel that is held where it just touches the sand.
+
+    Raises:
+        InputError: where the rig does not measure, or the wheel is not held still.
+    """
+    heights, places = [], []
+    deadline = clock.now() + TOUCH_DOWN_TIME
+    last = _time_of(link.newest())
+    while clock.now() < deadline:
+        link.wait(deadline)
+        arrival = link.newest()
+        if arrival is None or _time_of(arrival) == last:
+            continue
+        last = arrival.time
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        if measurement.fault:
+            raise InputError(f"{link.name}: the rig reports fault {measurement.fault}")
+        heights.append(measurement.z)
+        places.append(measurement.x)
+    if len(heights) < TOUCH_DOWN_READINGS:
+        raise InputError(
+            f"{link.name}: {len(heights)} measurements came in {TOUCH_DOWN_TIME:g} s while the "
+            f"wheel was held at touch-down, needs {TOUCH_DOWN_READINGS}; a rig at rest sends one "
+            "each 20 ms"
+        )
+    spread = float(np.std(heights)) * ack.z_scale
+    if spread > HELD_STILL:
+        raise InputError(
+            f"the height varies by {spread * 1e3:.2f} mm (standard deviation) while the wheel is "
+            f"held at touch-down, must be under {HELD_STILL * 1e3:g} mm: hold it still"
+        )
+    return Zero(float(np.mean(places)), float(np.mean(heights)), ack.x_scale, ack.z_scale)
+
+
+class Standing:
+    """Keeps the wheel standing from ARM on.
+
+    Args:
+        link, clock: The rig.
+        stop: Looked at on each tick.
+        boot_id: Of the rig when the session was opened.
+        tick: Time from one command to the next [s].
+        driven: Whether the carriage is held; else it is free.
+        valid_ms: How long the rig may hold a command [ms].
+    """
+
+    def __init__(
+        self,
+        link: AbstractLink,
+        clock: AbstractClock,
+        stop: StopRequest,
+        boot_id: int,
+        tick: float,
+        driven: bool,
+        valid_ms: int,
+    ):
+        self._link, self._clock, self._stop = link, clock, stop
+        self._boot_id, self._tick = boot_id, tick
+        self._rest = Drive(0.0, 0.0, driven, valid_ms)
+        self._due = clock.now()
+        # The last frame by which the rig had said that it is armed.
+        self._armed: int | None = None
+
+    def arm(self) -> None:
+        """Arm the rig; commands to stand go out at once, for its watchdog runs from ARM on.
+
+        Raises:
+            InputError: it does not answer, or not with ARMED.
+        """
+        self._due = self._clock.now()
+        for _ in range(ARM_TRIES):
+            self._link.send(Arm())
+            for _ in self._beats(self._clock.now() + ARM_INTERVAL):
+                if self._armed is not None:
+                    return
+        raise InputError(
+            f"{self._link.name}: the rig has not answered ARM, {ARM_TRIES} times "
+            f"{ARM_INTERVAL * 1e3:g} ms apart"
+        )
+
+    def settle(self, zero: Zero) -> Settled:
+        """Wait until the wheel rests on the sand.
+
+        Raises:
+            InputError: it does not come to rest.
+        """
+        began = self._clock.now()
+        times: list[float] = []
+        heights: list[float] = []
+        creep = math.nan
+        for arrival in self._beats(began + LONGEST_SETTLING):
+            if arrival is None:
+                continue
+            measurement = arrival.frame.message
+            assert isinstance(measurement, Measurement)
+            times.append(arrival.time)
+            heights.append(zero.reading(measurement, arrival.time).z)
+            if arrival.time - began < LEAST_SETTLING:
+                continue
+            time, height = np.array(times), np.array(heights)
+            late = time > arrival.time - SETTLING_WINDOW
+            before = (time > arrival.time - 2 * SETTLING_WINDOW) & ~late
+            if before.sum() < 3 or late.sum() < 3:
+                continue
+            sunk = float(height[before].mean() - height[late].mean())
+            creep = sunk / SETTLING_WINDOW
+            noise = float(height[late].std())
+            if abs(sunk) < SETTLED:
+                return Settled(-float(height[late].mean()), noise, creep)
+        raise InputError(
+            f"the wheel has not come to rest in {LONGEST_SETTLING:g} s: it still sinks by "
+            f"{creep * 1e3:.2g} mm/s"
+        )
+
+    def hold(self, until: float, zero: Zero) -> float | None:
+        """Stand until this time [s].
+
+        Returns:
+            Mean sinkage over the last of it [m]; None where nothing was measured.
+        """
+        heights = []
+        for arrival in self._beats(until):
+            if arrival is not None and arrival.time > until - SETTLING_WINDOW:
+                measurement = arrival.frame.message
+                assert isinstance(measurement, Measurement)
+                heights.append(zero.reading(measurement, arrival.time).z)
+        return -float(np.mean(heights)) if heights else None
+
+    def _beats(self, until: float) -> Iterator[Arrival | None]:
+        """A command to stand on each tick; what the rig has newly measured, or None.
+
+        Raises:
+            Ended: the run is asked to end, or the rig no longer follows.
+        """
+        seen = _time_of(self._link.newest())
+        while self._clock.now() < until:
+            if self._stop.wish is not None:
+                raise Ended(self._stop.wish.reason)
+            self._link.send(self._rest)
+            self._due += self._tick
+            if self._due < self._clock.now():  # late: no burst of commands to catch up
+                self._due = self._clock.now()
+            self._clock.sleep_until(self._due)
+            for report in self._link.reports():
+                self._heed(report)
+            arrival = self._link.newest()
+            fresh = arrival is not None and arrival.time != seen
+            if arrival is not None:
+                seen = arrival.time
+                self._look_at(arrival)
+            yield arrival if fresh else None
+
+    def _look_at(self, arrival: Arrival) -> None:
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        if measurement.fault:
+            raise Ended(f"the rig reports fault {measurement.fault}")
+        self._follow(measurement.state, arrival.frame.seq)
+        silent = self._clock.now() - arrival.time
+        if self._armed is not None and silent > SILENCE:
+            raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
+
+    def _heed(self, report: Arrival) -> None:
+        message = report.frame.message
+        if isinstance(message, EmergencyStop):
+            raise Ended(f"the rig made an emergency stop, reason {message.reason}")
+        if isinstance(message, StateReport | HelloAck):
+            if message.boot_id != self._boot_id:
+                raise Ended("the rig was reset")
+            self._follow(message.state, report.frame.seq)
+
+    def _follow(self, state: RigState, seq: int) -> None:
+        if state is RigState.FAULT:
+            raise Ended("the rig is in FAULT")
+        if state in OBEYING:
+            self._armed = seq
+        elif self._armed is not None and newer(seq, self._armed):
+            raise Ended(f"the rig went {state.name}")
+
+
+def come_to_rest(link: AbstractLink, clock: AbstractClock) -> bool:
+    """STOP, until the rig is seen to rest.
+
+    Returns:
+        Whether it was seen to rest.
+
+    Raises:
+        LinkLost: the rig can no longer be reached; its watchdog brings it to rest.
+    """
+    deadline = clock.now() + LONGEST_STOP
+    began = clock.now()
+    said = -math.inf
+    while clock.now() < deadline:
+        if clock.now() - said > ARM_INTERVAL:
+            link.send(Stop())
+            said = clock.now()
+        link.wait(min(deadline, said + ARM_INTERVAL))
+        arrival = link.newest()
+        if arrival is None or arrival.time <= began:
+            continue
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        turning = abs(measurement.omega) > STOPPED  # False where it is not measured
+        if measurement.state is not RigState.RUNNING and not turning:
+            return True
+    return False
+
+
+def _time_of(arrival: Arrival | None) -> float:
+    return -math.inf if arrival is None else arrival.time

@@ -1,0 +1,65 @@
+"""A wish to end the run: from a signal, a key or another terminal; looked at on each tick."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NamedTuple
+
+from hils.events import Event
+
+EMERGENCY_SIGNAL = signal.SIGUSR1
+WISHES = {
+    signal.SIGINT: "interrupted by Ctrl-C",
+    signal.SIGTERM: "asked to stop (SIGTERM)",
+    signal.SIGHUP: "the terminal was closed",
+    EMERGENCY_SIGNAL: "emergency stop asked for",
+}
+
+
+class Wish(NamedTuple):
+    """Why the run is to end.
+
+    Attributes:
+        reason: In words.
+        event: As the run log has it.
+        arg: Its number.
+    """
+
+    reason: str
+    event: Event
+    arg: float = 0.0
+
+
+class StopRequest:
+    """Whether the run is to end, and how.
+
+    Attributes:
+        wish: The first wish to ramp down; None while there is none.
+        emergency: Whether the rig is to rest at once, which a second wish asks for too.
+    """
+
+    def __init__(self):
+        self.wish: Wish | None = None
+        self.emergency = False
+
+    def ask(self, wish: Wish, emergency: bool = False) -> None:
+        """Ask for the run's end; to ask twice is to ask for an emergency stop."""
+        self.emergency = self.emergency or emergency or self.wish is not None
+        self.wish = self.wish or wish
+
+    @contextmanager
+    def on_signals(self) -> Iterator[None]:
+        """Within this, the signals that would end the program ask for the run's end instead."""
+
+        def asked(number: int, frame: FrameType | None) -> None:
+            kind = signal.Signals(number)
+            event = Event.INTERRUPTED if kind != EMERGENCY_SIGNAL else Event.EMERGENCY_STOP
+            self.ask(Wish(WISHES[kind], event, number), kind == EMERGENCY_SIGNAL)
+
+        before = {kind: signal.signal(kind, asked) for kind in WISHES}
+        try:
+            yield
+        finally:
+            for kind, handler in before.items():
+                signal.signal(kind, handler)
