@@ -16,17 +16,19 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from struct import Struct
 from typing import Final
 
 import msgspec
 
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
+from drftjax.runlog.recording_lock import part_path
 from hils.row_stream import Kind, pack_end, pack_head, row_packer
 
-SECONDS_IN_PIPE: Final = 5.0
-"""How much of a run the pipe holds, where the system allows it; a recorder that took nothing for
-so long counts as lost [s]."""
+PIPE_BYTES: Final = 2**20
+"""What the pipe holds, where the system allows it: 4 s of a run at 1 kHz. A recorder that took
+nothing for so long counts as lost."""
 START_LIMIT: Final = 30.0
 """Time in which the recorder must have made its file [s]."""
 CLOSE_LIMIT: Final = 120.0
@@ -36,38 +38,39 @@ _ROOT: Final = str(Path(__file__).resolve().parents[1])
 _START: Final = (
     f"import sys; sys.path.append({_ROOT!r}); from hils.recorder_process import main; main()"
 )
-_ROW_BYTES: Final = 256  # of all the rows of one tick, more than they are
-_SMALLEST_PIPE: Final = 2**16
-_LARGEST_PIPE: Final = 2**20
 
 
 class Recorder:
     """Records one run into NAME.h5.part, which becomes NAME.h5 when it is closed.
 
-    No call between the construction and `close` waits for anything. Values are plain numbers.
-    Times are seconds from the run's start, increasing within each kind of row.
+    Only the construction and `close` wait. Values are plain numbers. Times are seconds from the
+    run's start, increasing within each kind of row.
     """
 
-    def __init__(self, path: str | Path, head: Head):
-        """Start the recorder, and wait until it has made its file.
+    def __init__(self, path: str | Path, head: Head | None = None):
+        """Start the recorder and wait until it is there, some tenths of a second.
 
         Args:
             path: The run log's final name, ending in .h5; nothing may stand there.
-            head: All that is known before the first row.
+            head: All that is known before the first row; None where `begin` brings it.
 
         Raises:
             InputError: The file cannot be made there.
         """
         self.path = Path(path)
         self._lost: str | None = None
-        self._closed = False
+        self._full = self._closed = False
+        self._answers = b""
+        self._command: Struct
+        self._measured: Struct
+        self._online: Struct
+        self._event: Struct
         _require_free(self.path)
-        self._command, self._measured, self._online, self._event = (
-            row_packer(kind, head) for kind in Kind
-        )
         taken, self._pipe = os.pipe()
         try:
-            _enlarge(self._pipe, head)
+            os.set_blocking(self._pipe, False)
+            with suppress(OSError, AttributeError):  # not every system lets its pipes grow
+                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
             self._process = subprocess.Popen(
                 [sys.executable, "-I", "-c", _START, str(self.path.absolute())],
                 stdin=taken,
@@ -80,13 +83,25 @@ class Recorder:
             raise
         finally:
             os.close(taken)
-        self._answers = b""
         try:
-            self._deliver(pack_head(head), time.monotonic() + START_LIMIT)
             self._await("ready", START_LIMIT)
+            if head is not None:
+                self.begin(head)
+                self._await("begun", START_LIMIT)
         except BaseException:
-            self._abandon()
+            self._closed = True
+            self._let_go()
             raise
+
+    def begin(self, head: Head) -> None:
+        """Have the file made, without waiting for it; once, before the first row.
+
+        Where it cannot be made, the recorder counts as lost some rows later.
+        """
+        self._command, self._measured, self._online, self._event = (
+            row_packer(kind, head) for kind in Kind
+        )
+        self._put(pack_head(head))
 
     @property
     def alive(self) -> bool:
@@ -154,31 +169,32 @@ class Recorder:
         """Something beside the ticks: a `hils.events.Event` and the number that goes with it."""
         self._put(self._event.pack(Kind.EVENTS, time, code, arg))
 
-    def close(self, end_reason: str) -> Path:
+    def close(self, end_reason: str) -> Path | None:
         """End the recording and wait for the file; further calls do nothing.
 
         Args:
             end_reason: Why the run ended, such as "completed" or "interrupted".
 
         Returns:
-            The finished run log.
+            The finished run log; None where it would have no command or no reading.
 
         Raises:
-            InputError: The recorder was lost, or could not finish; what it has is kept in
-                NAME.h5.part.
+            InputError: The recorder was lost, or could not finish; the sentence says where what
+                it has is.
         """
         if self._closed:
-            return self.path
+            return self.path if self.path.exists() else None
         self._closed = True
         try:
-            if self._lost is not None:
-                self._lost = self._last_words() or self._ending() or self._lost
-                raise InputError(self._complaint())
-            self._deliver(pack_end(end_reason), time.monotonic() + CLOSE_LIMIT)
+            if self._lost is None or self._full:
+                self._deliver(pack_end(end_reason), CLOSE_LIMIT)
+            self._let_go_of_pipe()
             self._await("closed", CLOSE_LIMIT)
+            if self._lost is not None:
+                raise self._failure(self._lost)
         finally:
-            self._abandon()
-        return self.path
+            self._let_go()
+        return self.path if self.path.exists() else None
 
     def _put(self, row: bytes) -> None:
         if self._lost is not None or self._closed:
@@ -186,12 +202,15 @@ class Recorder:
         try:
             os.write(self._pipe, row)
         except BlockingIOError:
+            self._full = True
             self._lost = "took no rows for so long that the pipe to it is full"
         except OSError:
-            self._lost = self._last_words() or "ended unasked"
+            said = self._answer(0.0)
+            self._lost = said[1] if said is not None and said[0] == "failed" else "ended unasked"
 
-    def _deliver(self, data: bytes, deadline: float) -> None:
-        """Write all of it, waiting for room until the deadline."""
+    def _deliver(self, data: bytes, limit: float) -> None:
+        """Write all of it, waiting for room; a pipe without a reader is left to `_await`."""
+        deadline = time.monotonic() + limit
         while data:
             try:
                 data = data[os.write(self._pipe, data) :]
@@ -200,15 +219,18 @@ class Recorder:
                     raise self._failure("takes no rows") from None
                 time.sleep(0.005)
             except OSError:
-                raise self._failure(self._last_words() or "ended unasked") from None
+                return
 
     def _await(self, word: str, limit: float) -> None:
-        """Wait for the recorder to say the word."""
-        said = self._answer(limit)
-        if said is None:
-            raise self._failure(self._ending() or f"did not answer in {limit:g} s")
-        if said[0] != word:
-            raise self._failure(said[1])
+        """Wait for the recorder to say the word; others that it says before are passed over."""
+        while (said := self._answer(limit)) is not None:
+            if said[0] == "failed":
+                self._answer(limit)  # until it has ended, and with it what it can still write
+                raise self._failure(said[1])
+            if said[0] == word:
+                return
+        # Of two reasons the one that the loop met first counts.
+        raise self._failure(self._ending() or self._lost or f"did not answer in {limit:g} s")
 
     def _answer(self, limit: float) -> tuple[str, str] | None:
         """The recorder's next word and its reason; None where it ended or the limit passed."""
@@ -226,10 +248,6 @@ class Recorder:
         line, _, self._answers = self._answers.partition(b"\n")
         return msgspec.json.decode(line, type=tuple[str, str])
 
-    def _last_words(self) -> str | None:
-        said = self._answer(0.0)
-        return said[1] if said is not None and said[0] == "failed" else None
-
     def _ending(self) -> str | None:
         """How the process ended; None where it has not."""
         with suppress(subprocess.TimeoutExpired):
@@ -239,25 +257,26 @@ class Recorder:
 
     def _failure(self, reason: str) -> InputError:
         self._lost = reason
-        return InputError(self._complaint())
-
-    def _complaint(self) -> str:
         part = part_path(self.path)
-        kept = f"; what it has is in {part}: drft log repair {part}" if part.exists() else ""
-        return f"{self.path}: the recorder {self._lost}{kept}"
+        kept = ""
+        if self.path.exists():
+            kept = f"; the rows until then are in {self.path}"
+        elif part.exists():
+            kept = f"; the rows until then are kept: drft log repair {part}"
+        return InputError(f"{self.path}: the recorder {reason}{kept}")
 
-    def _abandon(self) -> None:
-        """Let go of the process; one that is at work ends by itself when the pipe is closed."""
+    def _let_go_of_pipe(self) -> None:
         if self._pipe >= 0:
             os.close(self._pipe)
             self._pipe = -1
+
+    def _let_go(self) -> None:
+        """A recorder that is still at work ends by itself once the pipe is closed."""
+        self._let_go_of_pipe()
         if self._process.stdout is not None:
             self._process.stdout.close()
-
-
-def part_path(path: Path) -> Path:
-    """Where a run log stands while it is recorded."""
-    return path.with_name(path.name + ".part")
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=1.0)
 
 
 def _require_free(path: Path) -> None:
@@ -273,13 +292,3 @@ def _require_free(path: Path) -> None:
             f"{part} is already there, a recording at work or cut off; "
             f"drft log repair {part}, or move it away"
         )
-
-
-def _enlarge(pipe: int, head: Head) -> None:
-    os.set_blocking(pipe, False)
-    size = _LARGEST_PIPE
-    if head.online is not None:
-        size = int(SECONDS_IN_PIPE / head.online.tick * _ROW_BYTES)
-    with suppress(OSError, AttributeError):  # not every system lets its pipes grow
-        size = min(max(size, _SMALLEST_PIPE), _LARGEST_PIPE)
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, size)

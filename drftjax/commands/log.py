@@ -1,4 +1,4 @@
-"""`drft log`: look at run logs, check them, draw them, and make them from tables."""
+"""`drft log`: look at run logs, check, draw and repair them, and make them from tables."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from drftjax.errors import InputError
 
 app = typer.Typer(
     name="log",
-    help="Check, show, draw and import run logs.",
+    help="Check, show, draw, repair and import run logs.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -79,6 +79,24 @@ def plot(
         plot_run(run).savefig(image, format=output.suffix.lower()[1:], dpi=150)
     replace_file(output, image.getvalue())
     typer.echo(f"wrote {output}")
+
+
+@app.command()
+def repair(
+    part: Annotated[Path, typer.Argument(metavar="NAME.h5.part", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The file to write.", show_default="NAME.h5"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+) -> None:
+    """Make an ordinary run log of a recording that was cut off; the recording stays."""
+    from drftjax.runlog.repair import repair as mend
+
+    path, run = mend(part, output, force)
+    rows = f"{run.command.time.size} commands, {run.measured.time.size} readings"
+    ticks = "" if run.online is None else f", {run.online.time.size} ticks"
+    typer.echo(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
 
 
 @app.command(name="import")

@@ -63,10 +63,15 @@ class GuardedReader:
     ) -> None:
         self._stop()
 
-    def survey(self, path: str | Path) -> Surveyed:
-        """A file's contents and everything that is wrong with it as a run log."""
+    def survey(self, path: str | Path, cut_off: bool = False) -> Surveyed:
+        """A file's contents and everything that is wrong with it as a run log.
+
+        Args:
+            path: The file.
+            cut_off: Whether it is a recording, of which the committed rows are wanted.
+        """
         try:
-            answer = self._ask(str(Path(path).absolute()))
+            answer = self._ask(str(Path(path).absolute()), cut_off)
         except _Lost as reason:
             self._stop()
             return None, [Violation(str(path), "/", str(reason))]
@@ -77,10 +82,10 @@ class GuardedReader:
         """One file after the other."""
         return map(self.survey, paths)
 
-    def _ask(self, path: str) -> Any:
+    def _ask(self, path: str, cut_off: bool) -> Any:
         child = self._child = self._child or _start()
         assert child.stdin is not None
-        question = json.dumps({"path": path, "values": self._values}) + "\n"
+        question = json.dumps({"path": path, "values": self._values, "cut_off": cut_off}) + "\n"
         try:
             child.stdin.write(question.encode())
             child.stdin.flush()
@@ -116,11 +121,12 @@ def serve() -> None:
     _limit_memory()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     sys.stdout = sys.stderr
-    from drftjax.runlog.hdf5 import survey_run
+    from drftjax.runlog.hdf5 import survey_cut_off, survey_run
 
     for line in sys.stdin:
         question = json.loads(line)
-        content, violations = survey_run(question["path"])
+        survey = survey_cut_off if question["cut_off"] else survey_run
+        content, violations = survey(question["path"])
         found = [(each.where, each.reason, each.level.value) for each in violations]
         packed = _packed(content) if question["values"] and content is not None else None
         answer = msgspec.msgpack.encode((found, packed))

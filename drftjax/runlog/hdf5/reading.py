@@ -26,7 +26,7 @@ from drftjax.runlog.content import (
     Violation,
     printable,
 )
-from drftjax.runlog.hdf5.committed import committed_rows, committed_values
+from drftjax.runlog.hdf5.committed import COMMITTED, committed_rows, committed_values
 from drftjax.runlog.seal import seal_holds
 
 SIZE_LIMIT: Final = 512 * 2**20
@@ -73,6 +73,9 @@ def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
         return None, [Violation(str(path), "/", refusal)]
     try:
         with h5py.File(path, "r", swmr=True) as file:
+            if COMMITTED not in file:
+                reason = f"is no recording: it has no dataset {COMMITTED}"
+                return None, [Violation(str(path), "/", reason)]
             rows = committed_rows(file)
             content, found = _Survey(file, rows).content(layout.SCHEMA, layout.SCHEMA_VERSION)
     except _LIBRARY_ERRORS as error:

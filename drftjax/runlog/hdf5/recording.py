@@ -1,0 +1,221 @@
+"""A run log written row by row, that a reader can open at any time, also after a kill.
+
+The file is kept in HDF5's single-writer-multiple-readers mode, so that what is on disk is whole
+after each flush. `/n_committed` is written after the rows that it counts. When the recording is
+finished, its rows become an ordinary run log under the final name, put in place whole; until
+then they stay where they are.
+"""
+
+import os
+import resource
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from drftjax.errors import InputError
+from drftjax.runlog import layout, recording_lock
+from drftjax.runlog.content import Attribute
+from drftjax.runlog.hdf5.committed import COMMITTED, GROUPS
+from drftjax.runlog.hdf5.reading import SIZE_LIMIT, survey_recording
+from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
+from drftjax.runlog.head import Head
+from drftjax.runlog.record import ONLINE_INTEGERS
+from drftjax.runlog.replace import replace_file
+from drftjax.runlog.seal import sealed
+
+ROWS_IN_CHUNK: Final = 512
+"""Rows that a kill within a write can reach: a chunk of float64 is a page of memory."""
+RESERVE: Final = 2**21
+"""Room that is never used, for HDF5's own bookkeeping [bytes]."""
+
+
+class Recording:
+    """A run log while it is recorded. One thread uses it.
+
+    Attributes:
+        part: The file, until it is finished.
+        rows: Committed rows by group.
+    """
+
+    def __init__(self, part: Path, head: Head):
+        """Make the file, with a head and no rows.
+
+        Args:
+            part: Its name; what stood there is replaced.
+            head: Everything but the rows.
+
+        Raises:
+            InputError: There is no room for it.
+            OSError: It cannot be made.
+        """
+        self.part = part
+        self.rows = dict.fromkeys(_groups(head), 0)
+        self._waiting: dict[str, list[NDArray[np.float64]]] = {each: [] for each in self.rows}
+        self._waiting_bytes = self._written_bytes = 0
+        part.touch()
+        try:
+            self._require_room()
+        except InputError:
+            part.unlink()
+            raise
+        self._file = h5py.File(part, "w", libver=("v110", "v110"))
+        self._columns = {each: _make_group(self._file, each, head) for each in self.rows}
+        self._committed = self._file.create_dataset(
+            COMMITTED, (len(GROUPS),), "<u8", chunks=(len(GROUPS),), fletcher32=True
+        )
+        put_attributes(self._committed, {"units": "1", "groups": " ".join(GROUPS)})
+        put_attributes(self._file.create_group("setup"), head.setup.known())
+        put_attributes(self._file, _root_attributes(head))
+        self._file.swmr_mode = True
+        self._write_committed()
+        # HDF5 keeps its own descriptor; this one is for the lock and to sync by.
+        self._handle = os.open(part, os.O_RDWR)
+        recording_lock.hold(self._handle)
+
+    def append(self, title: str, rows: NDArray[np.float64]) -> None:
+        """Take rows of one group, shape (rows, columns), in the format's order of its columns."""
+        self._waiting[title].append(rows)
+        self._waiting_bytes += rows.nbytes
+
+    def commit(self) -> None:
+        """Write the rows that wait: after a kill of this process they are there.
+
+        Raises:
+            InputError: There is no room for them; nothing was written.
+        """
+        if not self._waiting_bytes:
+            return
+        self._require_room()
+        for title, blocks in self._waiting.items():
+            if blocks:
+                self._write(title, np.concatenate(blocks))
+                blocks.clear()
+        self._written_bytes += self._waiting_bytes
+        self._waiting_bytes = 0
+        self._file.flush()
+        self._write_committed()
+
+    def sync(self) -> None:
+        """Wait until what was committed is on the disk itself; any thread may call it."""
+        os.fsync(self._handle)
+
+    def finish(self, path: Path, end_reason: str) -> None:
+        """Put the committed rows in place as an ordinary run log, and remove the recording.
+
+        Args:
+            path: Final name.
+            end_reason: Why the run ended.
+
+        Raises:
+            InputError: The rows are no run log, or cannot be written; the recording is kept.
+        """
+        self._file.close()
+        os.close(self._handle)
+        content, violations = survey_recording(self.part)
+        content = layout.accepted(content, violations)
+        attributes = {**content.attributes, "complete": 1, "end_reason": end_reason}
+        whole = replace(content, attributes=attributes)
+        replace_file(path, sealed(image(whole, layout.AXES)))
+        self.part.unlink()
+
+    def drop(self) -> None:
+        """Close and remove the file."""
+        self._file.close()
+        os.close(self._handle)
+        self.part.unlink()
+
+    def _write(self, title: str, rows: NDArray[np.float64]) -> None:
+        start = self.rows[title]
+        end = start + len(rows)
+        for column, dataset in enumerate(self._columns[title]):
+            dataset.resize((end,))
+            dataset[start:end] = rows[:, column]
+        self.rows[title] = end
+
+    def _write_committed(self) -> None:
+        self._committed[:] = [self.rows.get(title, 0) for title in GROUPS]
+        self._file.flush()
+
+    def _require_room(self) -> None:
+        """The rows that wait, and the finished file beside them, must fit."""
+        new = 2 * self._waiting_bytes + RESERVE
+        written = self._written_bytes + self._waiting_bytes
+        facts = os.statvfs(self.part)
+        free = facts.f_bavail * facts.f_frsize
+        if free < new + written:
+            raise InputError(f"the disk is full: {free / 2**20:.1f} MiB are left")
+        limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+        size = self.part.stat().st_size
+        if limit != resource.RLIM_INFINITY and limit < size + new:
+            raise InputError(f"a file may not grow past {limit / 2**20:.1f} MiB here")
+        if written > SIZE_LIMIT:
+            raise InputError(f"the run log has {SIZE_LIMIT / 2**20:.0f} MiB, the most it may have")
+
+
+def _groups(head: Head) -> list[str]:
+    return [each for each in GROUPS if each != "online" or head.online is not None]
+
+
+def _root_attributes(head: Head) -> dict[str, Attribute]:
+    texts = {name: getattr(head, name, None) for name in layout.TEXTS}
+    return {
+        "schema": layout.SCHEMA,
+        "schema_version": layout.SCHEMA_VERSION,
+        "source": head.source,
+        "title": head.title,
+        **{name: text for name, text in texts.items() if text is not None},
+        "complete": 0,
+        "end_reason": "still being recorded, or cut off",
+    }
+
+
+def _make_group(file: h5py.File, title: str, head: Head) -> list[h5py.Dataset]:
+    """An empty group; its datasets in the order of a row."""
+    node = file.create_group(title)
+    more: dict[str, dict[str, Attribute]] = {
+        "code": layout.flag_table("flag_values", head.event_meanings)
+    }
+    if title == "online" and head.online is not None:
+        put_attributes(node, layout.online_attributes(head.online))
+        more["flags"] = layout.flag_table("flag_masks", head.online.flag_meanings)
+    made = [_make_column(node, title, name, more.get(name, {})) for name in _names(title, head)]
+    scale_rows(node, layout.AXES[title])
+    return made
+
+
+def _make_column(
+    node: h5py.Group, title: str, name: str, attributes: dict[str, Attribute]
+) -> h5py.Dataset:
+    # No packing and no shuffling: a chunk that grows is written again in its place, its first
+    # bytes unchanged.
+    made = node.create_dataset(
+        name,
+        (0,),
+        _kind(title, name),
+        maxshape=(None,),
+        chunks=(ROWS_IN_CHUNK,),
+        fletcher32=True,
+    )
+    put_attributes(made, {"units": layout.UNITS[title][name], **attributes})
+    return made
+
+
+def _names(title: str, head: Head) -> tuple[str, ...]:
+    if title == "command":
+        return ("time", "omega", "vx") if head.driven else ("time", "omega")
+    if title == "measured":
+        return ("time", *head.channels)
+    return tuple(layout.UNITS[title])
+
+
+def _kind(title: str, name: str) -> "np.dtype[Any]":
+    kind: Any = np.float64
+    if title == "online":
+        kind = ONLINE_INTEGERS.get(name, np.float64)
+    elif name == "code":
+        kind = np.int32
+    return np.dtype(kind).newbyteorder("<")

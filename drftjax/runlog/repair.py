@@ -1,0 +1,40 @@
+"""Making an ordinary run log of a recording that was cut off."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from drftjax.errors import InputError
+from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
+from drftjax.runlog.hdf5 import write_run
+from drftjax.runlog.layout import run_from
+from drftjax.runlog.record import RunLog
+from drftjax.runlog.recording_lock import PART
+
+CUT_OFF = "cut off; the committed rows were kept"
+"""The end_reason of a repaired run."""
+
+
+def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple[Path, RunLog]:
+    """Copy the committed rows of a recording into a fresh, ordinary file.
+
+    Args:
+        part: The recording, NAME.h5.part; it stays as it is.
+        output: The file to write; NAME.h5 where it is not given.
+        force: Whether a file that stands there is replaced.
+
+    Returns:
+        The file and the run in it.
+
+    Raises:
+        InputError: It is no recording, still being recorded, damaged, or without a row.
+    """
+    if output is None:
+        if not part.name.endswith(f".h5{PART}"):
+            raise InputError(f"{part}: a recording's name ends in .h5{PART}; name the output too")
+        output = part.with_name(part.name.removesuffix(PART))
+    if output.exists() and not force:
+        raise InputError(f"{output} is already there; give --force to replace it")
+    with GuardedReader(TIME_LIMIT) as reader:
+        run = replace(run_from(*reader.survey(part, cut_off=True)), end_reason=CUT_OFF)
+    write_run(output, run)
+    return output, run
