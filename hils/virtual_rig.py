@@ -26,8 +26,9 @@ from hils.virtual_setup import VirtualSetUp
 from hils.wire import U32, HelloAck, RigState, wire_bytes
 
 RIG_ID = int.from_bytes(b"VIRT", "big")  # so that a host can tell it from a real one
-# Between commands the physics is brought up to date this often [s].
-REFRESH = 0.010
+# The firmware looks at its clock this often [s], and the physics is brought up to date between
+# commands this often [s].
+LOOK, REFRESH = 0.001, 0.010
 # Fragments longer than any frame pass as they are.
 LONGEST_FRAGMENT = 256
 MOST_CHANGES = 1000
@@ -69,6 +70,7 @@ class VirtualRig:
         baud: Bits a second on the wire, both ways; 0 for no pacing.
         latency: The host's USB adapter's latency timer [s].
         start: Time at power-up by the host's clock [s].
+        boots: How often it has had power before; another number gives other boot numbers.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class VirtualRig:
         baud: float = 0,
         latency: float = 0.0,
         start: float = 0.0,
+        boots: int = 0,
     ):
         setup.check()
         self._setup, self._seed = setup, seed
@@ -89,7 +92,7 @@ class VirtualRig:
         self._inward, self._outward = Line(baud), Line(baud, latency)
         self._fragment = b""
         self._start = self._now = self._heard = start
-        self._boots = 0
+        self._boots = boots
         self._packed = self._physics.held()
         self._beds, self._firmness = 0, 1.0
         self._released: float | None = None
@@ -140,15 +143,18 @@ class VirtualRig:
     def live(self, now: float, data: bytes = b"") -> bytes:
         """As `advance`; while the plug is out, nothing passes and nothing is raised."""
         self._hear(data, max(now, self._now))
-        while (event := self._next_event()) <= now:
+        while (event := self._next_own()) <= now:
             self._live_to(event)
         self._live_to(max(now, self._now))
         return self._outward.take(self._now)
 
-    def _next_event(self) -> float:
-        """When something next happens by itself, past the present [s]."""
-        times = [self._inward.next_event(), self._faults.next_edge(self._now)]
-        times.append(self._synced + REFRESH)
+    def next_event(self) -> float:
+        """When something will next happen or come out by itself [s]."""
+        return min(self._next_own(), self._outward.next_event())
+
+    def _next_own(self) -> float:
+        """When something next happens in the rig, past the present [s]."""
+        times = [self._inward.next_event(), self._faults.next_edge(self._now), self._now + LOOK]
         return max(min(times), math.nextafter(self._now, math.inf))
 
     def _hear(self, data: bytes, now: float) -> None:

@@ -1,0 +1,71 @@
+"""The virtual rig in real time: reads its end of the line, lives up to the present, answers."""
+
+import gc
+import time
+from collections.abc import Callable
+
+from hils.rig_ends import AbstractEnd
+from hils.rig_protocol import Reason
+from hils.virtual_rig import Change, VirtualRig
+from hils.wire import RigState
+
+# It looks at the time at least this often [s].
+PERIOD = 1e-3
+
+
+def serve(
+    rig: VirtualRig,
+    end: AbstractEnd,
+    say: Callable[[str], None],
+    seconds: float = float("inf"),
+) -> None:
+    """Let the rig live on the monotonic clock.
+
+    Args:
+        rig: Its power came at the present time of that clock.
+        end: Where a host may plug in.
+        say: Told of each change, a line a time.
+        seconds: How long [s].
+    """
+    begun = rig.occasions["power"]
+    last = told = begun - PERIOD
+    gc.collect()
+    gc.freeze()
+    while (now := time.monotonic()) < begun + seconds:
+        if rig.plugged:
+            end.plug()
+        else:
+            end.unplug()
+        data = end.read()
+        out = b""
+        if data and now > last + PERIOD:
+            # A program that was held up cannot know when in that time the bytes came. A rig of
+            # metal is not held up, and would have heard them early.
+            out = rig.live(last + PERIOD, data)
+            data = b""
+        out += rig.live(now, data)
+        if out:
+            end.write(out)
+        last = now
+        while rig.changes and rig.changes[-1].time > told:
+            fresh = [each for each in rig.changes if each.time > told]
+            told = fresh[-1].time
+            for change in fresh:
+                say(sentence(change, begun))
+        end.wait(min(PERIOD, rig.next_event() - time.monotonic()))
+
+
+def sentence(change: Change, begun: float) -> str:
+    """A change of the rig's state, as a person is told.
+
+    Args:
+        change: What changed.
+        begun: Time that counts as zero [s].
+    """
+    state = RigState(change.state).name
+    when = f"{change.time - begun:10.3f} s  {state}"
+    if change.reason == Reason.NONE:
+        return when
+    known = {int(each): each.name for each in Reason}
+    reason = known.get(change.reason, str(change.reason)).lower().replace("_", " ")
+    return f"{when} ({reason}, {change.silence * 1e3:.1f} ms after the host's last word)"
