@@ -7,7 +7,6 @@ Nothing can move before ARM. Whatever happens after it, STOP goes out, and the f
 the reason why the run ended.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ from uuid import uuid4
 import jax
 import jax.numpy as jnp
 import msgspec
+import numpy as np
 
 from drftjax import __version__
 from drftjax.errors import InputError
@@ -40,8 +40,10 @@ from hils.stop_request import StopRequest
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
 from hils.wire import Hello, HelloAck
 
-# What D's and every other virtual rig of this project calls itself.
+# What the virtual rig calls itself.
 VIRTUAL_RIG_ID = 0x56495254
+# A rig may restart when its port is opened [s].
+PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
 LEAST_ZETA, MOST_ZETA = 0.05, 10.0
 # A wheel that stands less deep was not let down, or was zeroed too low [m].
@@ -121,7 +123,7 @@ def run(
     rows: Rows,
     dialogue: AbstractDialogue,
     stop: StopRequest,
-    around_motion: Callable[[], None] = lambda: None,
+    before_motion: Callable[[], None] = lambda: None,
 ) -> RunReport:
     """Make one run. The rows are closed and the rig is at rest, or was told to, when it returns.
 
@@ -131,14 +133,14 @@ def run(
         rows: Takes what is recorded; not begun yet.
         dialogue: Whom to talk to.
         stop: Asks for the run's end; looked at from ARM on.
-        around_motion: Called once when all is ready, before ARM.
+        before_motion: Called once when all is ready, before ARM.
 
     Raises:
         InputError: the run could not be begun; nothing moved, or the rig was told to rest.
     """
     reason = "not begun"
     try:
-        report = _run(procedure, link, clock, rows, dialogue, stop, around_motion)
+        report = _run(procedure, link, clock, rows, dialogue, stop, before_motion)
         reason = report.reason
         return report
     except InputError as error:
@@ -158,14 +160,14 @@ def _run(
     rows: Rows,
     dialogue: AbstractDialogue,
     stop: StopRequest,
-    around_motion: Callable[[], None],
+    before_motion: Callable[[], None],
 ) -> RunReport:
     log, session = _Log(rows, clock), Session(link, clock)
     tick_us = round(procedure.loop.tick * 1e6)
-    ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)))
+    ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)), PATIENCE)
     log.event(Event.CONNECTED, ack.boot_id)
     try:
-        loop = _within(procedure.loop, ack)
+        loop = _within(procedure.loop, ack, procedure.free)
         simulator = loop.setup.trial().simulator
         statics = _statics(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
@@ -175,7 +177,7 @@ def _run(
         zero = touch_down(link, clock, ack)
         log.event(Event.TOUCHED_DOWN, zero.z)
         dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
-        around_motion()
+        before_motion()
     except BaseException:
         session.bye()
         raise
@@ -184,7 +186,8 @@ def _run(
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
-        standing.arm()
+        stop.moving = True
+        session.arm(standing.rest)
         log.event(Event.ARMED)
         dialogue.tell("Armed. The wheel settles.")
         settled = standing.settle(zero)
@@ -209,6 +212,7 @@ def _run(
         log.event(Event.LINK_LOST)
     finally:
         rested = _to_rest(session, link, clock, log, dialogue)
+        stop.moving = False
     return RunReport(
         reason,
         looped is not None and looped.completed and reason == looped.reason,
@@ -265,26 +269,12 @@ def _to_rest(
 # Before ARM ---------------------------------------------------------------------------------------
 
 
-def _within(loop: LoopSetUp, ack: HelloAck) -> LoopSetUp:
+def _within(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
     """The loop within the rig's own limits.
 
     Raises:
         InputError: what of the rig or of the profile does not fit.
     """
-    for name in ("z_scale", "x_scale", "omega_max", "vx_max"):
-        value = getattr(ack, name)
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"the rig gives {name} {value:g}, it must be above 0 and finite")
-    if ack.watchdog_ms < 2e3 * loop.tick:
-        raise InputError(
-            f"the rig's watchdog of {ack.watchdog_ms} ms is shorter than two ticks of "
-            f"{loop.tick * 1e3:g} ms; give a shorter --tick"
-        )
-    if ack.watchdog_ms > max(1000, 2 * watchdog_ms(round(loop.tick * 1e6))):
-        raise InputError(
-            f"the rig's watchdog of {ack.watchdog_ms} ms is too long to be safe: asked for were "
-            f"{watchdog_ms(round(loop.tick * 1e6))} ms"
-        )
     command = loop.setup.command.build()
     rig = msgspec.structs.replace(loop.commands, omega=ack.omega_max, vx=ack.vx_max)
     require_profile(command.time, command.omega, rig, "the rig")
@@ -294,6 +284,12 @@ def _within(loop: LoopSetUp, ack: HelloAck) -> LoopSetUp:
         loop.commands.omega_slew,
         loop.commands.vx_slew,
     )
+    rolling = loop.setup.wheel.radius * float(np.abs(command.omega).max())
+    if not free and rolling > both.vx:
+        raise InputError(
+            f"the profile rolls at up to {rolling:.4g} m/s without slip, the carriage may be "
+            f"driven at {both.vx:.4g} m/s at most (the rig allows {ack.vx_max:.4g} m/s)"
+        )
     deepest = -float(loop.setup.trial().simulator.wheel.cut().sinkage_limit)
     readings = msgspec.structs.replace(loop.readings, lowest=deepest)
     return msgspec.structs.replace(loop, commands=both, readings=readings)

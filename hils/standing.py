@@ -15,7 +15,6 @@ from hils.link import AbstractLink, Arrival
 from hils.loop import OBEYING, SILENCE, Zero
 from hils.stop_request import StopRequest
 from hils.wire import (
-    Arm,
     Drive,
     EmergencyStop,
     HelloAck,
@@ -30,8 +29,6 @@ from hils.wire import (
 TOUCH_DOWN_TIME, TOUCH_DOWN_READINGS = 0.5, 8
 # Standard deviation of the height under which the wheel counts as held still [m].
 HELD_STILL = 3e-4
-# ARM is said again until the rig answers: so often, so far apart [s].
-ARM_TRIES, ARM_INTERVAL = 5, 0.05
 # The wheel is left alone at least so long [s]. It has settled where the mean height changes by less
 # from one window to the next [m]. Sand goes on creeping, so what it stands on at the start is told
 # again from the last of these windows.
@@ -39,6 +36,8 @@ LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
 LONGEST_SETTLING = 20.0
 # After STOP the wheel must stand within this time [s], turning slower than [rad/s].
 LONGEST_STOP, STOPPED = 5.0, 0.02
+# STOP is not answered by every rig, so it is said again until the wheel rests, so far apart [s].
+STOP_INTERVAL = 0.05
 
 
 class Ended(Exception):
@@ -105,6 +104,9 @@ class Standing:
         tick: Time from one command to the next [s].
         driven: Whether the carriage is held; else it is free.
         valid_ms: How long the rig may hold a command [ms].
+
+    Attributes:
+        rest: The command to stand.
     """
 
     def __init__(
@@ -119,27 +121,10 @@ class Standing:
     ):
         self._link, self._clock, self._stop = link, clock, stop
         self._boot_id, self._tick = boot_id, tick
-        self._rest = Drive(0.0, 0.0, driven, valid_ms)
-        self._due = clock.now()
+        self.rest = Drive(0.0, 0.0, driven, valid_ms)
+        self._due = self._heard = clock.now()
         # The last frame by which the rig had said that it is armed.
         self._armed: int | None = None
-
-    def arm(self) -> None:
-        """Arm the rig; commands to stand go out at once, for its watchdog runs from ARM on.
-
-        Raises:
-            InputError: it does not answer, or not with ARMED.
-        """
-        self._due = self._clock.now()
-        for _ in range(ARM_TRIES):
-            self._link.send(Arm())
-            for _ in self._beats(self._clock.now() + ARM_INTERVAL):
-                if self._armed is not None:
-                    return
-        raise InputError(
-            f"{self._link.name}: the rig has not answered ARM, {ARM_TRIES} times "
-            f"{ARM_INTERVAL * 1e3:g} ms apart"
-        )
 
     def settle(self, zero: Zero) -> Settled:
         """Wait until the wheel rests on the sand.
@@ -196,10 +181,11 @@ class Standing:
             Ended: the run is asked to end, or the rig no longer follows.
         """
         seen = _time_of(self._link.newest())
+        self._due = self._heard = self._clock.now()
         while self._clock.now() < until:
             if self._stop.wish is not None:
                 raise Ended(self._stop.wish.reason)
-            self._link.send(self._rest)
+            self._link.send(self.rest)
             self._due += self._tick
             if self._due < self._clock.now():  # late: no burst of commands to catch up
                 self._due = self._clock.now()
@@ -208,9 +194,12 @@ class Standing:
                 self._heed(report)
             arrival = self._link.newest()
             fresh = arrival is not None and arrival.time != seen
-            if arrival is not None:
-                seen = arrival.time
+            if arrival is not None and fresh:
+                seen = self._heard = arrival.time
                 self._look_at(arrival)
+            silent = self._clock.now() - self._heard
+            if silent > SILENCE:
+                raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 
     def _look_at(self, arrival: Arrival) -> None:
@@ -219,9 +208,6 @@ class Standing:
         if measurement.fault:
             raise Ended(f"the rig reports fault {measurement.fault}")
         self._follow(measurement.state, arrival.frame.seq)
-        silent = self._clock.now() - arrival.time
-        if self._armed is not None and silent > SILENCE:
-            raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
 
     def _heed(self, report: Arrival) -> None:
         message = report.frame.message
@@ -254,10 +240,10 @@ def come_to_rest(link: AbstractLink, clock: AbstractClock) -> bool:
     began = clock.now()
     said = -math.inf
     while clock.now() < deadline:
-        if clock.now() - said > ARM_INTERVAL:
+        if clock.now() - said > STOP_INTERVAL:
             link.send(Stop())
             said = clock.now()
-        link.wait(min(deadline, said + ARM_INTERVAL))
+        link.wait(min(deadline, said + STOP_INTERVAL))
         arrival = link.newest()
         if arrival is None or arrival.time <= began:
             continue

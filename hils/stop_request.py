@@ -37,11 +37,13 @@ class StopRequest:
     Attributes:
         wish: The first wish to ramp down; None while there is none.
         emergency: Whether the rig is to rest at once, which a second wish asks for too.
+        moving: Whether the rig may move, so that a signal must not cut anything short.
     """
 
     def __init__(self):
         self.wish: Wish | None = None
         self.emergency = False
+        self.moving = False
 
     def ask(self, wish: Wish, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
@@ -50,9 +52,14 @@ class StopRequest:
 
     @contextmanager
     def on_signals(self) -> Iterator[None]:
-        """Within this, the signals that would end the program ask for the run's end instead."""
+        """Within this, the signals that would end the program ask for the run's end instead.
+
+        While nothing moves they interrupt whatever is at work, such as a question.
+        """
 
         def asked(number: int, frame: FrameType | None) -> None:
+            if not self.moving:
+                raise KeyboardInterrupt
             kind = signal.Signals(number)
             event = Event.INTERRUPTED if kind != EMERGENCY_SIGNAL else Event.EMERGENCY_STOP
             self.ask(Wish(WISHES[kind], event, number), kind == EMERGENCY_SIGNAL)

@@ -138,7 +138,7 @@ class KalmanTuner(AbstractTuner):
         tick: Control period T [s].
         drift: Random walk of the sand's zeta, standard deviation after 1 s [-].
         doubt: Standard deviation of zeta at the start, as statics tells it [-].
-        wander: Random walk of the sinkage beside the simulated, by what the simulator does not know [m].
+        wander: The same of the sinkage, by what the simulator does not know [m].
         noise: Standard deviation of a reading [m].
         recovery: Time tau in which a gap is driven out [s].
         reach: Largest difference of zeta from what is believed of the sand [-].

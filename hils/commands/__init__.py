@@ -4,6 +4,10 @@ import typer
 
 from hils.commands.rig import EXAMPLES as RIG_EXAMPLES
 from hils.commands.rig import rig
+from hils.commands.run import EXAMPLES as RUN_EXAMPLES
+from hils.commands.run import run
+from hils.commands.stop import EXAMPLES as STOP_EXAMPLES
+from hils.commands.stop import stop
 
 app = typer.Typer(
     name="hils",
@@ -13,6 +17,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command(epilog=RIG_EXAMPLES)(rig)
+app.command(epilog=RUN_EXAMPLES)(run)
+app.command(epilog=STOP_EXAMPLES)(stop)
 
 
 @app.callback()

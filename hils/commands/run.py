@@ -1,0 +1,134 @@
+"""`drft hils run`: the paper's experiment on a rig."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from drftjax.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+EXAMPLES = """
+Examples:
+
+  drft hils run --port /dev/ttyUSB0 --profile data/paper.toml -o run.h5
+
+  drft hils run --port /tmp/rig --profile data/paper.toml -o run.h5 --no-ui --yes
+
+  drft hils run --port socket://192.168.1.7:4000 --profile data/paper.toml -o bed.h5 --repeat 10
+
+The profile is a set-up file: what you believe of wheel, sand and rig, and omega(t). Nothing moves
+before all is checked and zeroed. Ctrl-C ramps the wheel down, a second Ctrl-C is an emergency stop,
+and so are drft hils stop and drft hils stop --now from another terminal.
+"""
+
+
+def run(
+    port: Annotated[str, typer.Option(help="Serial port, or a URL such as socket://HOST:PORT.")],
+    profile: Annotated[Path, typer.Option(help="A set-up file with the profile (TOML or JSON).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The run log to record (.h5).")],
+    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = 921600,
+    tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
+    tuner: Annotated[
+        Literal["step", "pi", "kalman"],
+        typer.Option(help="How zeta is moved: eq. 7's fixed step, or one of docs/hils-tuners.md."),
+    ] = "step",
+    zeta_step: Annotated[
+        float | None, typer.Option(help="Of the tuner 'step': change of zeta on one tick.")
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(help="Sinkage error that is left alone [m].")
+    ] = None,
+    number: Annotated[
+        list[str] | None,
+        typer.Option(help="Another of the tuner's numbers, NAME=VALUE; may be repeated."),
+    ] = None,
+    tuning_ticks: Annotated[
+        int, typer.Option(help="Ticks from one step of the tuner to the next.", min=1)
+    ] = 1,
+    mode: Annotated[
+        Literal["hils", "free"],
+        typer.Option(help="hils: drive at the simulated speed; free: carriage free, record only."),
+    ] = "hils",
+    zeta: Annotated[
+        float | None,
+        typer.Option(help="zeta at the start.", show_default="told by the sinkage at rest"),
+    ] = None,
+    repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1)] = 1,
+    between: Annotated[
+        str | None, typer.Option(help="Shell command that prepares the sand between two runs.")
+    ] = None,
+    policy: Annotated[
+        Literal["skip", "stop"], typer.Option(help="What follows a missed deadline.")
+    ] = "skip",
+    omega_max: Annotated[float, typer.Option(help="Largest angular velocity [rad/s].")] = 2.0,
+    vx_max: Annotated[float, typer.Option(help="Largest carriage speed [m/s].")] = 0.3,
+    countdown: Annotated[
+        float, typer.Option(help="From rest to the start [s].", min=0.1, max=60.0)
+    ] = 3.0,
+    title: Annotated[str, typer.Option(help="Of the run log.")] = "",
+    no_ui: Annotated[bool, typer.Option("--no-ui", help="No live view.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Ask nothing: a virtual rig, or one that needs no hands.")
+    ] = False,
+    fifo: Annotated[
+        bool, typer.Option(help="Run before every ordinary process, where that is allowed.")
+    ] = True,
+) -> None:
+    """Run a rig in the loop, or with its carriage free, and record it."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from hils.realtime import answer_at_once
+
+    answer_at_once()
+    from drftjax.setup import read_setup
+    from hils.guard import CommandLimits
+    from hils.loop import Overruns
+    from hils.loop_setup import LoopSetUp, TunerSetUp
+    from hils.loop_setup import profile as profile_of
+    from hils.operator_dialogue import Terminal, Unattended
+    from hils.pace import require_baud
+    from hils.procedure import Procedure
+    from hils.series import Series, file_names, make_series
+
+    numbers = _numbers(number or [])
+    given = {"zeta_step": zeta_step, "tolerance": tolerance}
+    numbers |= {name: value for name, value in given.items() if value is not None}
+    loop = LoopSetUp(
+        setup=read_setup(profile),
+        commands=CommandLimits(omega_max, vx_max),
+        tuner=TunerSetUp(tuner, numbers),
+        tick=tick,
+        tuning_ticks=tuning_ticks,
+    )
+    # What can be refused is refused before anything is opened.
+    loop.tuner.build(tick)
+    profile_of(loop, 1)
+    if "://" not in port:
+        require_baud(baud, tick)
+    procedure = Procedure(
+        loop=loop,
+        free=mode == "free",
+        zeta=zeta,
+        overruns=Overruns(policy),
+        countdown=countdown,
+        title=title,
+    )
+    series = Series(port, baud, file_names(output, repeat), between, fifo)
+    code = make_series(procedure, series, Unattended() if yes else Terminal())
+    if code:
+        raise typer.Exit(code)
+
+
+def _numbers(given: list[str]) -> dict[str, float]:
+    numbers = {}
+    for each in given:
+        name, _, value = each.partition("=")
+        try:
+            numbers[name.strip().replace("-", "_")] = float(value)
+        except ValueError:
+            raise InputError(f"--number is {each!r}, must be NAME=VALUE with a number") from None
+    return numbers

@@ -1,0 +1,53 @@
+"""`drft hils stop`: bring the rig to rest from another terminal."""
+
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+EXAMPLES = """
+Examples:
+
+  drft hils stop
+
+  drft hils stop --now
+
+Without --now the wheel is ramped down, with it the rig makes an emergency stop. Either way the
+file is closed. Keep the rig's own emergency stop in reach all the same.
+"""
+
+# A ramp, the file's end and a loaded computer [s].
+LONGEST_END = 60.0
+
+
+def stop(
+    port: Annotated[
+        str | None, typer.Option(help="Only the run on this port.", show_default="every run")
+    ] = None,
+    now: Annotated[bool, typer.Option("--now", help="Emergency stop, without a ramp.")] = False,
+) -> None:
+    """Stop the runs that are under way on this computer."""
+    import signal
+
+    from hils.stop_request import EMERGENCY_SIGNAL
+    from hils.under_way import ended, runs_under_way, tell
+
+    every = runs_under_way()
+    runs = [run for run in every if port is None or run.port == port]
+    if not runs:
+        others = ", ".join(run.port for run in every)
+        raise InputError(
+            f"no run is under way on {port}, but on {others}"
+            if others
+            else "no run of this user's is under way on this computer"
+        )
+    for run in runs:  # all of them first, then wait
+        tell(run, EMERGENCY_SIGNAL if now else signal.SIGTERM)
+    for run in runs:
+        if not ended(run, LONGEST_END):
+            raise InputError(
+                f"the run on {run.port} (process {run.pid}) has not ended in {LONGEST_END:g} s; "
+                "use the rig's emergency stop"
+            )
+        typer.echo(f"the run on {run.port} has ended; its file is {run.output}")

@@ -1,0 +1,164 @@
+"""A series of runs on one rig: a file each, and the sand prepared between them."""
+
+import os
+import subprocess
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drftjax.errors import InputError
+from hils.clock import MonotonicClock
+from hils.operator_dialogue import AbstractDialogue
+from hils.port import open_port
+from hils.port_link import PortLink
+from hils.procedure import Procedure, RunReport, run
+from hils.realtime import timely
+from hils.recorder import Recorder
+from hils.stop_request import StopRequest
+from hils.under_way import announced
+
+ENDED_EARLY = 1
+INTERRUPTED = 128 + 2
+
+
+class Series(NamedTuple):
+    """Where runs are made and kept.
+
+    Attributes:
+        port: The rig's port.
+        baud: Its baud rate.
+        files: A run log for each run.
+        between: Shell command that prepares the sand; None to ask the operator.
+        fifo: Whether to ask the system for SCHED_FIFO.
+    """
+
+    port: str
+    baud: int
+    files: list[Path]
+    between: str | None
+    fifo: bool
+
+
+def file_names(output: Path, runs: int) -> list[Path]:
+    """One name for each run: the name itself, or numbered ones.
+
+    Raises:
+        InputError: where one of them is taken, or cannot be.
+    """
+    if output.suffix != ".h5":
+        raise InputError(f"{output}: a run log's name must end in .h5")
+    digits = max(2, len(str(runs)))
+    names = [output]
+    if runs > 1:
+        names = [
+            output.with_name(f"{output.stem}-{each:0{digits}d}.h5") for each in range(1, runs + 1)
+        ]
+    for name in names:
+        if name.exists():
+            raise InputError(f"{name} is already there; move it away or record under another name")
+    return names
+
+
+def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue) -> int:
+    """Make the runs, one after the other; the first that does not complete ends them.
+
+    Returns:
+        The exit code: 0 where all were completed.
+
+    Raises:
+        InputError: a run could not be begun, or its file not be finished.
+    """
+    for number, path in enumerate(series.files):
+        if number:
+            _prepare(series, number, dialogue)
+        if len(series.files) > 1:
+            dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
+        report = one_run(procedure, series, path, dialogue)
+        for line in told(report, path):
+            dialogue.tell(line)
+        if not report.completed:
+            return INTERRUPTED if "Ctrl-C" in report.reason else ENDED_EARLY
+    return 0
+
+
+def one_run(
+    procedure: Procedure, series: Series, path: Path, dialogue: AbstractDialogue
+) -> RunReport:
+    """Open the port, make a run, close everything."""
+    stop = StopRequest()
+    with ExitStack() as opened:
+        opened.enter_context(announced(series.port, path))
+        opened.enter_context(stop.on_signals())
+        # Before the port and before any priority: it must outlive the one and not have the other.
+        recorder = Recorder(path)
+        opened.callback(recorder.close, "not begun")
+        clock = MonotonicClock()
+        link = PortLink(open_port(series.port, series.baud), clock)
+        opened.callback(link.close)
+
+        def before_motion() -> None:
+            granted = opened.enter_context(timely(series.fifo))
+            dialogue.tell(f"Timing: {', '.join(granted)}.")
+
+        return run(procedure, link, clock, recorder, dialogue, stop, before_motion)
+
+
+def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
+    if series.between is None:
+        dialogue.confirm("Prepare the sand and bring the wheel back to its start")
+        return
+    dialogue.tell(f"Preparing the sand: {series.between}")
+    done = subprocess.run(
+        series.between,
+        shell=True,
+        check=False,
+        env={**os.environ, "DRFT_RUNS_MADE": str(number)},
+    )
+    if done.returncode:
+        raise InputError(
+            f"the command between runs, {series.between!r}, left with code {done.returncode}; "
+            f"{number} of {len(series.files)} runs are made"
+        )
+
+
+def told(report: RunReport, path: Path) -> list[str]:
+    """A run's report in a few lines."""
+    lines = [f"{'Completed' if report.completed else 'Ended early'}: {report.reason}."]
+    if not report.rested:
+        lines.append("The rig was not seen to rest: make sure that it does.")
+    loop, start = report.loop, report.start
+    if loop is not None and start is not None:
+        zeta = loop.last.packed[1]
+        if len(loop.error):
+            rmse, most = np.sqrt((loop.error**2).mean()), np.abs(loop.error).max()
+            lines.append(
+                f"zeta {start.zeta:.4f} to {zeta:.4f}; sinkage, measured minus simulated: "
+                f"RMSE {rmse * 1e3:.3f} mm, at most {most * 1e3:.3f} mm."
+            )
+        lines.append(
+            f"{loop.ticks} ticks, {loop.overruns} deadlines missed, {loop.skipped} ticks skipped; "
+            f"{loop.fresh} fresh readings used, {loop.refused} refused."
+        )
+        if len(loop.busy):
+            busy, woken = loop.busy * 1e3, loop.woken * 1e3
+            lines.append(
+                f"A tick's work: median {np.median(busy):.3f} ms, 99.9 % {_high(busy):.3f} ms, "
+                f"most {busy.max():.3f} ms; woken late by {np.median(woken):.3f}, "
+                f"{_high(woken):.3f}, {woken.max():.3f} ms."
+            )
+    quality = report.quality
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in quality.drops.items())
+    lines.append(
+        f"Link: {quality.sent} frames sent, {quality.received} received, "
+        f"{quality.dropped} dropped{f' ({causes})' if causes else ''}, "
+        f"{quality.replaced} commands replaced by newer ones."
+    )
+    if path.exists():
+        lines.append(f"Run log: {path}")
+    return lines
+
+
+def _high(values: np.ndarray) -> float:
+    return float(np.percentile(values, 99.9))
