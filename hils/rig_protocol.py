@@ -325,11 +325,11 @@ class RigProtocol:
         self._live(now)
         self._fault = fault or self._fault
         self._stop_reason = reason
+        self._say(EmergencyStop(reason))
+        self._repeats = [self._now + REPEAT_AFTER * each for each in range(1, REPEATS)]
         if state is RigState.FAULT:
             self._turn(state, reason)
         self._go_safe(reason, at_once=True)
-        self._repeats = [self._now + REPEAT_AFTER * each for each in range(1, REPEATS)]
-        self._say(EmergencyStop(reason))
         out, self._out = self._out, b""
         return out
 

@@ -1,0 +1,357 @@
+"""The port that the wire comes out of: a serial device, a socket, or any other pyserial URL.
+
+Reads and writes never wait; waiting has a deadline of its own and can be cut short from another
+thread. Whatever breaks is one `LinkLost`.
+"""
+
+import abc
+import errno
+import os
+import select
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+from drftjax.errors import InputError
+from hils.link import LinkLost
+
+# Two commands: more in the driver would be older than the newest by the time it is sent.
+BACKLOG = 64
+# How often a full driver, or a port without a descriptor, is looked at again [s].
+GLANCE = 1e-3
+# Of a socket [bytes], for the same reason; the kernel counts its own bookkeeping with it.
+SEND_BUFFER = 4096
+CONNECT_TIMEOUT = 5.0
+WRITE_TIMEOUT = 1.0
+LEAVE_TIME = 0.1  # for the last bytes to leave a port that is closed [s]
+LARGEST_BAUD = 12_000_000
+
+
+class AbstractPort(abc.ABC):
+    """A stream of bytes both ways. All but `close` raise `LinkLost` where it breaks."""
+
+    @property
+    @abc.abstractmethod
+    def name(self) -> str:
+        """What a person calls it."""
+
+    @abc.abstractmethod
+    def read(self, limit: int) -> bytes:
+        """What has come, at most so many bytes; nothing where nothing has."""
+
+    @abc.abstractmethod
+    def write(self, data: bytes) -> int:
+        """Hand over as many bytes as there is room for now, and say how many."""
+
+    @abc.abstractmethod
+    def wait(self, readable: bool, writable: bool, deadline: float) -> None:
+        """Return once there may be something to read, or room to write, or at `wake`.
+
+        Args:
+            readable, writable: What to wait for.
+            deadline: Latest return [s], on the monotonic clock.
+        """
+
+    @abc.abstractmethod
+    def wake(self) -> None:
+        """Make `wait` return, now or when it is called next; from any thread."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Let go of the port."""
+
+
+class Waker:
+    """A descriptor that becomes readable when another thread wants it."""
+
+    def __init__(self):
+        self._ends = os.pipe()
+        for end in self._ends:
+            os.set_blocking(end, False)
+
+    def fileno(self) -> int:
+        return self._ends[0]
+
+    def wake(self) -> None:
+        # A full pipe wakes just as well, and after `close` there is nobody to wake.
+        with suppress(OSError):
+            os.write(self._ends[1], b"\1")
+
+    def clear(self) -> None:
+        with suppress(BlockingIOError):
+            os.read(self._ends[0], 4096)
+
+    def close(self) -> None:
+        ends, self._ends = self._ends, (-1, -1)
+        for end in ends:
+            if end >= 0:
+                os.close(end)
+
+
+def _poll(descriptor: int, waker: Waker, readable: bool, writable: bool, deadline: float) -> None:
+    poll = select.poll()
+    poll.register(waker, select.POLLIN)
+    # A hang-up is reported whatever is asked for; the next read then says so.
+    poll.register(descriptor, select.POLLIN * readable | select.POLLOUT * writable)
+    # Rounded up: a wait that ends early would be waited again, without a pause.
+    left = max(0.0, deadline - time.monotonic())
+    if any(each == waker.fileno() for each, _ in poll.poll(-(-left * 1e3 // 1))):
+        waker.clear()
+
+
+@contextmanager
+def _one_error(name: str) -> Iterator[None]:
+    """Whatever a port raises, as one `LinkLost`."""
+    try:
+        yield
+    except Exception as error:
+        # pyserial raises TypeError and termios.error besides OSError when a device goes away.
+        raise LinkLost(f"{name} is lost: {_cause(error)}") from error
+
+
+def _cause(error: Exception) -> str:
+    if isinstance(error, OSError) and error.errno and error.errno in errno.errorcode:
+        return os.strerror(error.errno)
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+class SerialPort(AbstractPort):
+    """A serial device that pyserial has opened and set up, used by its descriptor."""
+
+    def __init__(self, device: Any, name: str):
+        import termios
+
+        self._device, self._name = device, name
+        self._descriptor = device.fileno()
+        self._waker = Waker()
+        self._full = False
+        with _one_error(name):
+            attributes = termios.tcgetattr(self._descriptor)
+            # pyserial leaves these two: a break must not become a zero byte or a signal, and with
+            # VMIN of 1 a read of nothing means a hang-up and never an empty buffer.
+            attributes[0] &= ~(termios.BRKINT | termios.IXANY)
+            attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, attributes)
+        with suppress(Exception):  # what FTDI's latency timer needs; not every driver knows it
+            device.set_low_latency_mode(True)
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def read(self, limit: int) -> bytes:
+        with _one_error(self._name):
+            try:
+                data = os.read(self._descriptor, limit)
+            except BlockingIOError:
+                return b""
+        if not data:
+            raise LinkLost(f"{self._name} is lost: it hung up")
+        return data
+
+    def write(self, data: bytes) -> int:
+        with _one_error(self._name):
+            self._full = self._queued() >= BACKLOG
+            if self._full:
+                return 0
+            try:
+                return os.write(self._descriptor, data)
+            except BlockingIOError:
+                return 0
+
+    def wait(self, readable: bool, writable: bool, deadline: float) -> None:
+        if writable and self._full:
+            # The driver would take more, so it cannot tell when its queue is short again.
+            writable, deadline = False, min(deadline, time.monotonic() + GLANCE)
+        with _one_error(self._name):
+            _poll(self._descriptor, self._waker, readable, writable, deadline)
+
+    def wake(self) -> None:
+        self._waker.wake()
+
+    def close(self) -> None:
+        with suppress(Exception):
+            leave = time.monotonic() + LEAVE_TIME
+            while self._queued() and time.monotonic() < leave:
+                time.sleep(GLANCE)
+            # Without this, closing waits up to 30 s for a device that takes nothing.
+            self._device.reset_output_buffer()
+        with suppress(Exception):
+            self._device.close()
+        self._descriptor = -1
+        self._waker.close()
+
+    def _queued(self) -> int:
+        try:
+            return self._device.out_waiting
+        except OSError:  # a driver that cannot tell; one that is gone says so when it is written to
+            return 0
+
+
+class SocketPort(AbstractPort):
+    """A connected stream socket, or one end of a socket pair."""
+
+    def __init__(self, connected: socket.socket, name: str = "the socket"):
+        self._socket, self._name = connected, name
+        self._waker = Waker()
+        with _one_error(name):
+            connected.setblocking(False)
+            connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            if connected.family in (socket.AF_INET, socket.AF_INET6):
+                connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def read(self, limit: int) -> bytes:
+        with _one_error(self._name):
+            try:
+                data = self._socket.recv(limit)
+            except BlockingIOError:
+                return b""
+        if not data:
+            raise LinkLost(f"{self._name} is lost: it hung up")
+        return data
+
+    def write(self, data: bytes) -> int:
+        with _one_error(self._name):
+            try:
+                return self._socket.send(data)
+            except BlockingIOError:
+                return 0
+
+    def wait(self, readable: bool, writable: bool, deadline: float) -> None:
+        with _one_error(self._name):
+            _poll(self._socket.fileno(), self._waker, readable, writable, deadline)
+
+    def wake(self) -> None:
+        self._waker.wake()
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._socket.close()
+        self._waker.close()
+
+
+class UrlPort(AbstractPort):
+    """Any other port of pyserial's, `loop://` among them; it is looked at each millisecond."""
+
+    def __init__(self, device: Any, name: str):
+        import threading
+
+        self._device, self._name = device, name
+        self._woken = threading.Event()
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def read(self, limit: int) -> bytes:
+        with _one_error(self._name):
+            return self._device.read(max(1, min(limit, self._device.in_waiting)))
+
+    def write(self, data: bytes) -> int:
+        with _one_error(self._name):
+            return self._device.write(data)
+
+    def wait(self, readable: bool, writable: bool, deadline: float) -> None:
+        with _one_error(self._name):
+            while not (writable or (readable and self._device.in_waiting)):
+                left = deadline - time.monotonic()
+                if left <= 0.0 or self._woken.wait(min(left, GLANCE)):
+                    break
+        self._woken.clear()
+
+    def wake(self) -> None:
+        self._woken.set()
+
+    def close(self) -> None:
+        with suppress(Exception):
+            self._device.close()
+
+
+def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
+    """Open a port.
+
+    Args:
+        name: A device, or a URL of pyserial's: socket://host:port, loop://.
+        baud: Rate of a serial line [bit/s].
+        exclusive: Refuse a device that another program holds, and hold it against others.
+
+    Raises:
+        InputError: the name or rate cannot be.
+        LinkLost: the port cannot be opened.
+    """
+    if not 1 <= baud <= LARGEST_BAUD:
+        raise InputError(f"baud rate is {baud}, must lie between 1 and {LARGEST_BAUD}")
+    if name.lower().startswith("socket://"):
+        return SocketPort(_connected(name), name)
+    import serial
+
+    # A write must have a deadline; without waiting at all, pyserial loses what does not fit.
+    options: dict[str, Any] = {"timeout": 0.0, "write_timeout": WRITE_TIMEOUT}
+    if "://" not in name or name.lower().startswith("hwgrep://"):
+        options["exclusive"] = exclusive
+    try:
+        device = serial.serial_for_url(name, baudrate=baud, **options)
+    except serial.SerialException as error:
+        raise LinkLost(f"{name} cannot be opened: {_refusal(error, name)}") from error
+    except OSError as error:
+        raise LinkLost(f"{name} cannot be opened: {_cause(error)}") from error
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name} cannot be opened: {_cause(error)}") from error
+    if os.name == "posix" and isinstance(device, serial.Serial):
+        try:
+            return SerialPort(device, name)
+        except BaseException:
+            device.close()
+            raise
+    return UrlPort(device, name)
+
+
+def _refusal(error: Any, name: str) -> str:
+    if error.errno in (errno.EAGAIN, errno.EBUSY):
+        return "another program uses it"
+    if error.errno == errno.EACCES:
+        return "permission denied; on most systems its users are in the group dialout"
+    if error.errno == errno.ENOENT:
+        return "there is no such port; 'drft hils ports' lists those that there are"
+    return _cause(error)
+
+
+def _connected(url: str) -> socket.socket:
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if not host or port is None:
+        raise InputError(f"{url} cannot be opened: it must be socket://host:port")
+    try:
+        return socket.create_connection((host, port), CONNECT_TIMEOUT)
+    except OSError as error:
+        raise LinkLost(f"{url} cannot be opened: {_cause(error)}") from error
+
+
+class Listed(NamedTuple):
+    """A serial port of this machine: its name, and what its adapter says that it is."""
+
+    name: str
+    description: str
+
+
+def ports() -> list[Listed]:
+    """The serial ports of this machine, by name."""
+    from serial.tools.list_ports import comports
+
+    found = [Listed(each.device, _described(each)) for each in comports()]
+    return sorted(found)
+
+
+def _described(port: Any) -> str:
+    known = [text for text in (port.description, port.manufacturer) if text and text != "n/a"]
+    return ", ".join(dict.fromkeys(known)) or "nothing known of it"

@@ -1,0 +1,263 @@
+"""The host's side of a session: HELLO, ARM, ESTOP and BYE, each under absolute deadlines."""
+
+import math
+import secrets
+from collections.abc import Callable
+
+from drftjax.errors import InputError
+from hils.clock import AbstractClock
+from hils.link import AbstractLink, Arrival, LinkQuality
+from hils.pace import watchdog_s
+from hils.wire import (
+    SCHEMA,
+    Arm,
+    Bye,
+    Drive,
+    EmergencyStop,
+    Hello,
+    HelloAck,
+    Message,
+    RigState,
+    StateReport,
+    Stop,
+    newer,
+)
+
+TRIES = 5
+GAP = 0.05  # from one try to the next [s]
+LARGEST_SCALE = 1.0  # metres a count
+READY = (RigState.ARMED, RigState.RUNNING)
+STOPPED = (RigState.SAFE, RigState.FAULT)
+
+
+class RigStopped(InputError):
+    """The rig ended the run by itself; the message says how it told so."""
+
+
+def new_session() -> int:
+    """A session number at random, never zero: a rig that knows no session may send zero."""
+    return 1 + secrets.randbelow(0xFFFF)
+
+
+class Session:
+    """One host's conversation with the rig at the end of a link.
+
+    Args:
+        link: To the rig.
+        clock: What deadlines are held by.
+        number: Draws a session number for each HELLO.
+    """
+
+    def __init__(
+        self, link: AbstractLink, clock: AbstractClock, number: Callable[[], int] = new_session
+    ):
+        self._link, self._clock, self._number = link, clock, number
+        self._hello: Hello | None = None
+        self._ack: HelloAck | None = None
+        self._armed_by: Arrival | None = None
+        self._said: StateReport | None = None
+
+    def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
+        """Open a session: HELLO up to five times, 50 ms apart.
+
+        Args:
+            hello: What to say.
+            patience: Time [s] over which the five tries are made again, for a rig that restarts
+                when its port is opened.
+
+        Raises:
+            InputError: nothing answers, or what answers cannot be driven safely.
+            LinkLost: the line broke.
+        """
+        until = self._clock.now() + patience
+        before = self._link.quality()
+        while True:
+            self._link.begin(self._number())
+            self._armed_by = None
+            answer = self._ask(hello, lambda each: isinstance(each.frame.message, HelloAck))
+            if answer is not None:
+                break
+            if self._clock.now() >= until:
+                raise InputError(_silence(self._link.name, before, self._link.quality()))
+        assert isinstance(answer.frame.message, HelloAck)
+        self._hello, self._ack = hello, answer.frame.message
+        _require_usable(self._link.name, hello, self._ack)
+        return self._ack
+
+    def arm(self, hold: Drive) -> None:
+        """Make the rig ready to move: ARM until it says that it is, with commands behind.
+
+        A rig may count its watchdog from ARM on, so `hold` is sent each tick while its answer is
+        on the way; the caller goes on sending commands as soon as this returns. A rig that is
+        SAFE, which by then it may be for want of commands, is greeted anew once.
+
+        Args:
+            hold: The command at rest.
+
+        Raises:
+            InputError: the rig does not get ready.
+            LinkLost: the line broke.
+        """
+        hello, ack = self._require_open()
+        for greeting in (False, True):
+            if greeting and self.connect(hello).boot_id != ack.boot_id:
+                raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
+            self._said = None
+            self._armed_by = self._ask(Arm(), _says_ready, hold, hello.tick_us * 1e-6)
+            if self._armed_by is not None:
+                return
+            if self._said is None or self._said.state is RigState.FAULT:
+                break
+        raise InputError(_unready(self._link.name, self._said))
+
+    def check(self) -> list[Arrival]:
+        """What the rig reported since the last call; once armed, refuse if it is no longer.
+
+        Raises:
+            RigStopped: the rig stopped, left its ready state, failed or was reset.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        reports = self._link.reports()
+        stranger = self._link.quality().stranger
+        if stranger is not None and stranger.boot_id != ack.boot_id:
+            raise RigStopped(f"the rig on {self._link.name} was reset during the run")
+        for each in reports:
+            message = each.frame.message
+            if isinstance(message, StateReport) and message.boot_id != ack.boot_id:
+                raise RigStopped(f"the rig on {self._link.name} was reset during the run")
+            if isinstance(message, EmergencyStop):
+                raise RigStopped(
+                    f"the rig on {self._link.name} made an emergency stop, reason {message.reason}"
+                )
+            self._require_ready(each)
+        newest = self._link.newest()
+        if newest is not None:
+            self._require_ready(newest)
+        return reports
+
+    def stop(self) -> None:
+        """Ask the rig to ramp to rest and stay armed; not repeated, so the caller goes on with
+        commands at rest."""
+        self._link.send(Stop())
+
+    def emergency_stop(self, reason: int) -> bool:
+        """Ask the rig to rest at once, up to five times, 50 ms apart.
+
+        Returns:
+            Whether the rig said that it is SAFE; where it did not, its watchdog has to make it so.
+        """
+        return self._ask(EmergencyStop(reason), _says_stopped) is not None
+
+    def bye(self) -> None:
+        """End the session, and give the rig a moment to take it in."""
+        self._link.send(Bye())
+        self._await(
+            lambda each: isinstance(each.frame.message, StateReport), self._clock.now() + GAP
+        )
+        self._armed_by = None
+
+    def _require_open(self) -> tuple[Hello, HelloAck]:
+        if self._hello is None or self._ack is None:
+            raise InputError(f"no session is open with the rig on {self._link.name}")
+        return self._hello, self._ack
+
+    def _require_ready(self, arrival: Arrival) -> None:
+        state = _state(arrival)
+        if self._armed_by is None or state is None or state in READY:
+            return
+        if not newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
+            return
+        message = arrival.frame.message
+        reason = f", reason {message.reason}" if isinstance(message, StateReport) else ""
+        raise RigStopped(f"the rig on {self._link.name} went {state.name} by itself{reason}")
+
+    def _ask(
+        self,
+        message: Message,
+        answers: Callable[[Arrival], bool],
+        hold: Drive | None = None,
+        tick: float = math.inf,
+    ) -> Arrival | None:
+        """Say it until something answers it, or all tries are over."""
+        start = self._clock.now()
+        for number in range(1, TRIES + 1):
+            self._link.send(message)
+            deadline = start + number * GAP
+            while (now := self._clock.now()) < deadline:
+                if hold is not None:
+                    self._link.send(hold)
+                if (answer := self._await(answers, min(deadline, now + tick))) is not None:
+                    return answer
+        return None
+
+    def _await(self, answers: Callable[[Arrival], bool], deadline: float) -> Arrival | None:
+        while True:
+            for each in self._link.reports():
+                if isinstance(each.frame.message, StateReport):
+                    self._said = each.frame.message
+                if answers(each):
+                    return each
+            newest = self._link.newest()
+            if newest is not None and answers(newest):
+                return newest
+            if not self._link.wait(deadline):
+                return None
+
+
+def _state(arrival: Arrival) -> RigState | None:
+    return getattr(arrival.frame.message, "state", None)
+
+
+def _says_ready(arrival: Arrival) -> bool:
+    """STATE answers ARM; so does a measurement that already says that the rig is ready."""
+    return not isinstance(arrival.frame.message, HelloAck) and _state(arrival) in READY
+
+
+def _says_stopped(arrival: Arrival) -> bool:
+    return isinstance(arrival.frame.message, EmergencyStop) or _state(arrival) in STOPPED
+
+
+def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
+    due = watchdog_s(hello.tick_us) * 1e3
+    scales = [ack.z_scale, ack.x_scale]
+    limits = [ack.omega_max, ack.vx_max]
+    if ack.schema != SCHEMA:
+        raise InputError(
+            f"the rig on {name} speaks schema 0x{ack.schema:08x}, must be 0x{SCHEMA:08x}"
+        )
+    if not all(math.isfinite(each) and abs(each) < LARGEST_SCALE for each in scales) or (
+        ack.z_scale == 0.0
+    ):
+        raise InputError(
+            f"the rig on {name} says z_scale {ack.z_scale:.4g} and x_scale {ack.x_scale:.4g} m a "
+            f"count, must be finite, below {LARGEST_SCALE:g} m, and that of z not zero"
+        )
+    if not all(math.isfinite(each) and each >= 0.0 for each in limits) or ack.omega_max == 0.0:
+        raise InputError(
+            f"the rig on {name} says omega_max {ack.omega_max:.4g} rad/s and vx_max "
+            f"{ack.vx_max:.4g} m/s, must be finite, the first positive and the second not negative"
+        )
+    # Less than the rule's, it would bite between two commands; far more, a wheel runs on alone.
+    if not math.floor(due) <= ack.watchdog_ms <= 2.0 * due:
+        raise InputError(
+            f"the rig on {name} has a watchdog of {ack.watchdog_ms} ms, must be max(20 ms, "
+            f"5 ticks) = {due:g} ms, or up to twice that"
+        )
+
+
+def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
+    asked = f"no rig on {name} answers HELLO ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
+    got = after.bytes_received - before.bytes_received
+    if got == 0:
+        return f"{asked}, not a byte came back: is the rig on, and is this its port?"
+    new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
+    told = f" ({causes})" if causes else ""
+    return f"{asked}, though {got} bytes came{told}: is the baud rate the rig's, is it a rig?"
+
+
+def _unready(name: str, said: StateReport | None) -> str:
+    if said is None:
+        return f"the rig on {name} does not answer ARM ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
+    return f"the rig on {name} is not armed: it says {said.state.name}, reason {said.reason}"

@@ -1,0 +1,375 @@
+"""The host's side of a session, in virtual time, with rigs that read the page in their own ways.
+
+`OtherRig` is written from the page alone and shares no code with the package: struct, zlib and a
+COBS of its own.
+"""
+
+import math
+import struct
+import zlib
+
+import pytest
+
+from drftjax.errors import InputError
+from hils.clock import VirtualClock
+from hils.link import LinkLost, SoftLink
+from hils.rig_protocol import Reason, RigIdentity, RigProtocol
+from hils.session import GAP, TRIES, RigStopped, Session, new_session
+from hils.wire import Drive, Hello, RigState
+
+HELLO = Hello(10_000, 50)
+HOLD = Drive(0.0, 0.0, False, 50)
+# Sums of the virtual clock's grains.
+ROUNDING = 1e-9
+
+
+def stuffed(data: bytes) -> bytes:
+    """COBS, the slow and plain way."""
+    return b"".join(bytes([len(each) + 1]) + each for each in data.split(b"\0"))
+
+
+def unstuffed(data: bytes) -> bytes:
+    out, place = b"", 0
+    while place < len(data):
+        out += data[place + 1 : place + data[place]] + b"\0"
+        place += data[place]
+    return out[:-1]
+
+
+class OtherRig:
+    """Somebody's firmware. Each attribute is a way to read the page, or a mishap."""
+
+    leading_delimiter = True
+    watchdog_counts_in_idle = False
+    restarts_count_at_hello = False
+    runs_at_arm = False
+    answers_arm = True
+    deaf_for = 0.0
+    boot_text = b""
+    omega = 0.0
+    greeting = (0x44524654, 9, 1234, 1e-5, 0.0, 2.0, 0.0, 50, 0)  # HELLO_ACK but its state
+
+    def __init__(self, **ways):
+        for way, value in ways.items():
+            assert hasattr(self, way)
+            setattr(self, way, value)
+        self.state, self.session, self.seq, self.boot = 0, 0, 0, self.greeting[2]
+        self.greeted, self.commanded, self.told, self.rest = False, 0.0, 0.0, b""
+        self.out, self.said = self.boot_text, []
+        self.broken = False
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        if self.broken:
+            raise LinkLost("unplugged")
+        counting = self.state in (1, 2) or (self.watchdog_counts_in_idle and self.state == 0)
+        if counting and now - self.commanded > 0.05:
+            self.state, self.greeted = 3, False
+        if now >= self.deaf_for:
+            *packets, self.rest = (self.rest + data).split(b"\0")
+            for packet in filter(None, packets):
+                self.hear(unstuffed(packet), now)
+        if self.session and now - self.told >= 0.02:
+            self.measure(now, 0)
+        out, self.out = self.out, b""
+        return out
+
+    def hear(self, content: bytes, now: float) -> None:
+        body, (crc,) = content[:-4], struct.unpack("<I", content[-4:])
+        version, kind, session, seq, _ = struct.unpack("<BBHII", body[:12])
+        assert crc == zlib.crc32(body)
+        assert version == 1
+        self.said.append(kind)
+        if kind == 1:
+            self.state = 3 if self.state in (1, 2) else self.state
+            self.session, self.greeted, self.commanded = session, True, now
+            if self.restarts_count_at_hello:
+                self.seq = 0
+            self.say(2, struct.pack("<IIIffffHH", *self.greeting[:-1], self.state))
+        elif session != self.session:
+            return
+        elif kind == 3:
+            if self.greeted and self.state in (0, 3):
+                self.state, self.commanded = 2 if self.runs_at_arm else 1, now
+            if self.answers_arm:
+                self.report(0)
+        elif kind == 4:
+            omega, _, _, _ = struct.unpack("<ffHH", body[12:])
+            assert self.state != 4 or omega == 0.0
+            self.commanded = now
+            self.measure(now, seq)
+        elif kind == 7:
+            self.state, self.greeted = 3, False
+            self.report(1)
+        elif kind == 9:
+            self.state = 0
+
+    def measure(self, now: float, seq: int) -> None:
+        self.told = now
+        self.say(5, struct.pack("<IiifHH", seq, -1760, 0, self.omega, self.state, 0))
+
+    def report(self, reason: int) -> None:
+        self.say(8, struct.pack("<HHI", self.state, reason, self.boot))
+
+    def say(self, kind: int, payload: bytes) -> None:
+        self.seq += 1
+        body = struct.pack("<BBHII", 1, kind, self.session, self.seq, 0) + payload
+        packet = stuffed(body + struct.pack("<I", zlib.crc32(body))) + b"\0"
+        self.out += b"\0" * self.leading_delimiter + packet
+
+
+class Table:
+    """A rig, the virtual clock, a link and a session."""
+
+    def __init__(self, rig):
+        self.rig, self.clock = rig, VirtualClock()
+        self.link = SoftLink(rig, self.clock, "port 1")
+        self.session = Session(self.link, self.clock)
+
+    def ready(self) -> "Table":
+        self.session.connect(HELLO)
+        self.session.arm(HOLD)
+        return self
+
+    def drive(self, duration: float, omega: float = 0.25) -> None:
+        for _ in range(round(duration / 0.01)):
+            self.session.check()
+            self.link.send(Drive(omega, 0.0, False, 50))
+            self.clock.sleep_until(self.clock.now() + 0.01)
+
+
+class Silent:
+    """A port with nothing that speaks the wire behind it."""
+
+    def __init__(self, babble: bytes = b""):
+        self.babble, self.heard = babble, []
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        if data:
+            self.heard.append(now)
+        return self.babble if data else b""
+
+
+def ours() -> RigProtocol:
+    return RigProtocol(RigIdentity(boot_id=5))
+
+
+# Firmware of others ------------------------------------------------------------------------------
+
+READINGS = {
+    "as we would": {},
+    "delimiters behind only": {"leading_delimiter": False},
+    "the watchdog counts before ARM too": {"watchdog_counts_in_idle": True},
+    "sequence numbers restart at HELLO": {"restarts_count_at_hello": True},
+    "RUNNING from ARM on": {"runs_at_arm": True},
+    "ARM is answered by measurements alone": {"answers_arm": False},
+    "omega is not measured": {"omega": math.nan},
+    "text at power-up": {"boot_text": b"\r\nrig 1.0 ready\r\n"},
+    "deaf at first": {"deaf_for": 0.12},
+    "x runs the other way": {"greeting": (0x44524654, 9, 7, -1e-5, -1e-4, 2.0, 0.1, 50, 0)},
+    "the watchdog in ticks of 20 ms": {"greeting": (0x44524654, 9, 7, 1e-5, 0, 2.0, 0, 60, 0)},
+}
+
+
+@pytest.mark.parametrize("ways", READINGS.values(), ids=READINGS)
+@pytest.mark.parametrize("pause", [0.0, 1.0])
+def test_a_rig_made_from_the_page_alone_can_be_driven(ways, pause):
+    table = Table(OtherRig(**ways))
+    table.session.connect(HELLO)
+    table.clock.sleep_until(table.clock.now() + pause)
+    table.session.arm(HOLD)
+    table.drive(0.5)
+    assert table.rig.state in (1, 2)
+    newest = table.link.newest()
+    assert newest is not None
+    assert newest.frame.message.z == -1760
+    assert table.session.emergency_stop(3)
+    assert table.rig.state == 3
+
+
+def test_our_own_rig_can_be_driven():
+    table = Table(ours()).ready()
+    table.drive(0.5)
+    assert table.rig.state is RigState.RUNNING
+    table.session.stop()
+    table.drive(0.1, omega=0.0)
+    assert table.rig.state is RigState.ARMED
+    table.session.bye()
+    assert table.rig.state is RigState.IDLE
+
+
+def test_a_run_follows_a_run():
+    table = Table(ours())
+    for _ in range(3):
+        table.ready().drive(0.2)
+        table.session.emergency_stop(1)
+        assert table.rig.state is RigState.SAFE
+    table.ready().drive(0.2)
+
+
+def test_a_host_that_died_is_followed_by_another():
+    table = Table(ours()).ready()
+    table.drive(0.2)
+    Table.__init__(again := Table.__new__(Table), table.rig)
+    again.clock.sleep_until(table.clock.now())
+    assert again.session.connect(HELLO).state is RigState.SAFE
+    again.session.arm(HOLD)
+    again.drive(0.2)
+    assert again.rig.state is RigState.RUNNING
+
+
+# Deadlines ---------------------------------------------------------------------------------------
+
+
+def test_hello_is_said_five_times_50_ms_apart():
+    table = Table(silent := Silent())
+    with pytest.raises(InputError, match=r"no rig on port 1 answers HELLO .* not a byte came back"):
+        table.session.connect(HELLO)
+    assert silent.heard == pytest.approx([number * GAP for number in range(TRIES)])
+    assert table.clock.now() == pytest.approx(TRIES * GAP, abs=ROUNDING)
+
+
+def test_patience_tries_again_until_it_ends():
+    table = Table(OtherRig(deaf_for=1.7))
+    table.session.connect(HELLO, patience=3.0)
+    assert 1.7 <= table.clock.now() < 1.7 + GAP
+    table = Table(silent := Silent())
+    with pytest.raises(InputError, match="no rig"):
+        table.session.connect(HELLO, patience=1.1)
+    assert len(silent.heard) == 5 * TRIES
+
+
+def test_what_is_no_rig_is_told_by_what_it_says():
+    table = Table(Silent(b"$GPGGA,123519\r\n\0"))
+    with pytest.raises(InputError, match=r"80 bytes came \(.*\): is the baud rate the rig's"):
+        table.session.connect(HELLO)
+
+
+def test_arm_streams_the_command_at_rest_each_tick():
+    table = Table(rig := OtherRig(answers_arm=False))
+    table.session.connect(HELLO)
+    rig.measure = lambda *_: None  # says nothing at all any more
+    with pytest.raises(InputError, match="does not answer ARM"):
+        table.session.arm(HOLD)
+    assert rig.said.count(3) == TRIES
+    assert rig.said.count(4) == pytest.approx(TRIES * GAP / 0.01, abs=TRIES)
+
+
+def test_an_emergency_stop_that_nobody_answers_says_so():
+    table = Table(OtherRig()).ready()
+    table.rig.say = lambda *_: None
+    before = table.clock.now()
+    assert not table.session.emergency_stop(1)
+    assert table.clock.now() - before == pytest.approx(TRIES * GAP, abs=ROUNDING)
+
+
+# Rigs that cannot be driven ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("greeting", "said"),
+    [
+        ((1, 9, 1, 1e-5, 1e-4, 2.0, 0.1, 50, 0), "speaks schema 0x00000001"),
+        ((0x44524654, 9, 1, math.nan, 1e-4, 2.0, 0.1, 50, 0), "z_scale nan"),
+        ((0x44524654, 9, 1, 0.0, 1e-4, 2.0, 0.1, 50, 0), "z_scale 0"),
+        ((0x44524654, 9, 1, 10.0, 1e-4, 2.0, 0.1, 50, 0), "z_scale 10"),
+        ((0x44524654, 9, 1, 1e-5, math.inf, 2.0, 0.1, 50, 0), "x_scale inf"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, 0.0, 0.1, 50, 0), "omega_max 0"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, math.nan, 0.1, 50, 0), "omega_max nan"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, 2.0, -0.1, 50, 0), "vx_max -0.1"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, 2.0, 0.1, 0, 0), "a watchdog of 0 ms"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, 2.0, 0.1, 20, 0), "a watchdog of 20 ms, must be"),
+        ((0x44524654, 9, 1, 1e-5, 1e-4, 2.0, 0.1, 500, 0), "a watchdog of 500 ms, must be"),
+    ],
+)
+def test_a_rig_that_cannot_be_driven_safely_is_refused(greeting, said):
+    with pytest.raises(InputError, match=said):
+        Table(OtherRig(greeting=greeting)).session.connect(HELLO)
+
+
+def test_a_rig_with_a_fault_is_not_armed():
+    table = Table(ours())
+    table.session.connect(HELLO)
+    table.rig.fail(Reason.DRIVE, 3, 0.0)
+    with pytest.raises(InputError, match="it says FAULT, reason 10"):
+        table.session.arm(HOLD)
+
+
+def test_nothing_can_be_armed_before_hello():
+    with pytest.raises(InputError, match="no session is open"):
+        Table(ours()).session.arm(HOLD)
+
+
+# Stops of the rig --------------------------------------------------------------------------------
+
+
+class Buttons:
+    """A rig with an emergency button and one that resets it."""
+
+    def __init__(self):
+        self.protocol, self.pressed = RigProtocol(RigIdentity(boot_id=1)), b""
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        pressed, self.pressed = self.pressed, b""
+        return pressed + self.protocol.advance(now, data)
+
+    def press(self, reason: int, now: float) -> None:
+        self.pressed = self.protocol.emergency_stop(reason, now)
+
+    def reset(self, now: float) -> None:
+        self.protocol = RigProtocol(RigIdentity(boot_id=2), now)
+
+
+def test_a_rigs_emergency_stop_is_told():
+    table = Table(Buttons()).ready()
+    table.drive(0.1)
+    table.rig.press(12, table.clock.now())
+    with pytest.raises(RigStopped, match="emergency stop, reason 12"):
+        table.drive(0.5)
+
+
+def test_a_rig_that_went_safe_is_told():
+    table = Table(ours()).ready()
+    table.drive(0.1)
+    table.clock.sleep_until(table.clock.now() + 0.2)
+    with pytest.raises(RigStopped, match="went SAFE by itself, reason 1"):
+        table.session.check()
+
+
+def test_a_state_that_only_measurements_tell_is_told():
+    table = Table(OtherRig()).ready()
+    table.rig.state = 3  # without a word
+    with pytest.raises(RigStopped, match="went SAFE by itself"):
+        table.drive(0.1)
+
+
+def test_a_rig_that_was_reset_is_told():
+    table = Table(Buttons()).ready()
+    table.drive(0.1)
+    table.rig.reset(table.clock.now())
+    with pytest.raises(RigStopped, match="was reset during the run"):
+        table.drive(0.1)
+
+
+def test_a_rig_that_was_reset_before_arm_is_not_armed():
+    table = Table(Buttons())
+    table.session.connect(HELLO)
+    table.rig.reset(0.0)
+    with pytest.raises(InputError):
+        table.session.arm(HOLD)
+    assert table.rig.protocol.state is RigState.IDLE
+
+
+def test_a_line_that_breaks_is_told_as_such():
+    table = Table(OtherRig()).ready()
+    table.rig.broken = True
+    with pytest.raises(LinkLost, match="unplugged"):
+        table.drive(0.1)
+    with pytest.raises(LinkLost, match="unplugged"):
+        table.session.emergency_stop(1)
+
+
+def test_session_numbers_are_drawn_and_never_zero():
+    numbers = {new_session() for _ in range(2000)}
+    assert len(numbers) > 1500
+    assert min(numbers) >= 1
+    assert max(numbers) <= 65_535
