@@ -38,6 +38,7 @@ _ROOT: Final = str(Path(__file__).resolve().parents[1])
 _START: Final = (
     f"import sys; sys.path.append({_ROOT!r}); from hils.recorder_process import main; main()"
 )
+_UNASKED: Final = "ended unasked"
 
 
 class Recorder:
@@ -206,7 +207,7 @@ class Recorder:
             self._lost = "took no rows for so long that the pipe to it is full"
         except OSError:
             said = self._answer(0.0)
-            self._lost = said[1] if said is not None and said[0] == "failed" else "ended unasked"
+            self._lost = said[1] if said is not None and said[0] == "failed" else _UNASKED
 
     def _deliver(self, data: bytes, limit: float) -> None:
         """Write all of it, waiting for room; a pipe without a reader is left to `_await`."""
@@ -229,8 +230,9 @@ class Recorder:
                 raise self._failure(said[1])
             if said[0] == word:
                 return
-        # Of two reasons the one that the loop met first counts.
-        raise self._failure(self._ending() or self._lost or f"did not answer in {limit:g} s")
+        if self._lost in (None, _UNASKED):
+            raise self._failure(self._ending() or f"did not answer in {limit:g} s")
+        raise self._failure(self._lost)
 
     def _answer(self, limit: float) -> tuple[str, str] | None:
         """The recorder's next word and its reason; None where it ended or the limit passed."""
@@ -252,7 +254,7 @@ class Recorder:
         """How the process ended; None where it has not."""
         with suppress(subprocess.TimeoutExpired):
             code = self._process.wait(timeout=1.0)
-            return f"was ended by {signal.Signals(-code).name}" if code < 0 else "ended unasked"
+            return f"was ended by {signal.Signals(-code).name}" if code < 0 else _UNASKED
         return None
 
     def _failure(self, reason: str) -> InputError:

@@ -1,0 +1,412 @@
+"""What the loop hands over is in the file, whoever is killed and whatever the disk does."""
+
+import math
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from recording_host import (
+    DEADLINE,
+    Host,
+    await_outcome,
+    committed,
+    example_head,
+    hand_over,
+    repaired,
+    trial,
+    wrong_rows,
+)
+from typer.testing import CliRunner
+
+from drftjax.commands.log import app
+from drftjax.errors import InputError
+from drftjax.runlog.check import check_file, read_run_guarded
+from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.recording_lock import part_path
+from drftjax.runlog.repair import CUT_OFF, repair
+from drftjax.runlog.seal import seal_holds
+from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
+from hils.recorder import Recorder
+from hils.row_stream import Kind, RowStream, pack_end, pack_head, row_packer
+from hils.sound_rows import SoundRows
+
+# Kills at random times of each kind; tests/benchmarks/kills.py makes 200.
+KILLS = 2
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    return tmp_path / "run.h5"
+
+
+def recorded(path: Path, ticks: int, **changes) -> Recorder:
+    recorder = Recorder(path, example_head(**changes))
+    for number in range(ticks):
+        hand_over(recorder, number)
+    return recorder
+
+
+# Rows on their way -------------------------------------------------------------------------------
+
+
+def test_a_stream_cut_anywhere_gives_the_same_rows():
+    head = example_head()
+    rows = [
+        (Kind.COMMAND, (0.0, 0.1 + 0.2, -1e-300)),
+        (Kind.MEASURED, (1 / 3, 5e-324, math.pi)),
+        (Kind.EVENTS, (2.0, 41.0, 2.0**53)),
+        (Kind.COMMAND, (1.0, 2.0, 3.0)),
+    ]
+    data = pack_head(head) + b"".join(row_packer(k, head).pack(k, *row) for k, row in rows)
+    data += pack_end("beendet: zuviel Schlupf")
+    for size in (1, 7, 64, len(data)):
+        stream, found = RowStream(), []
+        for start in range(0, len(data), size):
+            for kind, block in stream.feed(data[start : start + size]).items():
+                found += [(kind, tuple(row)) for row in block]
+        assert stream.head == head
+        assert stream.end_reason == "beendet: zuviel Schlupf"
+        assert sorted(found) == sorted(rows)
+
+
+def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
+    tick = np.ones((3, 13))
+    tick[:, 0] = [0.0, 0.1, 0.2]
+    tick[1, 3], tick[1, 9] = np.inf, TickFlag.FRESH | TickFlag.LATE
+    kept, told = SoundRows().sound(Kind.ONLINE, tick)
+    assert kept[1, 3] == 0.0
+    assert kept[1, 9] == TickFlag.FRESH | TickFlag.LATE | TickFlag.NOT_FINITE
+    np.testing.assert_array_equal(kept[[0, 2]], tick[[0, 2]])
+    assert len(told) == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.COMMAND, Kind.MEASURED])
+def test_a_command_or_a_reading_that_is_not_finite_is_left_out_and_told(kind):
+    rows = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 1.0, 2.0]])
+    kept, told = SoundRows().sound(kind, rows)
+    np.testing.assert_array_equal(kept, rows[[0, 2]])
+    assert told.tolist() == [[0.1, float(Event.ROW_NOT_FINITE), float(kind)]]
+
+
+def test_times_that_do_not_increase_move_up_by_the_least_there_is():
+    sound = SoundRows()
+    first, _ = sound.sound(Kind.MEASURED, np.array([[0.5, 1.0], [0.5, 2.0], [0.4, 3.0]]))
+    again, _ = sound.sound(Kind.MEASURED, np.array([[0.5, 4.0], [0.6, 5.0]]))
+    times = np.concatenate([first, again])[:, 0]
+    assert (np.diff(times) > 0).all()
+    np.testing.assert_allclose(times, [0.5, 0.5, 0.5, 0.5, 0.6], rtol=1e-15)
+    events, _ = sound.sound(Kind.EVENTS, np.array([[0.5, 1.0, 0.0], [0.4, 2.0, 0.0]]))
+    assert events[:, 0].tolist() == [0.5, 0.5]
+
+
+def test_every_event_and_flag_has_one_number_and_one_word():
+    for table in (EVENT_MEANINGS, FLAG_MEANINGS):
+        assert len(set(table.values())) == len(table)
+    assert all(mask.bit_count() == 1 and mask < 2**32 for mask in FLAG_MEANINGS)
+    assert len(EVENT_MEANINGS) == len(Event.__members__)
+
+
+# A run -------------------------------------------------------------------------------------------
+
+
+def test_a_closed_recording_is_an_ordinary_run_log_bit_for_bit(path):
+    recorder = recorded(path, 700)
+    recorder.event(0.2, Event.OVERRUN, 3.5e-4)
+    recorder.event(0.2, Event.RIG_RESET, 2**32 - 1)
+    assert recorder.alive
+    assert recorder.close("completed") == path
+    run = read_run(path)
+    assert wrong_rows(run) == 0
+    assert run.online.time.size == run.measured.time.size == run.command.time.size == 700
+    assert run.events.code.tolist() == [Event.OVERRUN, Event.RIG_RESET]
+    assert run.events.arg.tolist() == [3.5e-4, 2**32 - 1]
+    assert (run.events.meanings, run.online.meanings) == (EVENT_MEANINGS, FLAG_MEANINGS)
+    head = example_head()
+    assert (run.setup, run.title, run.notes) == (head.setup, head.title, head.notes)
+    assert (run.online.tick, run.online.loop) == (head.online.tick, head.online.loop)
+    assert run.end_reason == "completed"
+    assert check_file(path) == []
+    assert seal_holds(path)
+    assert list(path.parent.iterdir()) == [path]
+    with h5py.File(path) as file:
+        assert file.attrs["complete"] == 1
+        assert file["online/flags"].attrs["flag_masks"][0] == TickFlag.FRESH
+
+
+def test_a_free_run_has_no_ticks_and_no_carriage_speed(path):
+    recorder = Recorder(path, example_head(driven=False, online=None))
+    recorder.command(0.0, 0.5)
+    recorder.measured(0.1, 0.2, -0.01)
+    assert recorder.close("completed") == path
+    run = read_run(path)
+    assert run.online is None
+    assert run.command.vx is None
+    assert run.events is None
+
+
+def test_a_head_may_come_later_than_the_recorder(path):
+    recorder = Recorder(path)
+    recorder.begin(example_head())
+    for number in range(10):
+        hand_over(recorder, number)
+    recorder.close("completed")
+    assert wrong_rows(read_run(path)) == 0
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_recording_without_a_reading_leaves_no_file(path, begun):
+    recorder = Recorder(path, example_head() if begun else None)
+    assert recorder.close("the rig did not answer") is None
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_second_close_does_nothing(path):
+    recorder = recorded(path, 3)
+    assert recorder.close("completed") == recorder.close("again") == path
+    hand_over(recorder, 4)
+    assert read_run(path).end_reason == "completed"
+
+
+def test_a_reader_sees_the_committed_rows_while_the_run_goes_on(path):
+    recorder = recorded(path, 600)
+    await_outcome(lambda: committed(part_path(path)) == 600)
+    with h5py.File(part_path(path), "r", swmr=True) as file:
+        assert file.attrs["complete"] == 0
+        np.testing.assert_array_equal(file["measured/x"][()], np.arange(600) / 7)
+    for number in range(600, 700):
+        hand_over(recorder, number)
+    await_outcome(lambda: committed(part_path(path)) == 700)
+    recorder.close("completed")
+
+
+def test_the_commands_say_that_a_file_is_being_recorded_or_was_cut_off(path):
+    recorder, part = recorded(path, 5), part_path(path)
+    await_outcome(lambda: committed(part) == 5)
+    checked = CliRunner().invoke(app, ["check", str(part)])
+    assert checked.exit_code == 2
+    assert f"{part}: is still being recorded" in checked.stdout
+    with pytest.raises(InputError, match="still being recorded"):
+        repair(part)
+    os.kill(recorder.pid, signal.SIGKILL)
+    with pytest.raises(InputError, match=f"SIGKILL; .* drft log repair {part}"):
+        recorder.close("completed")
+    checked = CliRunner().invoke(app, ["check", str(part)])
+    assert f"{part}: is a recording that was cut off" in checked.stdout
+    assert f"drft log repair {part}" in checked.stdout
+    mended = CliRunner().invoke(app, ["repair", str(part)])
+    assert mended.exit_code == 0
+    assert f"wrote {path}: 5 commands, 5 readings, 5 ticks" in mended.stdout
+    assert CliRunner().invoke(app, ["check", str(path)]).exit_code == 0
+
+
+def test_what_stands_there_is_not_overwritten(path):
+    recorded(path, 3).close("completed")
+    with pytest.raises(InputError, match="already there"):
+        Recorder(path, example_head())
+    part_path(path.with_name("other.h5")).touch()
+    with pytest.raises(InputError, match="drft log repair"):
+        Recorder(path.with_name("other.h5"), example_head())
+    with pytest.raises(InputError, match="no folder"):
+        Recorder(path.parent / "nowhere" / "run.h5", example_head())
+    with pytest.raises(InputError, match=r"end in \.h5"):
+        Recorder(path.with_suffix(".csv"), example_head())
+
+
+# Kills -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("victims", [("host",), ("recorder",), ("host", "recorder")])
+def test_no_committed_row_is_lost_by_a_kill(tmp_path, victims):
+    dice = random.Random(len(victims) + ord(victims[0][0]))
+    for number in range(KILLS):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        wanted, kept, wrong = trial(folder, victims, dice)
+        assert kept >= wanted > 0
+        assert wrong == 0
+
+
+def test_a_killed_host_leaves_a_closed_run_log(path):
+    host = Host(path)
+    host.wait_for_commits(100)
+    _, handed, _ = host.kill("host")
+    await_outcome(path.exists)
+    run = read_run_guarded(path)
+    assert run.online.time.size >= handed >= 100
+    assert run.end_reason == "the control program ended without closing the recording"
+    await_outcome(lambda: not host.part.exists())
+
+
+def test_a_lost_recorder_is_noticed_by_the_next_row(path):
+    recorder = recorded(path, 5)
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder._process.wait(DEADLINE)
+    assert recorder.alive
+    hand_over(recorder, 5)
+    assert not recorder.alive
+    assert recorder.reason == "ended unasked"
+
+
+def test_a_recorder_that_hangs_never_holds_the_loop_up(path):
+    recorder = recorded(path, 100)
+    await_outcome(lambda: committed(part_path(path)) == 100)
+    os.kill(recorder.pid, signal.SIGSTOP)
+    number = 100
+    while recorder.alive:  # a call that waited would wait for ever
+        hand_over(recorder, number)
+        number += 1
+        assert number < 100_000
+    assert "pipe to it is full" in recorder.reason
+    os.kill(recorder.pid, signal.SIGCONT)
+    with pytest.raises(InputError, match=f"pipe to it is full; .* in {path}"):
+        recorder.close("the recorder was lost")
+    run = read_run(path)
+    assert run.online.time.size >= number - 2
+    assert wrong_rows(run) == 0
+    assert run.end_reason == "the recorder was lost"
+
+
+def test_ctrl_c_and_sigterm_do_not_end_the_recorder(path):
+    recorder = recorded(path, 5)
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(recorder.pid, each)
+    hand_over(recorder, 5)
+    assert recorder.close("interrupted") == path
+    assert read_run(path).online.time.size == 6
+
+
+def test_a_chunk_torn_by_a_kill_still_gives_its_committed_rows(path):
+    host = Host(path)
+    host.wait_for_commits(1200)
+    host.kill("host", "recorder")
+    rows = committed(host.part)
+    with h5py.File(host.part, "r", swmr=True) as file:
+        z = file["online/z_sim"]
+        chunks = (z.id.get_chunk_info(each) for each in range(z.id.get_num_chunks()))
+        last = max(chunks, key=lambda c: c.chunk_offset)
+        torn = last.byte_offset + 8 * (rows - last.chunk_offset[0])
+    with host.part.open("r+b") as file:
+        file.seek(torn)
+        file.write(b"torn off")  # a row that was never committed, or the checksum
+    with h5py.File(host.part, "r", swmr=True) as file, pytest.raises(OSError):
+        file["online/z_sim"][()]
+    await_outcome(lambda: repaired(host.part))
+    run = read_run(path)
+    assert run.online.time.size == rows
+    assert wrong_rows(run) == 0
+
+
+# Repair ------------------------------------------------------------------------------------------
+
+
+def test_a_repaired_run_says_so_and_goes_where_it_is_told(path):
+    host = Host(path)
+    host.wait_for_commits(10)
+    host.kill("host", "recorder")
+    await_outcome(lambda: repaired(host.part))
+    run = read_run(path)
+    assert run.end_reason == CUT_OFF
+    assert run.online.loop == example_head().online.loop
+    with h5py.File(path) as file:
+        assert "complete" not in file.attrs
+        assert "n_committed" not in file
+    assert host.part.exists()
+    with pytest.raises(InputError, match="--force"):
+        repair(host.part)
+    other = path.with_name("other.h5")
+    assert repair(host.part, other)[0] == other
+    assert wrong_rows(read_run(other)) == 0
+    moved = host.part.rename(path.with_name("moved"))
+    with pytest.raises(InputError, match="name the output too"):
+        repair(moved)
+    repair(moved, path, force=True)
+
+
+def test_a_file_that_is_no_recording_is_not_repaired(path):
+    recorded(path, 3).close("completed")
+    part = part_path(path.with_name("other.h5"))
+    shutil.copy(path, part)
+    with pytest.raises(InputError, match="is no recording"):
+        repair(part)
+    part.write_bytes(b"plain text")
+    with pytest.raises(InputError, match=str(part)):
+        repair(part)
+    part.unlink()
+    with pytest.raises(InputError, match="no such file"):
+        repair(part)
+
+
+# Disks -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(folder)],
+        capture_output=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("only root can mount a small disk")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def fill(recorder: Recorder) -> int:
+    """Hand rows over until the recorder is lost; how many."""
+    number, deadline = 0, time.monotonic() + DEADLINE
+    while recorder.alive:
+        for each in range(number, number + 50):
+            hand_over(recorder, each)
+        number += 50
+        time.sleep(0.005)
+        assert time.monotonic() < deadline
+    return number
+
+
+def test_a_full_disk_stops_the_recording_before_hdf5_meets_it(small_disk):
+    path = small_disk / "run.h5"
+    recorder = Recorder(path, example_head())
+    handed = fill(recorder)
+    assert recorder.reason.startswith("stopped: the disk is full: ")
+    with pytest.raises(
+        InputError, match=f"the disk is full: .*; the rows until then are in {path}"
+    ):
+        recorder.close("stopped")
+    run = read_run(path)
+    assert 1000 < run.online.time.size <= handed
+    assert wrong_rows(run) == 0
+    assert run.end_reason.startswith("stopped: the disk is full")
+    assert list(small_disk.iterdir()) == [path]
+
+
+def test_a_disk_that_is_full_from_the_start_is_refused(small_disk):
+    (small_disk / "ballast").write_bytes(bytes(5 * 2**20))
+    with pytest.raises(InputError, match="the disk is full"):
+        Recorder(small_disk / "run.h5", example_head())
+    assert [each.name for each in small_disk.iterdir()] == ["ballast"]
+
+
+def test_a_limit_on_the_size_of_files_stops_the_recording_before_hdf5_meets_it(path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3 * 2**20, hard))
+    try:
+        recorder = Recorder(path, example_head())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    fill(recorder)
+    with pytest.raises(InputError, match=r"may not grow past 3\.0 MiB"):
+        recorder.close("stopped")
+    run = read_run(path)
+    assert run.online.time.size > 1000
+    assert wrong_rows(run) == 0
