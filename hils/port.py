@@ -12,6 +12,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
@@ -274,6 +275,12 @@ class UrlPort(AbstractPort):
             self._device.close()
 
 
+def require_baud_rate(baud: int) -> None:
+    """Refuse a rate [bit/s] that no line has."""
+    if not 1 <= baud <= LARGEST_BAUD:
+        raise InputError(f"baud rate is {baud}, must lie between 1 and {LARGEST_BAUD}")
+
+
 def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
     """Open a port.
 
@@ -286,8 +293,7 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
         InputError: the name or rate cannot be.
         LinkLost: the port cannot be opened.
     """
-    if not 1 <= baud <= LARGEST_BAUD:
-        raise InputError(f"baud rate is {baud}, must lie between 1 and {LARGEST_BAUD}")
+    require_baud_rate(baud)
     if name.lower().startswith("socket://"):
         return SocketPort(_connected(name), name)
     import serial
@@ -350,6 +356,15 @@ def ports() -> list[Listed]:
 
     found = [Listed(each.device, _described(each)) for each in comports()]
     return sorted(found)
+
+
+def latency_timer(name: str) -> int | None:
+    """How long an FTDI adapter keeps what it received [ms]; None for any other port."""
+    setting = Path("/sys/bus/usb-serial/devices") / Path(name).resolve().name / "latency_timer"
+    try:
+        return int(setting.read_text())
+    except (OSError, ValueError):
+        return None
 
 
 def _described(port: Any) -> str:

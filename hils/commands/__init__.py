@@ -2,6 +2,8 @@
 
 import typer
 
+from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
+from hils.commands.ports import ports
 from hils.commands.rig import EXAMPLES as RIG_EXAMPLES
 from hils.commands.rig import rig
 from hils.commands.run import EXAMPLES as RUN_EXAMPLES
@@ -16,6 +18,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.command(epilog=PORTS_EXAMPLES)(ports)
 app.command(epilog=RIG_EXAMPLES)(rig)
 app.command(epilog=RUN_EXAMPLES)(run)
 app.command(epilog=STOP_EXAMPLES)(stop)

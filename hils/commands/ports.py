@@ -1,0 +1,84 @@
+"""`drft hils ports`: the serial ports that there are, and the rigs that answer at them."""
+
+from typing import Annotated
+
+import typer
+
+from drftjax.errors import InputError
+
+ASKED_TICK = 10_000  # [us]; any that every rig can take
+
+EXAMPLES = """
+Examples:
+
+  drft hils ports
+
+  drft hils ports /dev/ttyUSB0 socket://rig.local:5000 --baud 460800
+
+HELLO moves nothing, but a rig that runs goes SAFE on it. A port that another program holds is left
+alone. A board that restarts when its port is opened (Arduino) needs --patience 3.
+
+An FTDI adapter keeps what it received for 16 ms, longer than a tick. Write into
+/etc/udev/rules.d/99-ftdi.rules
+
+  SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
+
+and plug it in anew; latency_timer=1 is then its setting [ms].
+"""
+
+
+def ports(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="PORT", help="Devices or URLs; all serial ports where none."),
+    ] = None,
+    baud: Annotated[int, typer.Option(help="Baud rate to ask at.")] = 115_200,
+    hello: Annotated[
+        bool, typer.Option("--hello/--no-hello", help="Ask each port whether a rig is there.")
+    ] = True,
+    patience: Annotated[
+        float, typer.Option(help="Go on asking each port for so long [s].", min=0.0, max=60.0)
+    ] = 0.0,
+) -> None:
+    """List serial ports, and which of them answer HELLO."""
+    from hils.port import Listed, latency_timer, require_baud_rate
+    from hils.port import ports as listed
+
+    require_baud_rate(baud)
+    found = [Listed(name, "") for name in names] if names else listed()
+    if not found:
+        typer.echo("there is no serial port")
+    for port in found:
+        typer.echo(": ".join(filter(None, port)))
+        delay = latency_timer(port.name)
+        if delay is not None and delay > 1:
+            typer.echo(f"  its adapter waits {delay} ms with what it received; see --help")
+        if hello:
+            typer.echo(f"  {_asked(port.name, baud, patience)}")
+
+
+def _asked(name: str, baud: int, patience: float) -> str:
+    """What a port answers to HELLO."""
+    from hils.clock import MonotonicClock
+    from hils.pace import watchdog_ms
+    from hils.port import open_port
+    from hils.port_link import PortLink
+    from hils.session import Session
+    from hils.wire import Hello
+
+    clock = MonotonicClock()
+    try:
+        link = PortLink(open_port(name, baud), clock)
+        try:
+            session = Session(link, clock)
+            ack = session.connect(Hello(ASKED_TICK, watchdog_ms(ASKED_TICK)), patience)
+            session.bye()
+        finally:
+            link.close()
+    except InputError as error:
+        return str(error)
+    return (
+        f"rig {ack.rig_id}, {ack.state.name}, boot {ack.boot_id:08x}: "
+        f"omega up to {ack.omega_max:.4g} rad/s, vx up to {ack.vx_max:.4g} m/s, "
+        f"{abs(ack.z_scale) * 1e6:.4g} um a count in z and {abs(ack.x_scale) * 1e6:.4g} um in x"
+    )
