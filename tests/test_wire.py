@@ -6,6 +6,7 @@ import zlib
 
 import pytest
 from cobs import cobs
+from mutated_frames import Tally, judge_batch
 
 from drftjax.errors import InputError
 from hils.pace import require_baud, watchdog_ms, watchdog_s
@@ -313,3 +314,27 @@ def test_a_line_or_tick_that_cannot_be_is_refused(baud, tick):
 def test_watchdog_is_20_ms_or_five_ticks(tick_us, ms):
     assert watchdog_ms(tick_us) == ms
     assert watchdog_s(tick_us) == pytest.approx(ms * 1e-3, abs=1e-3)
+
+
+# Damage ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_spoilt_frame_is_taken(seed):
+    tally = Tally()
+    judge_batch(1_000_000 + seed, 20_000, tally)
+    assert tally.spoilt == 20_000
+    assert tally.counted > 100  # what was left as it was does count
+    assert tally.obeyed > 10
+    assert {Drop.CRC, Drop.COBS, Drop.OVERLONG, Drop.SHORT} <= set(tally.drops)
+
+
+@messages
+def test_no_single_flipped_bit_passes(message):
+    data = bytearray.fromhex(FRAMES[message])
+    for bit in range(8, 8 * (len(data) - 1)):
+        data[bit // 8] ^= 1 << bit % 8
+        frame = Receiver(FROM_RIG + FROM_HOST)
+        frame.expect(SESSION)
+        assert frame.feed(bytes(data)) == []
+        data[bit // 8] ^= 1 << bit % 8
