@@ -4,6 +4,8 @@ import typer
 
 from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
 from hils.commands.ports import ports
+from hils.commands.replay import EXAMPLES as REPLAY_EXAMPLES
+from hils.commands.replay import replay
 from hils.commands.rig import EXAMPLES as RIG_EXAMPLES
 from hils.commands.rig import rig
 from hils.commands.run import EXAMPLES as RUN_EXAMPLES
@@ -19,6 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command(epilog=PORTS_EXAMPLES)(ports)
+app.command(epilog=REPLAY_EXAMPLES)(replay)
 app.command(epilog=RIG_EXAMPLES)(rig)
 app.command(epilog=RUN_EXAMPLES)(run)
 app.command(epilog=STOP_EXAMPLES)(stop)

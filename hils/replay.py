@@ -1,0 +1,175 @@
+"""A recorded run, made again from its readings: the same zeta, bit for bit.
+
+The run log keeps all that the loop was given, and the loop's tick is a pure function of that
+(`hils.tick`). So what it computed can be computed again, and compared with what was recorded:
+zeta, the simulated wheel, and what was asked of the rig.
+
+Another processor, or another version of JAX, may round differently in the last bit.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import drftjax
+from drftjax.errors import InputError
+from drftjax.runlog.record import Online, RunLog
+from hils.events import TickFlag
+from hils.guard import REST, Demand, Reading
+from hils.loop_setup import LoopRecord
+from hils.procedure import shared_physics
+from hils.tick import Given, Reaction, begin, react
+
+Reals = NDArray[np.float64]
+
+COMPARED = ("zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "tuned")
+
+
+class Difference(NamedTuple):
+    """How one channel of the replay differs from the recorded one.
+
+    Attributes:
+        name: The channel.
+        rows: How many rows differ.
+        first: The time of the first one [s].
+        largest: The largest difference, in the channel's unit.
+    """
+
+    name: str
+    rows: int
+    first: float
+    largest: float
+
+
+class Replay(NamedTuple):
+    """A run made again.
+
+    Attributes:
+        ticks: How many.
+        zeta: As replayed, on each row of /online [-].
+        differences: Of the channels that do not come out bit for bit.
+        software_version: Of the program that recorded it; None where it is not known.
+    """
+
+    ticks: int
+    zeta: Reals
+    differences: tuple[Difference, ...]
+    software_version: str | None
+
+    @property
+    def exact(self) -> bool:
+        """Whether every number came out bit for bit."""
+        return not self.differences
+
+    def sentence(self) -> str:
+        """The outcome, for a person."""
+        if self.exact:
+            return f"{self.ticks} ticks: zeta, the simulation and the commands agree bit for bit"
+        parts = [
+            f"{each.name} differs in {each.rows} rows from {each.first:g} s on, "
+            f"by {each.largest:.3g} at most"
+            for each in self.differences
+        ]
+        other = ""
+        if self.software_version not in (None, drftjax.__version__):
+            other = f" (recorded by drft {self.software_version}, this is {drftjax.__version__})"
+        return f"{self.ticks} ticks: {'; '.join(parts)}{other}"
+
+
+def replay(run: RunLog) -> Replay:
+    """Feed a run's readings to its loop again.
+
+    Args:
+        run: Recorded by the loop, with /online and the record of its loop in it.
+
+    Raises:
+        InputError: The run does not hold what the loop was given.
+    """
+    online = run.online
+    if online is None:
+        raise InputError("the run has no /online: it was not made in the loop")
+    if online.loop is None:
+        raise InputError("/online does not say what the loop was given: it has no attribute loop")
+    record = LoopRecord.read(online.loop)
+    if record.loop.tick != online.tick:
+        raise InputError(
+            f"/online has the tick {online.tick:g} s, its loop has {record.loop.tick:g} s"
+        )
+    physics = shared_physics(record.loop)
+    state, said = begin(physics, record.start), list[Reaction]()
+    for number, given in _given(run, online):
+        skipped = number - state.number
+        if skipped < 0:
+            raise InputError(f"/online/time has two rows for the tick {number}")
+        state, reaction = react(physics, state, given._replace(skipped=skipped))
+        said.append(reaction)
+    found = {
+        "zeta": [each.after.zeta for each in said],
+        "x_sim": [each.before.x for each in said],
+        "z_sim": [each.before.z for each in said],
+        "vx_sim": [each.before.vx for each in said],
+        "fx_sim": [each.before.fx for each in said],
+        "tuned": [float(each.tuned) for each in said],
+    }
+    differences = [
+        *_differences(online.time, {name: getattr(online, name) for name in COMPARED}, found),
+        *_command_differences(run, said, online.tick),
+    ]
+    zeta = np.array(found["zeta"])
+    return Replay(len(said), zeta, tuple(differences), run.software_version)
+
+
+def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:
+    """Each recorded tick's number, and what the loop was given on it but for skipped ticks."""
+    measured = run.measured
+    if measured.x is None or measured.z is None:
+        raise InputError("the run has no /measured/x or /measured/z, which the loop was given")
+    readings = zip(measured.time.tolist(), measured.x.tolist(), measured.z.tolist(), strict=True)
+    for time, flags in zip(online.time.tolist(), online.flags.tolist(), strict=True):
+        number = round(time / online.tick)
+        if time != number * online.tick:
+            raise InputError(f"/online/time has {time!r} s, which is no whole number of ticks")
+        reading = None
+        if flags & TickFlag.FRESH:
+            row = next(readings, None)
+            if row is None:
+                raise InputError(f"/measured has no row for the reading of {time:g} s")
+            # The rig's own omega is not recorded; it decides nothing but a flag.
+            reading = Reading(*row, omega=math.nan)
+        yield number, Given(reading, ramping=bool(flags & TickFlag.RAMPING))
+
+
+def _differences(
+    time: Reals, recorded: Mapping[str, NDArray[Any]], found: Mapping[str, list[float]]
+) -> Iterator[Difference]:
+    for name, values in recorded.items():
+        before, after = values.astype(np.float64), np.array(found[name])
+        rows = np.flatnonzero(before.view(np.uint64) != after.view(np.uint64))
+        if rows.size:
+            largest = float(np.abs(before - after)[rows].max())
+            yield Difference(name, rows.size, float(time[rows[0]]), largest)
+
+
+def _command_differences(run: RunLog, said: list[Reaction], tick: float) -> Iterator[Difference]:
+    command = run.command
+    demands = list(_demands(said, tick))
+    if command.vx is None or command.time.size < len(demands):
+        raise InputError("/command does not have a row of omega and vx for each tick")
+    recorded = {"omega": command.omega[: len(demands)], "vx": command.vx[: len(demands)]}
+    found = {"omega": [each.omega for each in demands], "vx": [each.vx for each in demands]}
+    yield from _differences(command.time, recorded, found)
+
+
+def _demands(said: list[Reaction], tick: float) -> Iterator[Demand]:
+    """The rows of /command: at rest at first, and what was held where ticks were skipped."""
+    next_number = 0
+    yield REST
+    for each in said:
+        if each.number > next_number:
+            yield each.held
+        # A demand that is refused ends the run, and the tick has no row.
+        yield each.demand or each.held
+        next_number = each.number + 1
