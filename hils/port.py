@@ -9,6 +9,7 @@ import errno
 import os
 import select
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -242,8 +243,6 @@ class UrlPort(AbstractPort):
     """Any other port of pyserial's, `loop://` among them; it is looked at each millisecond."""
 
     def __init__(self, device: Any, name: str):
-        import threading
-
         self._device, self._name = device, name
         self._woken = threading.Event()
 

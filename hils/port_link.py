@@ -9,20 +9,23 @@ from hils.clock import AbstractClock, MonotonicClock
 from hils.link import AbstractLink, Arrival, Inbox, LinkLost, LinkQuality, quality_of
 from hils.outbox import Outbox
 from hils.port import AbstractPort
-from hils.wire import U32, Message
+from hils.wire import Message
 
 CHUNK = 4096  # read at once [bytes]
 STALL = 1.0  # a line that takes nothing for so long is lost [s]
 IDLE = 0.5  # longest wait of the thread, for what `wake` may have missed [s]
 LAST_WORDS = 0.25  # for what is still to be sent when the link is closed [s]
 JOIN = 5.0  # the thread never waits longer than a port's own time-out [s]
-STEPS_PER_SECOND = 2000
+NUMBERS_PER_SECOND = 2000
 
 
-def _first_number() -> int:
-    """Grows with the time of day, faster than commands do: a rig that goes on counting over
-    sessions takes a restarted host's first frame as newer."""
-    return int(time.time() * STEPS_PER_SECOND) & U32
+def first_number(time_of_day: float) -> int:
+    """Sequence number of a link's first frame, at this time [s].
+
+    It grows faster than commands do, so a rig that counts on over sessions takes a restarted host's
+    frame as newer; and it stays below 2^31, so a rig that starts from zero does too.
+    """
+    return int(time_of_day * NUMBERS_PER_SECOND) % (1 << 31) or 1
 
 
 class PortLink(AbstractLink):
@@ -46,7 +49,7 @@ class PortLink(AbstractLink):
         self._port = port
         self._clock = clock if clock is not None else MonotonicClock()
         self._started = started
-        self._inbox, self._outbox = Inbox(), Outbox(_first_number())
+        self._inbox, self._outbox = Inbox(), Outbox(first_number(time.time()))
         self._changed = threading.Condition()
         self._rest = b""
         self._lost: str | None = None

@@ -56,6 +56,7 @@ class Session:
         self._ack: HelloAck | None = None
         self._armed_by: Arrival | None = None
         self._said: StateReport | None = None
+        self._left_over: HelloAck | StateReport | None = None
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
         """Open a session: HELLO up to five times, 50 ms apart.
@@ -81,6 +82,8 @@ class Session:
                 raise InputError(_silence(self._link.name, before, self._link.quality()))
         assert isinstance(answer.frame.message, HelloAck)
         self._hello, self._ack = hello, answer.frame.message
+        # Words of an earlier boot that were still on the line say nothing of this one.
+        self._left_over = self._link.quality().stranger
         _require_usable(self._link.name, hello, self._ack)
         return self._ack
 
@@ -120,20 +123,19 @@ class Session:
         _, ack = self._require_open()
         reports = self._link.reports()
         stranger = self._link.quality().stranger
-        if stranger is not None and stranger.boot_id != ack.boot_id:
-            raise RigStopped(f"the rig on {self._link.name} was reset during the run")
-        for each in reports:
-            message = each.frame.message
-            if isinstance(message, StateReport) and message.boot_id != ack.boot_id:
+        heard = [each.frame.message for each in reports]
+        if stranger is not None and stranger is not self._left_over:
+            heard.append(stranger)
+        for message in heard:
+            if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:
                 raise RigStopped(f"the rig on {self._link.name} was reset during the run")
             if isinstance(message, EmergencyStop):
                 raise RigStopped(
                     f"the rig on {self._link.name} made an emergency stop, reason {message.reason}"
                 )
-            self._require_ready(each)
         newest = self._link.newest()
-        if newest is not None:
-            self._require_ready(newest)
+        for each in reports if newest is None else [*reports, newest]:
+            self._require_ready(each)
         return reports
 
     def stop(self) -> None:

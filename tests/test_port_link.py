@@ -18,7 +18,7 @@ from drftjax.errors import InputError
 from hils.clock import MonotonicClock
 from hils.link import LinkLost
 from hils.port import AbstractPort, SerialPort, SocketPort, UrlPort, open_port, ports
-from hils.port_link import PortLink
+from hils.port_link import PortLink, first_number
 from hils.receiver import Receiver
 from hils.rig_protocol import RigIdentity, RigProtocol
 from hils.session import Session
@@ -36,6 +36,7 @@ from hils.wire import (
     RigState,
     StateReport,
     encode,
+    newer,
 )
 
 PATIENCE = 15.0
@@ -291,6 +292,16 @@ def test_the_thread_says_that_it_has_started():
     link = PortLink(ScriptedPort(), started=lambda: names.append(threading.current_thread().name))
     link.close()
     assert names == ["link the scripted port"]
+
+
+@pytest.mark.parametrize("start", [0.0, 1.7e9, (1 << 31) / 2000 - 0.001, 4e9])
+def test_a_restarted_host_is_newer_for_a_rig_that_counts_on_and_for_one_that_starts_at_zero(start):
+    first = first_number(start)
+    assert newer(first, 0)
+    assert 0 < first < 1 << 31
+    if first < 1 << 30:
+        sent_at_1_khz = 1000 * 100
+        assert newer(first_number(start + 101.0), first + sent_at_1_khz)
 
 
 def test_arrivals_are_timed_by_the_links_clock(rig):

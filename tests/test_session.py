@@ -15,7 +15,7 @@ from hils.clock import VirtualClock
 from hils.link import LinkLost, SoftLink
 from hils.rig_protocol import Reason, RigIdentity, RigProtocol
 from hils.session import GAP, TRIES, RigStopped, Session, new_session
-from hils.wire import Drive, Hello, RigState
+from hils.wire import Drive, Frame, Hello, RigState, StateReport, encode
 
 HELLO = Hello(10_000, 50)
 HOLD = Drive(0.0, 0.0, False, 50)
@@ -348,6 +348,14 @@ def test_a_rig_that_was_reset_is_told():
     table.rig.reset(table.clock.now())
     with pytest.raises(RigStopped, match="was reset during the run"):
         table.drive(0.1)
+
+
+def test_words_of_an_earlier_boot_that_come_late_are_no_reset():
+    table = Table(Buttons())
+    late = StateReport(RigState.SAFE, 1, 77)
+    table.rig.pressed = encode(Frame(late, 4, 999, 0))
+    table.ready().drive(0.1)
+    assert table.link.quality().stranger == late
 
 
 def test_a_rig_that_was_reset_before_arm_is_not_armed():
