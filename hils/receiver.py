@@ -83,6 +83,9 @@ class Receiver:
         else:
             self._last = found.seq
             self.counted += 1
+            if isinstance(found.message, HelloAck):
+                # What was still on the line of an earlier boot says nothing of this one.
+                self.stranger = None
             return found
         self._drops[cause] += 1
         if isinstance(found, Frame) and isinstance(found.message, HelloAck | StateReport):

@@ -56,7 +56,6 @@ class Session:
         self._ack: HelloAck | None = None
         self._armed_by: Arrival | None = None
         self._said: StateReport | None = None
-        self._left_over: HelloAck | StateReport | None = None
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
         """Open a session: HELLO up to five times, 50 ms apart.
@@ -82,8 +81,6 @@ class Session:
                 raise InputError(_silence(self._link.name, before, self._link.quality()))
         assert isinstance(answer.frame.message, HelloAck)
         self._hello, self._ack = hello, answer.frame.message
-        # Words of an earlier boot that were still on the line say nothing of this one.
-        self._left_over = self._link.quality().stranger
         _require_usable(self._link.name, hello, self._ack)
         return self._ack
 
@@ -124,7 +121,7 @@ class Session:
         reports = self._link.reports()
         stranger = self._link.quality().stranger
         heard = [each.frame.message for each in reports]
-        if stranger is not None and stranger is not self._left_over:
+        if stranger is not None:
             heard.append(stranger)
         for message in heard:
             if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:

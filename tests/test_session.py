@@ -354,8 +354,12 @@ def test_words_of_an_earlier_boot_that_come_late_are_no_reset():
     table = Table(Buttons())
     late = StateReport(RigState.SAFE, 1, 77)
     table.rig.pressed = encode(Frame(late, 4, 999, 0))
-    table.ready().drive(0.1)
+    table.link.begin(1)
+    table.clock.sleep_until(0.01)
     assert table.link.quality().stranger == late
+    table.rig.pressed = encode(Frame(late, 4, 999, 0))
+    table.ready().drive(0.1)
+    assert table.link.quality().stranger is None
 
 
 def test_a_rig_that_was_reset_before_arm_is_not_armed():
