@@ -79,8 +79,10 @@ def next_run(
     base = _typical(case)
     variations = _variations(case, base)
     proposals: list[Proposal] = []
-    for words, trial in variations:
-        apart = _apart(trial, base, first, second)
+    # Compiled by the run as it was, before every thread needs the programs.
+    parted = [_apart(variations[0][1], base, first, second)]
+    parted += case.threads.map(lambda each: _apart(each[1], base, first, second), variations[1:])
+    for (words, _), apart in zip(variations, parted, strict=True):
         for channel, difference in apart.items():
             proposals.append(
                 Proposal(

@@ -22,13 +22,13 @@ from diagnose.response import Model, predict, respond
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
-SINGLES = 9
+SINGLES = 16
 PAIRS = 6
 PAIRED_SINGLES = 3
-TURNS = 3
+TURNS = 2
 PAIR_TURNS = 4
 # The leading ones go on, with fresh derivatives, while that gains something.
-FINISHED = 3
+FINISHED = 4
 REFRESHED = 2
 ROUNDS = 3
 MORE_TURNS = 5
@@ -38,7 +38,7 @@ HOPELESS = 100.0
 # Shares of the worst block's distance from its floor that floors are raised to, order by order.
 COARSE = (0.3, 0.1, 0.0)
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
-MUCH = 2.0
+MUCH = 1.5
 
 Report = Callable[[str], None]
 
