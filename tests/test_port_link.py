@@ -7,6 +7,8 @@ may be busy; nothing is asserted to be quick but what would otherwise never retu
 import os
 import pty
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +19,7 @@ import pytest
 from drftjax.errors import InputError
 from hils.clock import MonotonicClock
 from hils.link import LinkLost
-from hils.port import AbstractPort, SerialPort, SocketPort, UrlPort, open_port, ports
+from hils.port import BACKLOG, AbstractPort, SerialPort, SocketPort, UrlPort, open_port, ports
 from hils.port_link import PortLink, first_number
 from hils.receiver import Receiver
 from hils.rig_protocol import RigIdentity, RigProtocol
@@ -87,9 +89,9 @@ class Ends:
         os.set_blocking(self.rig, False)
 
     def hang_up(self) -> None:
-        if self.rig >= 0:
-            os.close(self.rig)
-        self.rig = -1
+        rig, self.rig = self.rig, -1
+        if rig >= 0:
+            os.close(rig)
 
     def received(self, count: int) -> bytes:
         data = b""
@@ -149,6 +151,15 @@ def rig() -> Iterator[ServedRig]:
     rig.end()
 
 
+def is_armed(session: Session) -> bool:
+    """Whether the rig could be armed; a busy machine may let its quarter of a second pass."""
+    try:
+        session.arm(STILL)
+    except InputError:
+        return False
+    return True
+
+
 class ScriptedPort(AbstractPort):
     """Takes and gives as it is told."""
 
@@ -199,8 +210,8 @@ def test_a_whole_session_over_a_socket(rig):
     clock = MonotonicClock()
     link = PortLink(SocketPort(rig.host), clock)
     session = Session(link, clock)
-    assert session.connect(SLOW_TICK).boot_id == 1
-    session.arm(STILL)
+    assert session.connect(SLOW_TICK, PATIENCE).boot_id == 1
+    eventually(lambda: is_armed(session))
     for omega in (0.25, 0.5, 0.75):
         seq = link.send(Drive(omega, 0.0, False, 5000))
         eventually(lambda seq=seq: acknowledged(link) == seq)
@@ -308,9 +319,53 @@ def test_arrivals_are_timed_by_the_links_clock(rig):
     clock = MonotonicClock()
     link = PortLink(SocketPort(rig.host), clock)
     before = clock.now()
-    Session(link, clock).connect(SLOW_TICK)
+    Session(link, clock).connect(SLOW_TICK, PATIENCE)
     eventually(lambda: link.newest() is not None)
     assert before <= link.newest().time <= clock.now()
+    link.close()
+
+
+def test_who_waits_hears_that_the_link_is_closed():
+    link = PortLink(ScriptedPort())
+    heard = []
+    waiting = threading.Thread(target=lambda: heard.append(lost(link)))
+    waiting.start()
+    link.close()
+    waiting.join(PATIENCE)
+    assert heard == ["the scripted port was let go"]
+
+
+def test_a_program_that_forgets_its_link_ends_all_the_same():
+    program = (
+        "import socket; from hils.port import SocketPort; from hils.port_link import PortLink\n"
+        "ends = socket.socketpair(); link = PortLink(SocketPort(ends[0])); link.begin(5)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60.0)
+
+
+def test_many_hands_on_one_link_lose_and_mix_nothing(rig):
+    link = PortLink(SocketPort(rig.host))
+    Session(link, MonotonicClock()).connect(SLOW_TICK, PATIENCE)
+    greetings = link.quality().sent
+
+    def work() -> None:
+        for _ in range(300):
+            link.send(STILL)
+            link.wait(time.monotonic() + 1e-3)
+            link.newest()
+            link.quality()
+
+    hands = [threading.Thread(target=work) for _ in range(4)]
+    for hand in hands:
+        hand.start()
+    for hand in hands:
+        hand.join(PATIENCE)
+    last = link.send(STILL)
+    eventually(lambda: acknowledged(link) == last)
+    quality = link.quality()
+    assert quality.drops == {}
+    assert rig.protocol.drops == {}
+    assert quality.sent == greetings + 1201 - quality.replaced
     link.close()
 
 
@@ -335,6 +390,36 @@ def test_every_byte_passes_a_terminal_unchanged(ends):
     assert data == every
     assert port.write(every) == 256
     assert ends.received(256) == every
+    port.close()
+
+
+class SlowDriver:
+    """A device whose driver says how much it has not sent yet."""
+
+    out_waiting = 0
+
+    def __init__(self, descriptor: int):
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def reset_output_buffer(self) -> None:
+        pass
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+def test_a_driver_is_not_filled_with_commands_that_grow_old(ends):
+    device = SlowDriver(os.open(ends.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+    port = SerialPort(device, ends.name)
+    device.out_waiting = BACKLOG
+    assert port.write(b"old") == 0
+    port.wait(True, True, time.monotonic() + 60.0)  # looks again soon, though there is room
+    device.out_waiting = BACKLOG - 1
+    assert port.write(b"new") == 3
+    assert ends.received(3) == b"new"
     port.close()
 
 
