@@ -51,7 +51,7 @@ class ReadingLimits(msgspec.Struct, frozen=True):
 
     highest: float = 0.05
     lowest: float = -0.065
-    fastest: float = 0.3
+    fastest: float = 0.1
     slack: float = 2e-3
     in_a_row: int = 5
     still: float = 1.0

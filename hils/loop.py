@@ -339,8 +339,8 @@ class TickLoop:
     def _look_at_requests(self) -> None:
         if self._stop.emergency:
             self._link.send(EmergencyStop(1))
-            self._event(Event.EMERGENCY_STOP, 1)
             wish = self._stop.wish
+            self._event(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
             raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
         if self._wish is not None:
             return

@@ -8,6 +8,7 @@ the reason why the run ended.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -34,7 +35,7 @@ from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
 from hils.rows import Rows
-from hils.session import Session
+from hils.session import RigStopped, Session
 from hils.standing import Ended, Settled, Standing, come_to_rest, touch_down
 from hils.stop_request import StopRequest
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
@@ -42,6 +43,8 @@ from hils.wire import Hello, HelloAck
 
 # What the virtual rig calls itself.
 VIRTUAL_RIG_ID = 0x56495254
+# Reasons of an emergency stop, as the rig is told.
+EMERGENCY, NOT_RESTED = 1, 2
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
@@ -146,11 +149,15 @@ def run(
     except InputError as error:
         reason = str(error)
         raise
+    except Exception as error:
+        reason = f"failed: {type(error).__name__}: {error}"
+        raise InputError(f"the run failed by a fault of this program, {reason[8:]}") from error
     except BaseException as error:
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
         rows.close(reason)
+        stop.moving = False
 
 
 def _run(
@@ -179,10 +186,11 @@ def _run(
         dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
         before_motion()
     except BaseException:
-        session.bye()
+        with suppress(LinkLost):
+            session.bye()
         raise
     valid_ms = watchdog_ms(tick_us)
-    standing = Standing(link, clock, stop, ack.boot_id, loop.tick, not procedure.free, valid_ms)
+    standing = Standing(session, link, clock, stop, loop.tick, not procedure.free, valid_ms)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
@@ -205,14 +213,13 @@ def _run(
         log.begin(began)
         looped = _loop(procedure, conduct, state, began, link, clock, rows, stop, zero, ack)
         reason = looped.reason
-    except Ended as ended:
+    except (Ended, RigStopped) as ended:
         reason = str(ended)
     except LinkLost as lost:
         reason = f"link lost: {lost}"
         log.event(Event.LINK_LOST)
     finally:
-        rested = _to_rest(session, link, clock, log, dialogue)
-        stop.moving = False
+        rested = _to_rest(session, link, clock, log, dialogue, stop)
     return RunReport(
         reason,
         looped is not None and looped.completed and reason == looped.reason,
@@ -248,14 +255,15 @@ def _to_rest(
     clock: AbstractClock,
     log: _Log,
     dialogue: AbstractDialogue,
+    stop: StopRequest,
 ) -> bool:
     """Bring the rig to rest and end the session, whatever state either is in."""
     rested = False
     try:
         log.event(Event.STOP_SENT)
-        rested = come_to_rest(link, clock)
-        if not rested:
-            rested = session.emergency_stop(2)
+        rested = come_to_rest(link, clock, stop)
+        if stop.emergency or not rested:
+            rested = session.emergency_stop(EMERGENCY if stop.emergency else NOT_RESTED)
         session.bye()
         log.event(Event.DISCONNECTED)
     except LinkLost:

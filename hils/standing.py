@@ -12,17 +12,15 @@ import numpy as np
 from drftjax.errors import InputError
 from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival
-from hils.loop import OBEYING, SILENCE, Zero
+from hils.loop import SILENCE, Zero
+from hils.session import Session
 from hils.stop_request import StopRequest
 from hils.wire import (
     Drive,
-    EmergencyStop,
     HelloAck,
     Measurement,
     RigState,
-    StateReport,
     Stop,
-    newer,
 )
 
 # Touch-down is averaged over this time [s], and needs as many readings.
@@ -98,9 +96,9 @@ class Standing:
     """Keeps the wheel standing from ARM on.
 
     Args:
+        session: Once it is armed.
         link, clock: The rig.
         stop: Looked at on each tick.
-        boot_id: Of the rig when the session was opened.
         tick: Time from one command to the next [s].
         driven: Whether the carriage is held; else it is free.
         valid_ms: How long the rig may hold a command [ms].
@@ -111,20 +109,18 @@ class Standing:
 
     def __init__(
         self,
+        session: Session,
         link: AbstractLink,
         clock: AbstractClock,
         stop: StopRequest,
-        boot_id: int,
         tick: float,
         driven: bool,
         valid_ms: int,
     ):
         self._link, self._clock, self._stop = link, clock, stop
-        self._boot_id, self._tick = boot_id, tick
+        self._session, self._tick = session, tick
         self.rest = Drive(0.0, 0.0, driven, valid_ms)
         self._due = self._heard = clock.now()
-        # The last frame by which the rig had said that it is armed.
-        self._armed: int | None = None
 
     def settle(self, zero: Zero) -> Settled:
         """Wait until the wheel rests on the sand.
@@ -178,7 +174,8 @@ class Standing:
         """A command to stand on each tick; what the rig has newly measured, or None.
 
         Raises:
-            Ended: the run is asked to end, or the rig no longer follows.
+            Ended: the run is asked to end, or the rig is silent or at fault.
+            RigStopped: the rig no longer follows.
         """
         seen = _time_of(self._link.newest())
         self._due = self._heard = self._clock.now()
@@ -190,8 +187,7 @@ class Standing:
             if self._due < self._clock.now():  # late: no burst of commands to catch up
                 self._due = self._clock.now()
             self._clock.sleep_until(self._due)
-            for report in self._link.reports():
-                self._heed(report)
+            self._session.check()
             arrival = self._link.newest()
             fresh = arrival is not None and arrival.time != seen
             if arrival is not None and fresh:
@@ -207,28 +203,10 @@ class Standing:
         assert isinstance(measurement, Measurement)
         if measurement.fault:
             raise Ended(f"the rig reports fault {measurement.fault}")
-        self._follow(measurement.state, arrival.frame.seq)
-
-    def _heed(self, report: Arrival) -> None:
-        message = report.frame.message
-        if isinstance(message, EmergencyStop):
-            raise Ended(f"the rig made an emergency stop, reason {message.reason}")
-        if isinstance(message, StateReport | HelloAck):
-            if message.boot_id != self._boot_id:
-                raise Ended("the rig was reset")
-            self._follow(message.state, report.frame.seq)
-
-    def _follow(self, state: RigState, seq: int) -> None:
-        if state is RigState.FAULT:
-            raise Ended("the rig is in FAULT")
-        if state in OBEYING:
-            self._armed = seq
-        elif self._armed is not None and newer(seq, self._armed):
-            raise Ended(f"the rig went {state.name}")
 
 
-def come_to_rest(link: AbstractLink, clock: AbstractClock) -> bool:
-    """STOP, until the rig is seen to rest.
+def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest) -> bool:
+    """STOP, until the rig is seen to rest or an emergency stop is asked for.
 
     Returns:
         Whether it was seen to rest.
@@ -239,8 +217,8 @@ def come_to_rest(link: AbstractLink, clock: AbstractClock) -> bool:
     deadline = clock.now() + LONGEST_STOP
     began = clock.now()
     said = -math.inf
-    while clock.now() < deadline:
-        if clock.now() - said > STOP_INTERVAL:
+    while clock.now() < deadline and not stop.emergency:
+        if clock.now() >= said + STOP_INTERVAL:
             link.send(Stop())
             said = clock.now()
         link.wait(min(deadline, said + STOP_INTERVAL))

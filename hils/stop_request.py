@@ -13,7 +13,7 @@ WISHES = {
     signal.SIGINT: "interrupted by Ctrl-C",
     signal.SIGTERM: "asked to stop (SIGTERM)",
     signal.SIGHUP: "the terminal was closed",
-    EMERGENCY_SIGNAL: "emergency stop asked for",
+    EMERGENCY_SIGNAL: "asked for from another terminal",
 }
 
 

@@ -185,7 +185,13 @@ class KalmanTuner(AbstractTuner):
         # d+ = a d + b (believed - zeta) is to be the share of d that the recovery time leaves.
         share = jnp.exp(-self.tick / self.recovery)
         hold = LEAST_HOLD * self.tick
-        more = (memory.kept - share) * gap * memory.gained / (memory.gained**2 + hold**2)
+        # A gap that closes faster by itself is left to do so.
+        more = (
+            jnp.maximum(memory.kept - share, 0.0)
+            * gap
+            * memory.gained
+            / (memory.gained**2 + hold**2)
+        )
         tuned = strength + jnp.clip(more, -self.reach, self.reach)
         tuned = jnp.where(fresh, jnp.clip(tuned, self.low, self.high), zeta)
         after = memory._replace(gap=gap, strength=strength, covariance=(left + left.T) / 2)
