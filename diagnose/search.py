@@ -22,7 +22,9 @@ from diagnose.response import Model, predict, respond
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
-SINGLES = 16
+# So many are even where no line gains anything worth saying, and so many at most.
+FEWEST_SINGLES, SINGLES = 6, 16
+WORTH_SAYING = 1.5
 PAIRS = 6
 PAIRED_SINGLES = 3
 TURNS = 2
@@ -77,8 +79,8 @@ def search(
     none = settled(bench, proposed(bench, []), 3)
     report("screening")
     ranked = _ranked(bench)
-    report(f"simulating the leading {min(SINGLES, len(ranked))} effects")
-    starts = [proposed(bench, [variant], line) for variant, line in ranked[:SINGLES]]
+    report(f"simulating the leading {len(ranked)} effects")
+    starts = [proposed(bench, [variant], line) for variant, line in ranked]
     case.warm(predict, [each.model for each in starts])
     singles = [settled(bench, each, TURNS) for each in starts]
     singles = _finished(bench, singles)
@@ -112,15 +114,17 @@ def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
-    """Each effect's best variant by straight lines, best first: coarsely judged, and finely.
+    """The leading effects' best variants by straight lines, judged coarsely and finely.
 
     Where the gap is large a straight line's own error hides what an effect explains; so the
     orders take turns.
     """
     start = on_lines(bench, [])
     orders = []
+    telling: set[str] = set()
     for share in COARSE:
         coarse = coarseness(bench.products.blocks, start.left, share)
+        nothing = on_lines(bench, [], coarse).score
         best: dict[str, tuple[Variant, Line]] = {}
         for variant in bench.variants:
             line = on_lines(bench, [variant], coarse)
@@ -128,11 +132,17 @@ def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
             if name not in best or line.score > best[name][1].score:
                 best[name] = variant, line
         orders.append(sorted(best.values(), key=lambda each: -each[1].score))
+        telling |= {n for n, (_, line) in best.items() if line.score > nothing + WORTH_SAYING}
     found: dict[str, tuple[Variant, Line]] = {}
     for pair in zip(*orders, strict=True):
         for variant, line in pair:
             found.setdefault(variant.effect.about.name, (variant, line))
-    return list(found.values())
+    leading = [
+        pair
+        for place, (name, pair) in enumerate(found.items())
+        if place < FEWEST_SINGLES or name in telling
+    ]
+    return leading[:SINGLES]
 
 
 def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
