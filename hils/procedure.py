@@ -206,8 +206,7 @@ def _run(
             f"start in {procedure.countdown:g} s"
         )
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
-        sinkage = standing.hold(began - loop.tick / 2, zero)
-        start = Start(start.sinkage if sinkage is None else sinkage, start.zeta)
+        start = Start(standing.hold(began - loop.tick / 2, zero, settled), start.zeta)
         state = conduct.begin(start)
         rows.begin(_head(procedure, loop, start, ack))
         log.begin(began)
@@ -219,7 +218,7 @@ def _run(
         reason = f"link lost: {lost}"
         log.event(Event.LINK_LOST)
     finally:
-        rested = _to_rest(session, link, clock, log, dialogue, stop)
+        rested = _to_rest(session, ack, link, clock, log, dialogue, stop)
     return RunReport(
         reason,
         looped is not None and looped.completed and reason == looped.reason,
@@ -251,6 +250,7 @@ def _loop(
 
 def _to_rest(
     session: Session,
+    ack: HelloAck,
     link: AbstractLink,
     clock: AbstractClock,
     log: _Log,
@@ -261,7 +261,7 @@ def _to_rest(
     rested = False
     try:
         log.event(Event.STOP_SENT)
-        rested = come_to_rest(link, clock, stop)
+        rested = come_to_rest(link, clock, stop, ack.boot_id)
         if stop.emergency or not rested:
             rested = session.emergency_stop(EMERGENCY if stop.emergency else NOT_RESTED)
         session.bye()

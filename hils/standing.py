@@ -32,6 +32,8 @@ HELD_STILL = 3e-4
 # again from the last of these windows.
 LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
 LONGEST_SETTLING = 20.0
+# Between rest and start the wheel creeps by no more than this [m].
+MOST_CREPT = 2e-3
 # After STOP the wheel must stand within this time [s], turning slower than [rad/s].
 LONGEST_STOP, STOPPED = 5.0, 0.02
 # STOP is not answered by every rig, so it is said again until the wheel rests, so far apart [s].
@@ -146,21 +148,25 @@ class Standing:
             before = (time > arrival.time - 2 * SETTLING_WINDOW) & ~late
             if before.sum() < 3 or late.sum() < 3:
                 continue
-            sunk = float(height[before].mean() - height[late].mean())
+            # Medians: an absurd reading or two say nothing.
+            sunk = float(np.median(height[before]) - np.median(height[late]))
             creep = sunk / SETTLING_WINDOW
             noise = float(height[late].std())
             if abs(sunk) < SETTLED:
-                return Settled(-float(height[late].mean()), noise, creep)
+                return Settled(-float(np.median(height[late])), noise, creep)
         raise InputError(
             f"the wheel has not come to rest in {LONGEST_SETTLING:g} s: it still sinks by "
             f"{creep * 1e3:.2g} mm/s"
         )
 
-    def hold(self, until: float, zero: Zero) -> float | None:
+    def hold(self, until: float, zero: Zero, settled: Settled) -> float:
         """Stand until this time [s].
 
         Returns:
-            Mean sinkage over the last of it [m]; None where nothing was measured.
+            Median sinkage over the last of it [m].
+
+        Raises:
+            Ended: the wheel has not stayed where it had settled.
         """
         heights = []
         for arrival in self._beats(until):
@@ -168,7 +174,14 @@ class Standing:
                 measurement = arrival.frame.message
                 assert isinstance(measurement, Measurement)
                 heights.append(zero.reading(measurement, arrival.time).z)
-        return -float(np.mean(heights)) if heights else None
+        sinkage = -float(np.median(heights)) if heights else settled.sinkage
+        sunk = sinkage - settled.sinkage
+        if not abs(sunk) <= MOST_CREPT:
+            raise Ended(
+                f"the height has changed by {-sunk * 1e3:.4g} mm between rest and start, "
+                f"{MOST_CREPT * 1e3:g} mm at most are believed"
+            )
+        return sinkage
 
     def _beats(self, until: float) -> Iterator[Arrival | None]:
         """A command to stand on each tick; what the rig has newly measured, or None.
@@ -205,8 +218,13 @@ class Standing:
             raise Ended(f"the rig reports fault {measurement.fault}")
 
 
-def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest) -> bool:
+def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest, boot_id: int) -> bool:
     """STOP, until the rig is seen to rest or an emergency stop is asked for.
+
+    Args:
+        link, clock: The rig.
+        stop: Looked at all the while.
+        boot_id: Of the rig when the session was opened; one that was reset does not answer.
 
     Returns:
         Whether it was seen to rest.
@@ -222,6 +240,9 @@ def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest) ->
             link.send(Stop())
             said = clock.now()
         link.wait(min(deadline, said + STOP_INTERVAL))
+        stranger = link.quality().stranger
+        if stranger is not None and stranger.boot_id != boot_id:
+            return False
         arrival = link.newest()
         if arrival is None or arrival.time <= began:
             continue

@@ -1,0 +1,440 @@
+"""The loop and the procedure in virtual time, against the virtual rig: every end is a safe one."""
+
+import functools
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from drftjax.errors import InputError
+from drftjax.runlog.head import Head
+from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
+from hils.clock import VirtualClock
+from hils.events import Event, TickFlag
+from hils.guard import CommandLimits, Reading
+from hils.link import SoftLink
+from hils.loop import Overruns
+from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
+from hils.operator_dialogue import Unattended
+from hils.procedure import Procedure, RunReport, run, shared_physics
+from hils.rows import KeptRows
+from hils.simulated import QUICK, SoftRig, soft_rig
+from hils.simulated import shared_physics as rig_physics
+from hils.stop_request import StopRequest, Wish
+from hils.tick import Given, begin, react
+from hils.virtual_rig import VirtualRig
+from hils.virtual_setup import VirtualSetUp
+from hils.wire import Drive, EmergencyStop, RigState, Stop
+
+TICK = 0.01
+# Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
+PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.5, 4.0], [0, 0, 30, 30, 0, 0], omega_unit="deg/s")
+TICKS = 400
+# HILS (sim) and HILS (real) in the paper differ by less than this [m].
+CLOSE = 5e-4
+
+
+def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
+    setup = SetUp(
+        command=PROFILE,
+        wheel=WheelSetUp(plate_size=8e-3),
+        integrator=IntegratorSetUp("held pace", 2e-3),
+    )
+    return LoopSetUp(
+        setup=setup, commands=CommandLimits(2.0, 0.3), tuner=TunerSetUp(tuner), tick=TICK, **changes
+    )
+
+
+class Made:
+    """A run that was made: its report, rows, and what the rig was sent and did."""
+
+    def __init__(self, report: RunReport | None, rows: KeptRows, soft: SoftRig, said: list):
+        self.report, self.rows, self.soft, self.said = report, rows, soft, said
+
+    def kinds(self) -> list[int]:
+        return [code for _, code, _ in self.rows.events]
+
+    def events(self, code: Event) -> list[float]:
+        return [arg for _, each, arg in self.rows.events if each == code]
+
+
+class LoggedLink(SoftLink):
+    """Keeps what the host says, and when."""
+
+    def __init__(self, rig, clock):
+        super().__init__(rig, clock)
+        self.said = []
+
+    def send(self, message):
+        self.said.append((self._clock.now(), message))
+        return super().send(message)
+
+
+class LateClock(VirtualClock):
+    """Wakes late once: so long after this time [s]."""
+
+    def __init__(self, start: float, when: float, late: float):
+        super().__init__(start)
+        self._when, self._late = when, late
+
+    def sleep_until(self, deadline: float) -> None:
+        if deadline >= self._when:
+            deadline, self._when = deadline + self._late, math.inf
+        super().sleep_until(deadline)
+
+
+class Cue:
+    """Does something once the rig's clock has come to a time."""
+
+    def __init__(self, clock: VirtualClock, when: float, act):
+        self._when, self._act = when, act
+        clock.attach(self)
+
+    def advance(self, now: float) -> None:
+        if now >= self._when:
+            self._when = math.inf
+            self._act()
+
+
+START = 1000.0
+# From the first HELLO to the profile's start, as these runs take it [s].
+BEFORE = 3.4
+
+
+def make(
+    loop: LoopSetUp | None = None,
+    *,
+    cue=None,
+    at: float = 0.0,
+    late: float = 0.0,
+    rows: KeptRows | None = None,
+    **procedure,
+) -> Made:
+    """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
+    setup = VirtualSetUp(physics=QUICK)
+    clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
+    rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
+    link = LoggedLink(rig, clock)
+    stop, rows = StopRequest(), rows or KeptRows()
+    if cue is not None:
+        Cue(clock, START + BEFORE + at, lambda: cue(stop, link))
+    given = Procedure(loop=loop or loop_setup(), countdown=0.3, **procedure)
+    soft = SoftRig(rig, link, clock)
+    report = run(given, link, clock, rows, Unattended(quiet=True), stop)
+    return Made(report, rows, soft, link.said)
+
+
+@functools.cache
+def whole(tuner: str) -> Made:
+    return make(loop_setup(tuner))
+
+
+def resting(made: Made) -> bool:
+    """Whether the true rig stands still a second later."""
+    made.soft.clock.sleep_until(made.soft.clock.now() + 1.0)
+    motion = made.soft.rig.motion
+    return abs(motion.omega) < 1e-6 and abs(motion.vx) < 1e-3
+
+
+# A run that is completed -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tuner", ["step", "pi", "kalman"])
+def test_run_is_completed_and_follows_the_rig(tuner):
+    made = whole(tuner)
+    report = made.report
+    assert report.reason == "completed"
+    assert report.completed
+    assert report.rested
+    assert report.loop.ticks == TICKS
+    assert report.loop.overruns == 0
+    assert float(np.abs(report.loop.error).max()) < CLOSE
+    assert made.rows.end_reason == "completed"
+    log = made.rows.run()
+    assert log.source == "virtual rig"
+    assert log.online is not None
+    np.testing.assert_array_equal(log.online.time, np.arange(TICKS) * TICK)
+    # A tick's command is for its end, and the first row for the start.
+    np.testing.assert_array_equal(log.command.time, np.arange(TICKS + 1) * TICK)
+    knots = np.interp(log.command.time, PROFILE.time, np.radians(PROFILE.omega))
+    np.testing.assert_allclose(log.command.omega, knots, atol=1e-12)
+    np.testing.assert_allclose(log.command.vx[1:-1], log.online.vx_sim[1:], atol=0)
+    apart = np.interp(log.measured.time, log.online.time, log.online.z_sim) - log.measured.z
+    assert np.sqrt((apart**2).mean()) < CLOSE
+    assert resting(made)
+
+
+def test_nothing_is_commanded_before_arm_and_only_rest_before_the_start():
+    made = whole("step")
+    times = [time for time, message in made.said if isinstance(message, Drive)]
+    armed = made.kinds().index(Event.ARMED)
+    assert made.rows.events[armed][0] < 0.0  # times count from the start
+    first = next(n for n, (_, m) in enumerate(made.said) if isinstance(m, Drive))
+    assert [type(m).__name__ for _, m in made.said[:first]] == ["Hello", "Arm"]
+    moving = [time for time, m in made.said if isinstance(m, Drive) and m.omega != 0]
+    assert min(moving) - times[0] > 2.0
+    # From ARM on the watchdog never wants for a command.
+    assert max(np.diff(times)) < 1.5 * TICK
+
+
+def test_zeta_at_the_start_is_what_statics_tells():
+    report = whole("step").report
+    assert 0.7 < report.start.zeta < 0.85
+    given = make(zeta=0.9).report
+    assert given.start.zeta == 0.9
+    assert given.start.sinkage == report.start.sinkage
+
+
+def test_stop_and_farewell_end_the_session():
+    made = whole("step")
+    assert [type(m).__name__ for _, m in made.said[-2:]] == ["Stop", "Bye"]
+    assert made.soft.rig.state is RigState.IDLE
+
+
+@pytest.mark.parametrize("tuner", ["step", "pi", "kalman"])
+def test_rows_replay_to_the_same_zeta_bit_for_bit(tuner):
+    rows = whole(tuner).rows
+    assert rows.head is not None
+    assert rows.head.online is not None
+    check_replay(rows)
+
+
+def check_replay(rows: KeptRows) -> None:
+    record = LoopRecord.read(rows.head.online.loop)
+    physics = shared_physics(record.loop)
+    state, readings = begin(physics, record.start), iter(rows.readings)
+    for row in rows.ticks:
+        flags = int(row[9])
+        reading = Reading(*next(readings), math.nan) if flags & TickFlag.FRESH else None
+        skipped = round(row[0] / TICK) - state.number
+        given = Given(reading, skipped, bool(flags & TickFlag.RAMPING))
+        state, said = react(physics, state, given)
+        assert (said.after.zeta, said.before.x, said.before.z) == (row[1], row[2], row[3])
+    assert next(readings, None) is None
+
+
+def test_zeta_is_held_between_the_tuners_periods():
+    made = make(loop_setup(tuning_ticks=5))
+    zeta = np.array([row[1] for row in made.rows.ticks])
+    changed = np.flatnonzero(np.diff(zeta)) + 1
+    assert len(changed) > 3
+    assert np.diff(changed).min() >= 5
+    check_replay(made.rows)
+
+
+def test_free_carriage_is_recorded_and_nothing_is_simulated():
+    made = make(free=True)
+    assert made.report.completed
+    log = made.rows.run()
+    assert log.online is None
+    assert log.command.vx is None
+    drives = [m for _, m in made.said if isinstance(m, Drive)]
+    assert not any(m.driven or m.vx for m in drives)
+    assert log.measured.x[-1] > 0.1
+    assert resting(made)
+
+
+# Ends --------------------------------------------------------------------------------------------
+
+
+def ask(reason: str = "asked", emergency: bool = False):
+    wish = Wish(reason, Event.STOP_ASKED)
+    return lambda stop, link: stop.ask(wish, emergency)
+
+
+def test_asked_to_stop_the_wheel_ramps_down():
+    made = make(cue=ask(), at=2.0)
+    assert made.report.reason == "asked"
+    assert not made.report.completed
+    assert made.report.rested
+    assert made.rows.end_reason == "asked"
+    omega = np.array([row[1] for row in made.rows.commands])
+    assert omega[-1] == 0.0
+    # 1 rad/s2, the loop's ramp: never a jump.
+    assert np.abs(np.diff(omega)).max() < 1.01 * TICK
+    last = [row for row in made.rows.ticks if int(row[9]) & TickFlag.RAMPING]
+    assert 40 < len(last) < 120
+    assert len({row[1] for row in last}) == 1
+    assert {Event.STOP_ASKED, Event.RAMPED_DOWN, Event.STOP_SENT} <= set(made.kinds())
+    check_replay(made.rows)
+    assert resting(made)
+
+
+def test_emergency_stop_is_said_at_once():
+    made = make(cue=ask(emergency=True), at=2.0)
+    assert made.report.reason == "emergency stop: asked"
+    assert made.report.rested
+    stopped = next(time for time, m in made.said if isinstance(m, EmergencyStop))
+    # The first tick after the wish.
+    assert stopped - (START + BEFORE + 2.0) < 2 * TICK
+    assert made.soft.rig.state is RigState.SAFE
+    assert resting(made)
+
+
+def test_asked_to_stop_before_the_start_nothing_turns():
+    made = make(cue=ask(), at=-1.0)
+    assert made.report.reason == "asked"
+    assert made.report.loop is None
+    assert not any(isinstance(m, Drive) and m.omega for _, m in made.said)
+    assert any(isinstance(m, Stop) for _, m in made.said)
+
+
+def test_rig_that_goes_safe_ends_the_run():
+    made = make(cue=lambda stop, link: link.send(EmergencyStop(9)), at=2.0)
+    assert made.report.reason == "the rig went SAFE"
+    assert not made.report.completed
+    assert made.rows.end_reason == made.report.reason
+    assert made.events(Event.RIG_STATE) == [RigState.SAFE]
+    assert resting(made)
+
+
+def test_lost_link_closes_the_file_and_says_so():
+    class Torn(KeptRows):
+        """Lets the link break in the middle of the profile."""
+
+        link: SoftLink
+
+        def command(self, time, omega, vx=None):
+            super().command(time, omega, vx)
+            if time > 2.0:
+                self.link.close()
+
+    rows = Torn()
+    soft = soft_rig()
+    rows.link = soft.link
+    report = run(
+        Procedure(loop=loop_setup(), countdown=0.3),
+        soft.link,
+        soft.clock,
+        rows,
+        Unattended(quiet=True),
+        StopRequest(),
+    )
+    assert report.reason.startswith("link lost: ")
+    assert not report.rested
+    assert rows.end_reason == report.reason
+
+
+def test_dead_recorder_brings_the_rig_to_rest():
+    class Dies(KeptRows):
+        dead = False
+
+        @property
+        def alive(self) -> bool:
+            return not self.dead
+
+        @property
+        def reason(self) -> str | None:
+            return "ended unasked" if self.dead else None
+
+        def command(self, time, omega, vx=None):
+            super().command(time, omega, vx)
+            self.dead = time > 2.0
+
+    made = make(rows=Dies())
+    assert made.report.reason == "the recorder ended unasked"
+    assert made.report.rested
+    assert made.rows.commands[-1][1] == 0.0
+    assert resting(made)
+
+
+def test_fault_of_the_program_still_stops_the_rig():
+    class Breaks(KeptRows):
+        def online(self, time, *rest):
+            if time > 2.0:
+                raise ZeroDivisionError("of a bug")
+            super().online(time, *rest)
+
+    rows, soft = Breaks(), soft_rig()
+    with pytest.raises(InputError, match="fault of this program, ZeroDivisionError: of a bug"):
+        run(
+            Procedure(loop=loop_setup(), countdown=0.3),
+            soft.link,
+            soft.clock,
+            rows,
+            Unattended(quiet=True),
+            StopRequest(),
+        )
+    assert rows.end_reason == "failed: ZeroDivisionError: of a bug"
+    soft.clock.sleep_until(soft.clock.now() + 1.0)
+    assert soft.rig.motion.omega == 0.0
+    assert soft.rig.state in (RigState.IDLE, RigState.SAFE)
+
+
+# Deadlines ---------------------------------------------------------------------------------------
+
+
+def test_ticks_that_were_slept_through_are_simulated_and_counted():
+    made = make(at=2.0, late=0.0345)
+    assert made.report.completed
+    assert made.report.loop.skipped == 3
+    assert made.report.loop.overruns == 3
+    assert made.events(Event.TICKS_SKIPPED) == [3.0]
+    numbers = np.array([round(row[0] / TICK) for row in made.rows.ticks])
+    gaps = np.diff(numbers)
+    assert sorted(gaps)[-2:] == [1, 4]
+    after = made.rows.ticks[int(np.argmax(gaps)) + 1]
+    assert int(after[9]) & TickFlag.SKIPPED
+    check_replay(made.rows)
+
+
+def test_policy_stop_ends_the_run_at_the_first_missed_deadline():
+    made = make(at=2.0, late=0.0145, overruns=Overruns.STOP)
+    assert made.report.reason.startswith("a deadline was missed by")
+    assert not made.report.completed
+    assert made.report.rested
+    assert made.rows.commands[-1][1] == 0.0
+
+
+def test_sleep_longer_than_the_watchdog_finds_the_rig_safe():
+    made = make(at=2.0, late=0.2)
+    assert made.report.reason == "the rig went SAFE"
+    assert not made.report.completed
+    assert resting(made)
+
+
+# What is refused before anything moves -----------------------------------------------------------
+
+
+def refused(**changes) -> str:
+    with pytest.raises(InputError) as refusal:
+        make(**changes)
+    return str(refusal.value)
+
+
+def test_profile_that_the_rig_does_not_allow_is_refused_before_arm():
+    fast = msgspec.convert(msgspec.to_builtins(loop_setup()), LoopSetUp)
+    fast.setup.command.omega = [0, 0, 150, 150, 0, 0]
+    fast = msgspec.structs.replace(fast, commands=CommandLimits(5.0, 1.0))
+    assert "the rig allows 2 rad/s at most" in refused(loop=fast)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"zeta": 50.0}, r"tells zeta\(0\) 50"),
+        ({"loop": loop_setup(ramp=100.0)}, "ramp is 100, must lie between"),
+        ({"loop": msgspec.structs.replace(loop_setup(), tick=1e-5)}, "tick is 1e-05, must lie"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(changes, said):
+    with pytest.raises(InputError, match=said):
+        make(**changes)
+
+
+def test_unknown_number_of_a_tuner_is_refused():
+    with pytest.raises(InputError, match="has no number 'gain', it has zeta_step, tolerance"):
+        TunerSetUp("step", {"gain": 1.0}).build(TICK)
+
+
+def test_record_of_the_loop_reads_back_as_it_was():
+    head = whole("kalman").rows.head
+    assert isinstance(head, Head)
+    assert head.online is not None
+    assert head.online.loop is not None
+    text = LoopRecord.read(head.online.loop).text()
+    assert LoopRecord.read(text) == LoopRecord.read(head.online.loop)
+    assert LoopRecord.read(text).text() == text
+    with pytest.raises(InputError, match="cannot be read"):
+        LoopRecord.read("{}")
