@@ -16,7 +16,6 @@ class Event(IntEnum):
     CONNECTED = 1  # arg: the rig's boot_id
     TOUCHED_DOWN = 2  # arg: the height at touch-down before zeroing [counts]
     ARMED = 3
-    RELEASED = 4
     SETTLED = 5  # arg: the sinkage at rest [m]
     STARTED = 6  # arg: zeta at the start [-]
     PROFILE_ENDED = 7
@@ -27,12 +26,12 @@ class Event(IntEnum):
     OVERRUN = 20  # arg: time over the deadline [s]
     TICKS_SKIPPED = 21  # arg: how many
     # Readings and commands.
-    READING_REFUSED = 30  # arg: the reading, or the jump to it [m]
+    READING_REFUSED = 30  # arg: the height read [m]
     READINGS_REFUSED_IN_A_ROW = 31  # arg: how many
     SENSOR_STUCK = 32  # arg: for how long [s]
     SENSOR_MOVES_AGAIN = 33
     READINGS_STALE = 34  # arg: age of the newest [s]
-    COMMAND_LIMITED = 35  # arg: what was asked for [rad/s or m/s]
+    COMMAND_LIMITED = 35  # arg: the carriage speed that was asked for [m/s]
     DRIVE_OFF = 36  # arg: measured minus commanded omega [rad/s]
     DRIVE_FOLLOWS = 37
     # The rig and the wire.
@@ -54,14 +53,13 @@ class Event(IntEnum):
 class TickFlag(IntFlag):
     """Bits of the flags of one tick."""
 
-    FRESH = 1 << 0  # a reading not used before was used; it is the row of /measured `age` before
-    REFUSED = 1 << 1  # the newest reading was refused, so zeta was held
+    FRESH = 1 << 0  # a reading not seen before had come: the next row of /measured
+    REFUSED = 1 << 1  # it was refused, so zeta was held
     STUCK = 1 << 2  # the sensor counts as stuck
     LATE = 1 << 3  # the deadline was missed
     SKIPPED = 1 << 4  # ticks before this one were skipped
     LIMITED = 1 << 5  # a command was held back by a limit
     RAMPING = 1 << 6  # past the profile, ramping down to rest
-    FREE = 1 << 7  # nothing was simulated or tuned: the carriage ran free
     DRIVE_OFF = 1 << 8  # the wheel does not turn as commanded
     NOT_FINITE = 1 << 31  # a number of this row was not finite; 0 stands for it
 

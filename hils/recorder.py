@@ -285,8 +285,6 @@ def _require_free(path: Path) -> None:
     part = part_path(path)
     if path.suffix != ".h5":
         raise InputError(f"{path}: a run log's name must end in .h5")
-    if not path.parent.is_dir():
-        raise InputError(f"{path} cannot be recorded: there is no folder {path.parent}")
     if path.exists():
         raise InputError(f"{path} is already there; move it away or record under another name")
     if part.exists():

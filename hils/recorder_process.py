@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from drftjax.errors import InputError
-from drftjax.runlog.hdf5.recording import Recording
+from drftjax.runlog.hdf5.recording import Recording, require_place
 from drftjax.runlog.recording_lock import part_path
 from hils.row_stream import Kind, RowStream
 from hils.sound_rows import Rows, SoundRows
@@ -72,6 +72,7 @@ class RecorderProcess:
     def _record(self) -> str:
         """Write rows until the stream ends; the reason why it did."""
         os.set_blocking(self._rows, False)
+        require_place(self._path)
         self._say("ready", "")
         commit_at = sync_at = time.monotonic()
         sync: Future[None] | None = None

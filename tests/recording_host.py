@@ -176,7 +176,7 @@ def trial(folder: Path, victims: tuple[str, ...], dice: random.Random) -> tuple[
         await_outcome(lambda: repaired(host.part))
         wanted = before
     else:
-        await_outcome(host.path.exists)
+        await_outcome(lambda: host.path.exists() and not host.part.exists())
         wanted = max(before, handed)
     run = read_run_guarded(host.path)
     assert run.online is not None

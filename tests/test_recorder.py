@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -112,6 +113,14 @@ def test_every_event_and_flag_has_one_number_and_one_word():
         assert len(set(table.values())) == len(table)
     assert all(mask.bit_count() == 1 and mask < 2**32 for mask in FLAG_MEANINGS)
     assert len(EVENT_MEANINGS) == len(Event.__members__)
+
+
+def test_the_page_lists_every_event_and_flag():
+    page = (Path(__file__).resolve().parents[1] / "docs" / "runlog.md").read_text()
+    for each in Event:
+        assert f"| {int(each)} | `{each.name.lower()}` |" in page
+    for each in TickFlag:
+        assert f"| {int(each).bit_length() - 1} | `{str(each.name).lower()}` |" in page
 
 
 # A run -------------------------------------------------------------------------------------------
@@ -243,6 +252,39 @@ def test_a_killed_host_leaves_a_closed_run_log(path):
     assert run.online.time.size >= handed >= 100
     assert run.end_reason == "the control program ended without closing the recording"
     await_outcome(lambda: not host.part.exists())
+
+
+FORKING_HOST = """
+import os, sys, time
+sys.path[:0] = sys.argv[2:]
+from recording_host import example_head, hand_over
+from hils.recorder import Recorder
+recorder = Recorder(sys.argv[1], example_head())
+for number in range(50):
+    hand_over(recorder, number)
+child = os.fork()
+if child:
+    print(child, flush=True)
+    os.kill(os.getpid(), 9)
+time.sleep(600)
+"""
+
+
+def test_a_forked_copy_of_the_pipe_does_not_keep_a_dead_hosts_recording_open(path):
+    host = subprocess.Popen(
+        [sys.executable, "-c", FORKING_HOST, path, Path(__file__).parent], stdout=subprocess.PIPE
+    )
+    assert host.stdout is not None
+    child = int(host.stdout.readline())
+    try:
+        host.wait(DEADLINE)
+        await_outcome(lambda: path.exists() and not part_path(path).exists())
+    finally:
+        os.kill(child, signal.SIGKILL)
+        host.stdout.close()
+    run = read_run(path)
+    assert run.online.time.size == 50
+    assert run.end_reason.startswith("the control program ended")
 
 
 def test_a_lost_recorder_is_noticed_by_the_next_row(path):
@@ -392,8 +434,9 @@ def test_a_full_disk_stops_the_recording_before_hdf5_meets_it(small_disk):
 
 def test_a_disk_that_is_full_from_the_start_is_refused(small_disk):
     (small_disk / "ballast").write_bytes(bytes(5 * 2**20))
-    with pytest.raises(InputError, match="the disk is full"):
-        Recorder(small_disk / "run.h5", example_head())
+    for head in (None, example_head()):
+        with pytest.raises(InputError, match="the disk is full"):
+            Recorder(small_disk / "run.h5", head)
     assert [each.name for each in small_disk.iterdir()] == ["ballast"]
 
 

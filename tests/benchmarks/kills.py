@@ -31,7 +31,7 @@ def main() -> None:
     given = parser.parse_args()
     dice, start = random.Random(given.seed), time.monotonic()
     print(f"{platform.platform()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
-    print("| killed | kills | rows that had to be kept | kept | lost | wrong |")
+    print("| killed | kills | ticks that had to be kept | kept | lost | wrong |")
     print("|---|---|---|---|---|---|")
     for place, victims in enumerate(VICTIMS):
         kills = given.kills // 3 + (place < given.kills % 3)

@@ -33,6 +33,19 @@ RESERVE: Final = 2**21
 """Room that is never used, for HDF5's own bookkeeping [bytes]."""
 
 
+def require_place(path: Path) -> None:
+    """Refuse a folder that a recording cannot be begun in.
+
+    Raises:
+        InputError: It is not there, may not be written, or has no room.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise InputError(f"the folder {path.parent} may not be written")
+    _require_room(path.parent, RESERVE)
+
+
 class Recording:
     """A run log while it is recorded. One thread uses it.
 
@@ -58,7 +71,7 @@ class Recording:
         self._waiting_bytes = self._written_bytes = 0
         part.touch()
         try:
-            self._require_room()
+            self._require_room_for_rows()
         except InputError:
             part.unlink()
             raise
@@ -89,7 +102,7 @@ class Recording:
         """
         if not self._waiting_bytes:
             return
-        self._require_room()
+        self._require_room_for_rows()
         for title, blocks in self._waiting.items():
             if blocks:
                 self._write(title, np.concatenate(blocks))
@@ -140,20 +153,23 @@ class Recording:
         self._committed[:] = [self.rows.get(title, 0) for title in GROUPS]
         self._file.flush()
 
-    def _require_room(self) -> None:
+    def _require_room_for_rows(self) -> None:
         """The rows that wait, and the finished file beside them, must fit."""
         new = 2 * self._waiting_bytes + RESERVE
         written = self._written_bytes + self._waiting_bytes
-        facts = os.statvfs(self.part)
-        free = facts.f_bavail * facts.f_frsize
-        if free < new + written:
-            raise InputError(f"the disk is full: {free / 2**20:.1f} MiB are left")
+        _require_room(self.part, new + written)
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-        size = self.part.stat().st_size
-        if limit != resource.RLIM_INFINITY and limit < size + new:
+        if limit != resource.RLIM_INFINITY and limit < self.part.stat().st_size + new:
             raise InputError(f"a file may not grow past {limit / 2**20:.1f} MiB here")
         if written > SIZE_LIMIT:
             raise InputError(f"the run log has {SIZE_LIMIT / 2**20:.0f} MiB, the most it may have")
+
+
+def _require_room(place: Path, wanted: int) -> None:
+    facts = os.statvfs(place)
+    free = facts.f_bavail * facts.f_frsize
+    if free < wanted:
+        raise InputError(f"the disk is full: {free / 2**20:.1f} MiB are left")
 
 
 def _groups(head: Head) -> list[str]:
