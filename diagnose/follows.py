@@ -8,7 +8,7 @@ from diagnose.case import Case
 from diagnose.motion import Motion, motion_of_run
 from diagnose.smoother import OWN_ZETA
 from diagnose.stages import Columns, Stage
-from diagnose.unwritten import VARIABLES, correction, fields, known_to
+from drftjax.effects.correction import VARIABLES, correction, fields, known_to
 from drftjax.effects.stage import AbstractEffect
 
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,

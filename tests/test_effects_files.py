@@ -13,11 +13,12 @@ from command_line import Drft
 from virtual_runs import recorded, setup_of
 
 from drftjax.effects.catalogue import catalogue
+from drftjax.effects.correction import STAGES, known_to
 from drftjax.effects.entry import built, entry_of, typical
 from drftjax.effects.table import markdown
 from drftjax.effects.terrain import Loosening
 from drftjax.runlog.hdf5 import read_run, write_result
-from drftjax.saved import model_group, read_model
+from drftjax.saved import model_group, read_model, simulated_run
 from drftjax.setup import CommandSetUp, SetUp, read_setup
 from identify.candidate import candidate
 
@@ -114,7 +115,10 @@ def test_simulate_runs_the_effects(drft, tmp_path):
         (LOOSENING + "decay = -inf\n", "loosening.decay is -inf, must be finite"),
         (LOOSENING + "decay = 0\n", "loosening.decay is 0, must be above 0"),
         (LOOSENING + "decay = 'much'\n", "loosening.decay is 'much', must be a number"),
-        (LOOSENING + "decay = true\n", "effect[0][...]: expected a number or text, got true"),
+        (
+            LOOSENING + "decay = true\n",
+            "expected a number or text or a list, got true",
+        ),
         ("[[effect]]\nname = 'speed_lag'\nlag = -0.1\n", "speed_lag.lag is -0.1, must be 0 or"),
         ("[[effects]]\nname = 'loosening'\n", "unknown entry 'effects'; did you mean 'effect'"),
         ("effect = 3\n", "effect: expected a list, got a whole number"),
@@ -166,6 +170,85 @@ def test_a_fit_compares_runs_with_the_effects_of_its_model():
     asked = candidate("a", recorded(setup_of()), model=model)
     (load,) = asked.trial.simulator.effects
     assert entry_of(load) == asked.setup.effects[0] == model.effects[0]
+
+
+# Corrections ------------------------------------------------------------------------------------
+
+CORRECTION = """[[effect]]
+name = "correction"
+stage = "zeta"
+variable = "sinkage"
+knots = [0.0, 0.02, 0.04]
+values = [0.0, 0.0, 0.3]
+"""
+
+
+def test_a_file_may_hold_a_correction_that_comes_back_and_acts(drft, tmp_path):
+    path = written(tmp_path, HEAD + CORRECTION)
+    setup = read_setup(path)
+    (effect,) = setup.trial().simulator.effects
+    assert entry_of(effect) == setup.effects[0]
+    assert drft("simulate", path, "-o", tmp_path / "firm.h5").code == 0
+    again = drft("simulate", "--from", path, "-o", tmp_path / "again.h5")
+    assert again.code == 0, again
+    assert drft("simulate", written(tmp_path, HEAD), "-o", tmp_path / "bare.h5").code == 0
+    z = {n: read_run(tmp_path / f"{n}.h5").measured.z for n in ("firm", "again", "bare")}
+    assert (z["again"] == z["firm"]).all()
+    assert z["firm"][-1] > z["bare"][-1] + 1e-4
+
+
+def test_corrections_of_nothing_in_every_stage_are_the_reference_model_to_the_bit():
+    plain, corrected = setup_of(), setup_of()
+    # Every stage knows one of these.
+    corrected.effects = [
+        {
+            "name": "correction",
+            "stage": stage,
+            "variable": "sinkage" if "sinkage" in known_to(stage) else "turning",
+            "knots": [0.0, 0.02, 0.5],
+            "values": [0.0, 0.0, 0.0],
+        }
+        for stage in STAGES
+    ]
+    for setup in (plain, corrected):
+        setup.integrator.step = 2e-3
+    bare, nothing = (simulated_run(setup, 0.05).measured for setup in (plain, corrected))
+    for channel in ("x", "z", "fx", "fz", "torque"):
+        assert (getattr(nothing, channel) == getattr(bare, channel)).all()
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('stage = "zeta"', 'stage = "weather"', "stage is 'weather', must be one of zeta, force_x"),
+        ('stage = "zeta"', 'stage = "speed"', "a correction of speed may follow angular velocity"),
+        ('stage = "zeta"', "stage = 3", "correction.stage is 3.0, must be a word"),
+        ('stage = "zeta"\n', "", "a correction needs stage; it has stage, variable, knots, val"),
+        ('stage = "zeta"', 'stage = "zeta"\nknot = 3', "a correction has no entry 'knot'; it has"),
+        ("0.0, 0.02, 0.04", "0.0, 0.04, 0.02", "the knots of a correction must ascend"),
+        ("0.0, 0.02, 0.04", "0.02", "a correction has 2 to 100 knots; 1 were given"),
+        ("0.0, 0.3", "0.3", "a value for each of its 3 knots; 2 were given"),
+        ("0.0, 0.3", "nan, 0.3", "correction.values is [0.0, nan, 0.3], must be finite"),
+        ("[0.0, 0.0, 0.3]", "0.3", "correction.values is 0.3, must be a list of numbers"),
+    ],
+)
+def test_what_a_correction_may_not_be_is_refused_in_one_sentence(
+    drft, tmp_path, before, after, said
+):
+    assert before in CORRECTION
+    path = written(tmp_path, HEAD + CORRECTION.replace(before, after))
+    refusal = drft("simulate", path).refusal
+    assert refusal.startswith(f"{path}: ")
+    assert said in refusal
+
+
+def test_the_correction_is_told_with_lines_that_a_set_up_understands(drft, tmp_path):
+    assert "`drft effects correction` explains it" in " ".join(drft("effects").out.split())
+    answer = drft("effects", "correction")
+    lines = answer.out[answer.out.index("[[effect]]") :]
+    (entry,) = read_setup(written(tmp_path, HEAD + lines)).effects
+    assert entry["variable"] == "sinkage"
+    assert "nothing to draw" in drft("effects", "correction", "--plot", tmp_path / "a.png").refusal
 
 
 # On the command line ----------------------------------------------------------------------------

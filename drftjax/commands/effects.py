@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from drftjax.errors import InputError
+
 app = typer.Typer(add_completion=False)
 
 EXAMPLES = """
@@ -38,13 +40,18 @@ def effects(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
-    from drftjax.effects import table
+    from drftjax.effects import correction, table
     from drftjax.effects.catalogue import effect_class
 
     if plot is not None:
         from drftjax.figures import check_figure_name
 
         check_figure_name(plot)
+    if name == correction.NAME:
+        if plot is not None:
+            raise InputError("a correction is what its set-up file says; there is nothing to draw")
+        typer.echo(table.correction_details())
+        return
     chosen = None if name is None else effect_class(name)
     if chosen is not None:
         typer.echo(table.details(chosen))
@@ -53,7 +60,9 @@ def effects(
     elif plot is None:
         from rich.console import Console
 
-        Console(highlight=False).print(table.listing())
+        console = Console(highlight=False)
+        console.print(table.listing())
+        console.print(f"\n{table.BESIDES}")
     if plot is not None:
         from drftjax.effects import portrait
         from drftjax.figures import save_figure

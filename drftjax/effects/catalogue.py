@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import entry_points
 
+from drftjax.effects import correction
 from drftjax.effects.drive import DRIVE
 from drftjax.effects.rig import RIG
 from drftjax.effects.sensor import SENSOR
@@ -47,7 +48,7 @@ def catalogue() -> dict[str, type[AbstractEffect]]:
             raise InputError(f"the effect {entry.name!r} of {entry.value} fails: {error}") from None
         if not (isinstance(added, type) and issubclass(added, AbstractEffect)):
             raise InputError(f"the effect {entry.name!r} of {entry.value} is no effect class")
-        if added.about.name in known:
+        if added.about.name in (*known, correction.NAME):
             raise InputError(f"the effect {added.about.name!r} of {entry.value} is there already")
         known[added.about.name] = added
     return known

@@ -1,16 +1,20 @@
-"""Effects as a file holds them: a name, and numbers that are left out at their defaults."""
+"""Effects as a file holds them: a name, and numbers that are left out at their defaults.
+
+An entry of the name `correction` is no effect of the catalogue: it says itself what it acts on.
+"""
 
 import math
 from collections.abc import Mapping
 
+from drftjax.effects import correction
 from drftjax.effects.catalogue import effect_class, numbers
 from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError
 
-Entry = dict[str, str | float]
+Entry = dict[str, str | float | list[float]]
 
 
-def built(entry: Mapping[str, str | float], place: int) -> AbstractEffect:
+def built(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
     """The effect that an entry describes.
 
     Args:
@@ -23,6 +27,8 @@ def built(entry: Mapping[str, str | float], place: int) -> AbstractEffect:
     name = entry.get("name")
     if not isinstance(name, str):
         raise InputError(f"[[effect]] {place} needs a name; `drft effects` lists them")
+    if name == correction.NAME:
+        return correction.built(entry)
     effect = effect_class(name)
     known = numbers(effect)
     given = {}
@@ -46,6 +52,8 @@ def built(entry: Mapping[str, str | float], place: int) -> AbstractEffect:
 
 def entry_of(effect: AbstractEffect) -> Entry:
     """An effect as a file holds it: what `built` makes it of again."""
+    if isinstance(effect, correction.Curve):
+        return correction.entry_of(effect)
     fields = {field: float(getattr(effect, field)) for field in numbers(type(effect))}
     return {"name": effect.about.name, **fields}
 

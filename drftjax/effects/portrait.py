@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from drftjax.command import command_at
 from drftjax.effects.catalogue import numbers
-from drftjax.effects.entry import entry_of, typical
+from drftjax.effects.entry import typical
 from drftjax.effects.stage import AbstractEffect
 from drftjax.effects.table import sizes
 from drftjax.integrator import HeldPace
@@ -34,9 +34,9 @@ def runs(effects: Classes) -> Output:
     null = [float(getattr(effects[index](), name)) for index, name in fields]
     table = [null]
     for one, effect in enumerate(effects):
-        entry = entry_of(typical(effect))
+        sized = typical(effect)
         table.append(
-            [float(entry[name]) if index == one else at_null for (index, name), at_null in
+            [float(getattr(sized, name)) if index == one else at_null for (index, name), at_null in
              zip(fields, null, strict=True)]
         )  # fmt: skip
     commands = command_at(

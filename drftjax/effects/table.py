@@ -4,11 +4,18 @@ from itertools import groupby
 
 from rich.table import Table
 
+from drftjax.effects import correction
 from drftjax.effects.catalogue import catalogue, numbers, strengths
 from drftjax.effects.entry import entry_of, typical
 from drftjax.effects.stage import AbstractEffect
 
 STAGES = ("drive", "wheel", "terrain", "rig", "sensor")
+
+
+BESIDES = (
+    "Besides there is `correction`, a curve of your own over a variable; "
+    "`drft effects correction` explains it."
+)
 
 
 def by_stage() -> list[tuple[str, list[type[AbstractEffect]]]]:
@@ -73,4 +80,28 @@ def details(effect: type[AbstractEffect]) -> str:
         lines.append(f"  {name} [{each['unit']}]  {each['meaning']}; {size}")
     lines += ["", "In a set-up file:", "", "[[effect]]", f'name = "{about.name}"']
     lines += [f"{name} = {shown[name]!r}" for name in numbers(effect)]
+    return "\n".join(lines)
+
+
+def correction_details() -> str:
+    """The correction in full, with lines for a set-up file."""
+    lines = ["correction: a curve over a variable, straight between its knots, level beyond", ""]
+    for stage, (_, unit, _) in correction.STAGES.items():
+        known = ", ".join(correction.known_to(stage))
+        lines.append(f"  {stage} [{unit}]  may follow {known}")
+    units = ", ".join(f"{name} [{unit}]" for name, unit in correction.VARIABLES.items())
+    lines += [
+        "",
+        "zeta is scaled by the exponential of the curve; all else is added.",
+        f"Variables: {units}.",
+        "",
+        "In a set-up file:",
+        "",
+        "[[effect]]",
+        f'name = "{correction.NAME}"',
+        'stage = "zeta"',
+        'variable = "sinkage"',
+        "knots = [0.01, 0.02, 0.04]",
+        "values = [0.0, 0.05, 0.1]",
+    ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Corrections: effects that nobody has written, fitted as a curve over the variable they follow.
+"""Corrections: effects that nobody has named, as a curve over the variable that they follow.
 
 A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed, the
 surface or a reading, by a curve that runs straight between its knots and level beyond them. Its
@@ -7,10 +7,11 @@ a model with it compiles like one with any effect; `correction` makes the class.
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,10 +30,13 @@ from drftjax.effects.stage import (
     strength,
 )
 from drftjax.errors import InputError
-from drftjax.simulator import Output
+
+if TYPE_CHECKING:
+    from drftjax.simulator import Output
 
 NAME = "correction"
 READING = "reading "
+FIELDS = ("stage", "variable", "knots", "values")
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
@@ -52,7 +56,9 @@ VARIABLES = {
 # A drive knows no more than how it turns, the surface no more than what has gone by.
 DRIVE_KNOWS = ("angular velocity", "turning", "time", "wheel angle")
 SURFACE_KNOWS = ("travel", "turning", "time")
-TURN = 2 * jnp.pi
+TURN = 2 * math.pi
+# More knots than these are no curve, and would take long to compile.
+MOST_KNOTS = 100
 
 
 def fields(count: int) -> tuple[str, ...]:
@@ -73,7 +79,7 @@ class Gone(eqx.Module):
         return cls(nought, nought, nought)
 
 
-class _Curve(eqx.Module):
+class Curve(eqx.Module):
     """Values at knots over a variable. The knots and the variable belong to the class."""
 
     variable: ClassVar[str]
@@ -117,7 +123,7 @@ def _gone_on(memory: Gone, moment: Moment) -> Gone:
     )
 
 
-class ZetaCorrection(_Curve, AbstractZetaFactor):
+class ZetaCorrection(Curve, AbstractZetaFactor):
     """zeta is scaled by the exponential of a curve."""
 
     about: ClassVar = About(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
@@ -132,7 +138,7 @@ class ZetaCorrection(_Curve, AbstractZetaFactor):
         return jnp.exp(self.in_moment(moment, memory))
 
 
-class _ForceCorrection(_Curve, AbstractLoad):
+class _ForceCorrection(Curve, AbstractLoad):
     def begin(self, position: Pair) -> Memory:
         return Gone.nothing()
 
@@ -164,7 +170,7 @@ class ZForceCorrection(_ForceCorrection):
         return jnp.stack([jnp.zeros_like(force), force])
 
 
-class SpeedCorrection(_Curve, AbstractDrive):
+class SpeedCorrection(Curve, AbstractDrive):
     """The wheel's speed is off by a curve."""
 
     about: ClassVar = About(NAME, "drive", "ω = ω + curve", "a fitted error of the drive's speed")
@@ -185,7 +191,7 @@ class SpeedCorrection(_Curve, AbstractDrive):
         return omega + self.at(known[self.variable]), gone
 
 
-class HeightCorrection(_Curve, AbstractSurface):
+class HeightCorrection(Curve, AbstractSurface):
     """The surface under the wheel lies higher by a curve."""
 
     about: ClassVar = About(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
@@ -200,15 +206,15 @@ class HeightCorrection(_Curve, AbstractSurface):
         return jnp.full_like(x, self.at(getattr(memory, self.variable)))
 
 
-class ReadingCorrection(_Curve, AbstractSensor):
+class ReadingCorrection(Curve, AbstractSensor):
     """A reading is off by a curve."""
 
     about: ClassVar = About(NAME, "sensor", "reading = reading + curve", "a fitted reading error")
 
-    def begin(self, output: Output) -> Memory:
+    def begin(self, output: "Output") -> Memory:
         return output.x, Gone.nothing(), output.angle
 
-    def read(self, output: Output, dt: Number, memory: Memory) -> tuple[Output, Memory]:
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
         first, gone, before = memory
         gone = Gone(output.x - first, gone.turning + jnp.abs(output.angle - before), gone.time + dt)
         known = {
@@ -222,8 +228,10 @@ class ReadingCorrection(_Curve, AbstractSensor):
             "time": gone.time,
         }
         channel = self.stage.removeprefix(READING)
-        value = getattr(output, channel) + self.at(known[self.variable])
-        return replace(output, **{channel: value}), (first, gone, output.angle)
+        changed = {channel: getattr(output, channel) + self.at(known[self.variable])}
+        if channel == "z":
+            changed["sinkage"] = -changed["z"]
+        return replace(output, **changed), (first, gone, output.angle)
 
 
 # Class, unit and typical size of a correction of each stage.
@@ -273,8 +281,10 @@ def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Abs
     if variable not in known_to(stage):
         known = ", ".join(known_to(stage))
         raise InputError(f"a correction of {stage} may follow {known}; {variable!r} was given")
-    if len(knots) < 2 or any(a >= b for a, b in itertools.pairwise(knots)):
-        raise InputError(f"a correction has ascending knots; {list(knots)} were given")
+    if not 2 <= len(knots) <= MOST_KNOTS:
+        raise InputError(f"a correction has 2 to {MOST_KNOTS} knots; {len(knots)} were given")
+    if any(a >= b for a, b in itertools.pairwise(knots)):
+        raise InputError(f"the knots of a correction must ascend; {list(knots)} were given")
     base, unit, typical = STAGES[stage]
     formula = base.about.formula.replace("reading", stage.removeprefix(READING))
     names, of = fields(len(knots)), f"at {variable} ="
@@ -296,15 +306,14 @@ def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Abs
     )
 
 
-def entry_of(effect: AbstractEffect) -> dict[str, Any]:
+def entry_of(effect: Curve) -> dict[str, Any]:
     """A correction as a file holds it."""
-    kind: Any = type(effect)
     return {
         "name": NAME,
-        "stage": kind.stage,
-        "variable": kind.variable,
-        "knots": list(kind.knots),
-        "values": [float(getattr(effect, field)) for field in fields(len(kind.knots))],
+        "stage": effect.stage,
+        "variable": effect.variable,
+        "knots": list(effect.knots),
+        "values": [float(value) for value in effect.values()],
     }
 
 
@@ -312,16 +321,35 @@ def built(entry: Mapping[str, Any]) -> AbstractEffect:
     """The correction that an entry describes.
 
     Raises:
-        InputError: says what the entry lacks, or what must hold.
+        InputError: says what was given, and what must hold.
     """
-    missing = [f for f in ("stage", "variable", "knots", "values") if f not in entry]
+    missing = [field for field in FIELDS if field not in entry]
     if missing:
-        raise InputError(f"a correction needs {', '.join(missing)}")
-    values = entry["values"]
-    if len(values) != len(entry["knots"]):
+        raise InputError(f"a correction needs {', '.join(missing)}; it has {', '.join(FIELDS)}")
+    for field in entry:
+        if field not in ("name", *FIELDS):
+            raise InputError(f"a correction has no entry {field!r}; it has {', '.join(FIELDS)}")
+    for field in ("stage", "variable"):
+        if not isinstance(entry[field], str):
+            raise InputError(f"correction.{field} is {entry[field]!r}, must be a word")
+    knots, values = _numbers(entry, "knots"), _numbers(entry, "values")
+    kind = correction(entry["stage"], entry["variable"], knots)
+    if len(values) != len(knots):
         raise InputError(
-            f"a correction has a value for each of its {len(entry['knots'])} knots; "
-            f"{len(values)} were given"
+            f"a correction has a value for each of its {len(knots)} knots; {len(values)} were given"
         )
-    kind = correction(entry["stage"], entry["variable"], entry["knots"])
+    return with_values(kind, values)
+
+
+def with_values(kind: type[AbstractEffect], values: Sequence[float]) -> AbstractEffect:
+    """The correction with these values at its knots."""
     return kind(**{field: float(v) for field, v in zip(fields(len(values)), values, strict=True)})
+
+
+def _numbers(entry: Mapping[str, Any], field: str) -> list[float]:
+    given = entry[field]
+    if not isinstance(given, list) or not all(isinstance(each, float | int) for each in given):
+        raise InputError(f"correction.{field} is {given!r}, must be a list of numbers")
+    if not all(math.isfinite(each) for each in given):
+        raise InputError(f"correction.{field} is {given}, must be finite")
+    return [float(each) for each in given]
