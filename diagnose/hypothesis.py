@@ -67,18 +67,20 @@ class Hypothesis:
         return self.model.names
 
 
-def on_lines(bench: Bench, variants: Sequence[Variant], coarse: float = 1.0) -> Line:
+def on_lines(
+    bench: Bench, variants: Sequence[Variant], coarse: float = 1.0, trust: float = LINES_ERR
+) -> Line:
     """What some effects would explain, were all responses straight lines.
 
     Args:
         bench: The case.
         variants: The effects.
-        coarse: See `fit_line`.
+        coarse, trust: See `fit_line`.
     """
     columns = [column for variant in variants for column in variant.columns]
     belief = np.full(len(columns), STRENGTH_BELIEF)
     least = np.array([bound for variant in variants for bound in leasts(variant.effect)])
-    return fit_line(bench.products, columns, prior=belief, least=least, coarse=coarse)
+    return fit_line(bench.products, columns, prior=belief, least=least, trust=trust, coarse=coarse)
 
 
 def leasts(effect: type[AbstractEffect]) -> list[float]:
@@ -235,8 +237,23 @@ def changes(
         products: Of its columns and residuals, over the runs that count.
         coarse: See `fit_line`.
     """
+    line = _from_here(here, products, coarse)
+    logarithmic = np.array([f.scale is None for f in here.model.free], bool)
+    # The whole step is shortened, or the numbers that belong together would part.
+    longest = np.abs(np.r_[line.zeta, line.strengths[logarithmic]]).max(initial=0.0)
+    part = min(1.0, LONGEST_MOVE / max(longest, 1e-12))
+    return part * line.zeta, part * line.strengths
+
+
+def promised(bench: Bench, here: Hypothesis) -> float:
+    """The score that straight lines from here promise, or that it has where they promise less."""
+    products = bench.products_of(here.columns, here.residual, here.log_zeta)
+    return max(here.score, _from_here(here, products, 1.0).score)
+
+
+def _from_here(here: Hypothesis, products: Products, coarse: float) -> Line:
     width, centre = beliefs(here.model)
-    line = fit_line(
+    return fit_line(
         products,
         range(len(here.coordinates)),
         prior=width,
@@ -245,11 +262,6 @@ def changes(
         trust=CORRECTED_ERR if here.simulated else LINES_ERR,
         coarse=coarse,
     )
-    logarithmic = np.array([f.scale is None for f in here.model.free], bool)
-    # The whole step is shortened, or the numbers that belong together would part.
-    longest = np.abs(np.r_[line.zeta, line.strengths[logarithmic]]).max(initial=0.0)
-    part = min(1.0, LONGEST_MOVE / max(longest, 1e-12))
-    return part * line.zeta, part * line.strengths
 
 
 def _step(bench: Bench, here: Hypothesis, share: float) -> tuple[np.ndarray, np.ndarray]:

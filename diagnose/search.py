@@ -7,13 +7,14 @@ import numpy as np
 
 from diagnose.bench import Bench, Variant
 from diagnose.case import Case, baseline
-from diagnose.evidence import FLOOR, Line, coarseness, fit_line
+from diagnose.evidence import FLOOR, LINES_ERR, Line, coarseness, fit_line
 from diagnose.hypothesis import (
     STRENGTH_BELIEF,
     Hypothesis,
     least_changes,
     leasts,
     on_lines,
+    promised,
     proposed,
     refreshed,
     settled,
@@ -37,8 +38,10 @@ MORE_TURNS = 5
 WORTH_A_ROUND = 3.0
 # A hypothesis this far behind the best is not taken further.
 HOPELESS = 100.0
-# Shares of the worst block's distance from its floor that floors are raised to, order by order.
-COARSE = (0.3, 0.1, 0.0)
+# How straight lines are judged, order by order: the share of the worst block's distance from its
+# floor that floors are raised to, and the share of a response that a line may be wrong by. The last
+# takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
+ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
 MUCH = 1.5
 
@@ -93,7 +96,7 @@ def search(
 
 def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses settled to their end, all of them best first."""
-    hypotheses = sorted(hypotheses, key=lambda each: -each.score)
+    hypotheses = sorted(hypotheses, key=lambda each: -promised(bench, each))
     done: list[Hypothesis] = []
     hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
     bench.case.warm(respond, [each.model for each in hopeful])
@@ -122,12 +125,12 @@ def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
     start = on_lines(bench, [])
     orders = []
     telling: set[str] = set()
-    for share in COARSE:
+    for share, trust in ORDERS:
         coarse = coarseness(bench.products.blocks, start.left, share)
-        nothing = on_lines(bench, [], coarse).score
+        nothing = on_lines(bench, [], coarse, trust).score
         best: dict[str, tuple[Variant, Line]] = {}
         for variant in bench.variants:
-            line = on_lines(bench, [variant], coarse)
+            line = on_lines(bench, [variant], coarse, trust)
             name = variant.effect.about.name
             if name not in best or line.score > best[name][1].score:
                 best[name] = variant, line
@@ -157,7 +160,7 @@ def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
 
 def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Pairs that straight lines from the settled singles put first, simulated."""
-    orders = [_proposals(bench, singles, share) for share in COARSE]
+    orders = [_proposals(bench, singles, *order) for order in ORDERS]
     leading: dict[frozenset[str], Hypothesis] = {}
     for every in zip(*orders, strict=True):
         for pair, hypothesis in every:
@@ -169,7 +172,7 @@ def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _proposals(
-    bench: Bench, singles: Sequence[Hypothesis], share: float
+    bench: Bench, singles: Sequence[Hypothesis], share: float, trust: float
 ) -> list[tuple[frozenset[str], Hypothesis]]:
     """Pairs of a settled single and any other effect, best first by straight lines."""
     best: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
@@ -188,7 +191,7 @@ def _proposals(
             both = [*range(count), *(count + c for c in variant.columns)]
             least = np.r_[least_changes(single), leasts(variant.effect)]
             prior = np.full(len(both), STRENGTH_BELIEF)
-            line = fit_line(products, both, prior=prior, least=least, coarse=worst)
+            line = fit_line(products, both, prior=prior, least=least, trust=trust, coarse=worst)
             pair = frozenset((*single.names, name))
             if pair not in best or line.score > best[pair][0]:
                 best[pair] = line.score, single, variant, line
