@@ -73,6 +73,14 @@ def hand_over(recorder: Recorder, number: int) -> None:
     )
 
 
+def recorded(path: Path, ticks: int, **changes) -> Recorder:
+    """A recorder that has been handed so many ticks."""
+    recorder = Recorder(path, example_head(**changes))
+    for number in range(ticks):
+        hand_over(recorder, number)
+    return recorder
+
+
 def wrong_rows(run: RunLog, rows: int | None = None) -> int:
     """How many of a run's ticks are not those that `hand_over` gives."""
     assert run.online is not None

@@ -1,58 +1,39 @@
-"""What the loop hands over is in the file, whoever is killed and whatever the disk does."""
+"""What the loop hands over is in the file, bit for bit."""
 
 import math
 import os
-import random
-import resource
-import shutil
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from recording_host import (
-    DEADLINE,
-    Host,
     await_outcome,
     committed,
     example_head,
     hand_over,
-    repaired,
-    trial,
+    recorded,
     wrong_rows,
 )
 from typer.testing import CliRunner
 
 from drftjax.commands.log import app
 from drftjax.errors import InputError
-from drftjax.runlog.check import check_file, read_run_guarded
+from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.recording_lock import part_path
-from drftjax.runlog.repair import CUT_OFF, repair
+from drftjax.runlog.repair import repair
 from drftjax.runlog.seal import seal_holds
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
 from hils.recorder import Recorder
 from hils.row_stream import Kind, RowStream, pack_end, pack_head, row_packer
 from hils.sound_rows import SoundRows
 
-# Kills at random times of each kind; tests/benchmarks/kills.py makes 200.
-KILLS = 2
-
 
 @pytest.fixture
 def path(tmp_path) -> Path:
     return tmp_path / "run.h5"
-
-
-def recorded(path: Path, ticks: int, **changes) -> Recorder:
-    recorder = Recorder(path, example_head(**changes))
-    for number in range(ticks):
-        hand_over(recorder, number)
-    return recorder
 
 
 # Rows on their way -------------------------------------------------------------------------------
@@ -227,229 +208,3 @@ def test_what_stands_there_is_not_overwritten(path):
         Recorder(path.parent / "nowhere" / "run.h5", example_head())
     with pytest.raises(InputError, match=r"end in \.h5"):
         Recorder(path.with_suffix(".csv"), example_head())
-
-
-# Kills -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("victims", [("host",), ("recorder",), ("host", "recorder")])
-def test_no_committed_row_is_lost_by_a_kill(tmp_path, victims):
-    dice = random.Random(len(victims) + ord(victims[0][0]))
-    for number in range(KILLS):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        wanted, kept, wrong = trial(folder, victims, dice)
-        assert kept >= wanted > 0
-        assert wrong == 0
-
-
-def test_a_killed_host_leaves_a_closed_run_log(path):
-    host = Host(path)
-    host.wait_for_commits(100)
-    _, handed, _ = host.kill("host")
-    await_outcome(path.exists)
-    run = read_run_guarded(path)
-    assert run.online.time.size >= handed >= 100
-    assert run.end_reason == "the control program ended without closing the recording"
-    await_outcome(lambda: not host.part.exists())
-
-
-FORKING_HOST = """
-import os, sys, time
-sys.path[:0] = sys.argv[2:]
-from recording_host import example_head, hand_over
-from hils.recorder import Recorder
-recorder = Recorder(sys.argv[1], example_head())
-for number in range(50):
-    hand_over(recorder, number)
-child = os.fork()
-if child:
-    print(child, flush=True)
-    os.kill(os.getpid(), 9)
-time.sleep(600)
-"""
-
-
-def test_a_forked_copy_of_the_pipe_does_not_keep_a_dead_hosts_recording_open(path):
-    host = subprocess.Popen(
-        [sys.executable, "-c", FORKING_HOST, path, Path(__file__).parent], stdout=subprocess.PIPE
-    )
-    assert host.stdout is not None
-    child = int(host.stdout.readline())
-    try:
-        host.wait(DEADLINE)
-        await_outcome(lambda: path.exists() and not part_path(path).exists())
-    finally:
-        os.kill(child, signal.SIGKILL)
-        host.stdout.close()
-    run = read_run(path)
-    assert run.online.time.size == 50
-    assert run.end_reason.startswith("the control program ended")
-
-
-def test_a_lost_recorder_is_noticed_by_the_next_row(path):
-    recorder = recorded(path, 5)
-    os.kill(recorder.pid, signal.SIGKILL)
-    recorder._process.wait(DEADLINE)
-    assert recorder.alive
-    hand_over(recorder, 5)
-    assert not recorder.alive
-    assert recorder.reason == "ended unasked"
-
-
-def test_a_recorder_that_hangs_never_holds_the_loop_up(path):
-    recorder = recorded(path, 100)
-    await_outcome(lambda: committed(part_path(path)) == 100)
-    os.kill(recorder.pid, signal.SIGSTOP)
-    number = 100
-    while recorder.alive:  # a call that waited would wait for ever
-        hand_over(recorder, number)
-        number += 1
-        assert number < 100_000
-    assert "pipe to it is full" in recorder.reason
-    os.kill(recorder.pid, signal.SIGCONT)
-    with pytest.raises(InputError, match=f"pipe to it is full; .* in {path}"):
-        recorder.close("the recorder was lost")
-    run = read_run(path)
-    assert run.online.time.size >= number - 2
-    assert wrong_rows(run) == 0
-    assert run.end_reason == "the recorder was lost"
-
-
-def test_ctrl_c_and_sigterm_do_not_end_the_recorder(path):
-    recorder = recorded(path, 5)
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(recorder.pid, each)
-    hand_over(recorder, 5)
-    assert recorder.close("interrupted") == path
-    assert read_run(path).online.time.size == 6
-
-
-def test_a_chunk_torn_by_a_kill_still_gives_its_committed_rows(path):
-    host = Host(path)
-    host.wait_for_commits(1200)
-    host.kill("host", "recorder")
-    rows = committed(host.part)
-    with h5py.File(host.part, "r", swmr=True) as file:
-        z = file["online/z_sim"]
-        chunks = (z.id.get_chunk_info(each) for each in range(z.id.get_num_chunks()))
-        last = max(chunks, key=lambda c: c.chunk_offset)
-        torn = last.byte_offset + 8 * (rows - last.chunk_offset[0])
-    with host.part.open("r+b") as file:
-        file.seek(torn)
-        file.write(b"torn off")  # a row that was never committed, or the checksum
-    with h5py.File(host.part, "r", swmr=True) as file, pytest.raises(OSError):
-        file["online/z_sim"][()]
-    await_outcome(lambda: repaired(host.part))
-    run = read_run(path)
-    assert run.online.time.size == rows
-    assert wrong_rows(run) == 0
-
-
-# Repair ------------------------------------------------------------------------------------------
-
-
-def test_a_repaired_run_says_so_and_goes_where_it_is_told(path):
-    host = Host(path)
-    host.wait_for_commits(10)
-    host.kill("host", "recorder")
-    await_outcome(lambda: repaired(host.part))
-    run = read_run(path)
-    assert run.end_reason == CUT_OFF
-    assert run.online.loop == example_head().online.loop
-    with h5py.File(path) as file:
-        assert "complete" not in file.attrs
-        assert "n_committed" not in file
-    assert host.part.exists()
-    with pytest.raises(InputError, match="--force"):
-        repair(host.part)
-    other = path.with_name("other.h5")
-    assert repair(host.part, other)[0] == other
-    assert wrong_rows(read_run(other)) == 0
-    moved = host.part.rename(path.with_name("moved"))
-    with pytest.raises(InputError, match="name the output too"):
-        repair(moved)
-    repair(moved, path, force=True)
-
-
-def test_a_file_that_is_no_recording_is_not_repaired(path):
-    recorded(path, 3).close("completed")
-    part = part_path(path.with_name("other.h5"))
-    shutil.copy(path, part)
-    with pytest.raises(InputError, match="is no recording"):
-        repair(part)
-    part.write_bytes(b"plain text")
-    with pytest.raises(InputError, match=str(part)):
-        repair(part)
-    part.unlink()
-    with pytest.raises(InputError, match="no such file"):
-        repair(part)
-
-
-# Disks -------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(folder)],
-        capture_output=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("only root can mount a small disk")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
-
-
-def fill(recorder: Recorder) -> int:
-    """Hand rows over until the recorder is lost; how many."""
-    number, deadline = 0, time.monotonic() + DEADLINE
-    while recorder.alive:
-        for each in range(number, number + 50):
-            hand_over(recorder, each)
-        number += 50
-        time.sleep(0.005)
-        assert time.monotonic() < deadline
-    return number
-
-
-def test_a_full_disk_stops_the_recording_before_hdf5_meets_it(small_disk):
-    path = small_disk / "run.h5"
-    recorder = Recorder(path, example_head())
-    handed = fill(recorder)
-    assert recorder.reason.startswith("stopped: the disk is full: ")
-    with pytest.raises(
-        InputError, match=f"the disk is full: .*; the rows until then are in {path}"
-    ):
-        recorder.close("stopped")
-    run = read_run(path)
-    assert 1000 < run.online.time.size <= handed
-    assert wrong_rows(run) == 0
-    assert run.end_reason.startswith("stopped: the disk is full")
-    assert list(small_disk.iterdir()) == [path]
-
-
-def test_a_disk_that_is_full_from_the_start_is_refused(small_disk):
-    (small_disk / "ballast").write_bytes(bytes(5 * 2**20))
-    for head in (None, example_head()):
-        with pytest.raises(InputError, match="the disk is full"):
-            Recorder(small_disk / "run.h5", head)
-    assert [each.name for each in small_disk.iterdir()] == ["ballast"]
-
-
-def test_a_limit_on_the_size_of_files_stops_the_recording_before_hdf5_meets_it(path):
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3 * 2**20, hard))
-    try:
-        recorder = Recorder(path, example_head())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    fill(recorder)
-    with pytest.raises(InputError, match=r"may not grow past 3\.0 MiB"):
-        recorder.close("stopped")
-    run = read_run(path)
-    assert run.online.time.size > 1000
-    assert wrong_rows(run) == 0
