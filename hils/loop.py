@@ -16,8 +16,8 @@ from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, Given, LoopState, Reaction
 from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
 
-# A rig that says nothing for so long is not followed any further [s].
-SILENCE = 0.25
+# A rig that says nothing for so long [s], and for so many ticks, is not followed any further.
+SILENCE, SILENT_TICKS = 0.25, 5
 # A reading older than so many ticks, and than so long [s], is worth an event.
 STALE_TICKS, STALE_TIME = 5, 0.03
 # A ramp is over where the wheel is commanded to rest and the carriage all but stands [m/s], or
@@ -59,6 +59,11 @@ class Zero(NamedTuple):
             (measurement.z - self.z) * self.z_scale,
             measurement.omega,
         )
+
+
+def longest_silence(tick: float) -> float:
+    """Time [s] without a measurement after which a run is ended."""
+    return max(SILENCE, SILENT_TICKS * tick)
 
 
 class LoopReport(NamedTuple):
@@ -268,7 +273,7 @@ class TickLoop:
             if not self._stale:
                 self._event(Event.READINGS_STALE, silent)
             self._stale = True
-            if silent > SILENCE:
+            if silent > longest_silence(self._tick):
                 raise _Over(f"the rig has sent no measurement for {silent:.2f} s")
         else:
             self._stale = False

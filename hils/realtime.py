@@ -21,8 +21,10 @@ PR_SET_TIMERSLACK = 29
 def answer_at_once() -> None:
     """Let JAX compute in the calling thread: half the time of a small step.
 
-    Call it before JAX's first computation.
+    Call it before JAX's first computation. XLA sizes its pool of threads by NPROC; a step is too
+    short to be shared, and handing it to a pool and back costs as much as the step.
     """
+    os.environ.setdefault("NPROC", "1")
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", False)

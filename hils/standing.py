@@ -12,7 +12,7 @@ import numpy as np
 from drftjax.errors import InputError
 from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival
-from hils.loop import SILENCE, Zero
+from hils.loop import Zero, longest_silence
 from hils.session import Session
 from hils.stop_request import StopRequest
 from hils.wire import (
@@ -207,7 +207,7 @@ class Standing:
                 seen = self._heard = arrival.time
                 self._look_at(arrival)
             silent = self._clock.now() - self._heard
-            if silent > SILENCE:
+            if silent > longest_silence(self._tick):
                 raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 

@@ -9,11 +9,13 @@ from typing import NamedTuple
 from hils.events import Event
 
 EMERGENCY_SIGNAL = signal.SIGUSR1
+EMERGENCIES = (EMERGENCY_SIGNAL, signal.SIGQUIT)
 WISHES = {
     signal.SIGINT: "interrupted by Ctrl-C",
     signal.SIGTERM: "asked to stop (SIGTERM)",
     signal.SIGHUP: "the terminal was closed",
-    EMERGENCY_SIGNAL: "asked for from another terminal",
+    EMERGENCY_SIGNAL: "asked for by the operator",
+    signal.SIGQUIT: "Ctrl-\\",
 }
 
 
@@ -61,8 +63,9 @@ class StopRequest:
             if not self.moving:
                 raise KeyboardInterrupt
             kind = signal.Signals(number)
-            event = Event.INTERRUPTED if kind != EMERGENCY_SIGNAL else Event.EMERGENCY_STOP
-            self.ask(Wish(WISHES[kind], event, number), kind == EMERGENCY_SIGNAL)
+            emergency = kind in EMERGENCIES
+            event = Event.EMERGENCY_STOP if emergency else Event.INTERRUPTED
+            self.ask(Wish(WISHES[kind], event, number), emergency)
 
         before = {kind: signal.signal(kind, asked) for kind in WISHES}
         try:
