@@ -39,10 +39,15 @@ class FaultRun:
         ]
         self._occasions: dict[str, float] = {}
         self._begun: dict[int, Counts] = {}
+        # What holds, and between which times: it changes only at an edge.
+        self._held: list[tuple[int, Fault]] = []
+        self._held_from, self._held_until = math.inf, -math.inf
 
     def mark(self, occasion: Occasion, now: float) -> None:
         """An occasion has come; only its first time counts."""
-        self._occasions.setdefault(occasion, now)
+        if occasion not in self._occasions:
+            self._occasions[occasion] = now
+            self._held_until = -math.inf
 
     @property
     def occasions(self) -> dict[str, float]:
@@ -51,8 +56,8 @@ class FaultRun:
 
     def next_edge(self, now: float) -> float:
         """When a fault next begins or ends [s]; infinite where none will."""
-        edges = (edge for fault in self._faults for edge in fault.when.edges(self._occasions))
-        return min((edge for edge in edges if edge > now), default=math.inf)
+        self._holding(now)
+        return self._held_until
 
     def packets(self, frames: list[bytes], towards: End, now: float) -> list[Packet]:
         """What comes of frames that set out now towards one end."""
@@ -93,8 +98,13 @@ class FaultRun:
         return any(isinstance(fault.what, Reset) for _, fault in self._holding(now))
 
     def _holding(self, now: float) -> list[tuple[int, Fault]]:
-        return [
-            (number, fault)
-            for number, fault in enumerate(self._faults)
-            if fault.when.holds(self._occasions, now)
-        ]
+        if not self._held_from <= now < self._held_until:
+            self._held = [
+                (number, fault)
+                for number, fault in enumerate(self._faults)
+                if fault.when.holds(self._occasions, now)
+            ]
+            edges = (edge for fault in self._faults for edge in fault.when.edges(self._occasions))
+            self._held_from = now
+            self._held_until = min((edge for edge in edges if edge > now), default=math.inf)
+        return self._held

@@ -11,6 +11,8 @@ from hils.wire import RigState
 
 # It looks at the time at least this often [s].
 PERIOD = 1e-3
+# Where it was held up for longer than this [s], a rig of metal would not have been: its time stood.
+HELD_UP = 5e-3
 
 
 def serve(
@@ -19,7 +21,7 @@ def serve(
     say: Callable[[str], None],
     seconds: float = float("inf"),
 ) -> None:
-    """Let the rig live on the monotonic clock.
+    """Let the rig live on the monotonic clock, but for times when this program is not let run.
 
     Args:
         rig: Its power came at the present time of that clock.
@@ -29,21 +31,21 @@ def serve(
     """
     begun = rig.occasions["power"]
     last = told = begun - PERIOD
+    stood = 0.0
     gc.collect()
     gc.freeze()
-    while (now := time.monotonic()) < begun + seconds:
+    while time.monotonic() < begun + seconds:
         if rig.plugged:
             end.plug()
         else:
             end.unplug()
         data = end.read()
-        out = b""
-        if data and now > last + PERIOD:
-            # A program that was held up cannot know when in that time the bytes came. A rig of
-            # metal is not held up, and would have heard them early.
-            out = rig.live(last + PERIOD, data)
-            data = b""
-        out += rig.live(now, data)
+        now = time.monotonic() - stood
+        if now > last + HELD_UP:
+            # What has come meanwhile would have been heard in time.
+            stood += now - (last + PERIOD)
+            now = last + PERIOD
+        out = rig.live(now, data)
         if out:
             end.write(out)
         last = now
@@ -52,7 +54,7 @@ def serve(
             told = fresh[-1].time
             for change in fresh:
                 say(sentence(change, begun))
-        end.wait(min(PERIOD, rig.next_event() - time.monotonic()))
+        end.wait(min(PERIOD, rig.next_event() + stood - time.monotonic()))
 
 
 def sentence(change: Change, begun: float) -> str:

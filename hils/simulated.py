@@ -37,6 +37,7 @@ def soft_rig(
     baud: float = 0,
     latency: float = 0.0,
     start: float = 1000.0,
+    grain: float = 1e-3,
 ) -> SoftRig:
     """A virtual rig in virtual time; rigs of the same physics share one compiled program.
 
@@ -44,9 +45,10 @@ def soft_rig(
         setup: The rig's numbers; the default is the paper's rig, in `QUICK` physics.
         script, seed, baud, latency: As for `VirtualRig`.
         start: The clock's first reading, the rig's power-up [s].
+        grain: How finely link and rig look at the clock [s].
     """
     setup = setup or VirtualSetUp(physics=QUICK)
-    clock = VirtualClock(start)
+    clock = VirtualClock(start, grain)
     rig = VirtualRig(setup, shared_physics(setup), script, seed, baud, latency, start)
     return SoftRig(rig, SoftLink(rig, clock), clock)
 

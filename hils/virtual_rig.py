@@ -14,21 +14,21 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Float
 
 from hils.fault_run import FaultRun
 from hils.faults import FaultScript, split_frames
 from hils.instruments import Noise, Stream
 from hils.link import LinkLost
 from hils.rig_physics import LOWERING_TIME, REST, Motion, RigPhysics
-from hils.rig_protocol import MOVING, Demand, Reason, RigIdentity, RigProtocol
+from hils.rig_protocol import MOVING, SILENCE, Demand, Reason, RigIdentity, RigProtocol
 from hils.rig_wire import Line, Packet
 from hils.virtual_setup import VirtualSetUp
 from hils.wire import U32, HelloAck, RigState, wire_bytes
 
 RIG_ID = int.from_bytes(b"VIRT", "big")  # so that a host can tell it from a real one
-# The firmware looks at its clock this often [s], and the physics is brought up to date between
-# commands this often [s].
-LOOK, REFRESH = 0.001, 0.010
+# The firmware looks at its clock at least this often [s].
+LOOK = 0.002
 # Fragments longer than any frame pass as they are.
 LONGEST_FRAGMENT = 256
 MOST_CHANGES = 1000
@@ -91,9 +91,9 @@ class VirtualRig:
         self._noise = Noise(seed)
         self._inward, self._outward = Line(baud), Line(baud, latency)
         self._fragment = b""
-        self._start = self._now = self._heard = start
+        self._start = self._now = self._heard = self._said = start
         self._boots = boots
-        self._packed = self._physics.held()
+        self._place(self._physics.held())
         self._beds, self._firmness = 0, 1.0
         self._released: float | None = None
         self._synced = start  # the physics has come this far
@@ -112,7 +112,7 @@ class VirtualRig:
     @property
     def motion(self) -> Motion:
         """The truth, as far as the physics has come."""
-        return self._physics.motion(self._packed)
+        return self._motion
 
     @property
     def held(self) -> bool:
@@ -143,7 +143,7 @@ class VirtualRig:
     def live(self, now: float, data: bytes = b"") -> bytes:
         """As `advance`; while the plug is out, nothing passes and nothing is raised."""
         self._hear(data, max(now, self._now))
-        while (event := self._next_own()) <= now:
+        while (event := self._next_own()) < now - INSTANT:
             self._live_to(event)
         self._live_to(max(now, self._now))
         return self._outward.take(self._now)
@@ -185,12 +185,18 @@ class VirtualRig:
         data = self._inward.take(now)
         if data:
             self._heard = now
-        if data or now >= self._synced + REFRESH - INSTANT:
+        before, out = protocol.state, b""
+        if data or now >= self._said + SILENCE - LOOK:  # something may go out
             self._sync(now, protocol.demand)
             self._measure(protocol, now)
-        before = protocol.state
-        out = protocol.advance(self._rig_time(now), data) + self._own_faults(protocol, now)
+            out = self._own_faults(protocol, now)
+        out += protocol.advance(self._rig_time(now), data)
         self._note(protocol, before, now)
+        if not out:
+            if now >= self._said + SILENCE + LOOK:
+                self._said = now
+            return
+        self._said = now
         frames, _ = split_frames(b"", out)
         if any(len(frame) == wire_bytes(HelloAck) for frame in frames):
             self._faults.mark("hello", now)
@@ -245,7 +251,8 @@ class VirtualRig:
         """Somebody lifts the wheel to touch-down, and prepares the bed where it has stood in it."""
         if self._beds and self._released is None:
             return
-        self._packed, self._released, self._drive = self._physics.held(), None, REST
+        self._place(self._physics.held())
+        self._released, self._drive = None, REST
         self._firmness = self._setup.bed.firmness(self._seed, self._beds)
         self._beds += 1
 
@@ -267,11 +274,16 @@ class VirtualRig:
             if steps < 1:
                 return
             given = self._faults.demand(demand, now)
-            self._packed = self._physics.advance(
-                self._packed, steps, self._drive, given, lowering, self._firmness
+            self._place(
+                self._physics.advance(
+                    self._packed, steps, self._drive, given, lowering, self._firmness
+                )
             )
             self._drive = given
             self._synced += steps * self._physics.step
+
+    def _place(self, packed: Float[Array, " packed"]) -> None:
+        self._packed, self._motion = packed, self._physics.motion(packed)
 
     def _measure(self, protocol: RigProtocol, now: float) -> None:
         noise = self._noise.at(now - self._start)
