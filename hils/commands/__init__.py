@@ -2,6 +2,8 @@
 
 import typer
 
+from hils.commands.paper import EXAMPLES as PAPER_EXAMPLES
+from hils.commands.paper import paper
 from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
 from hils.commands.ports import ports
 from hils.commands.replay import EXAMPLES as REPLAY_EXAMPLES
@@ -20,6 +22,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.command(epilog=PAPER_EXAMPLES)(paper)
 app.command(epilog=PORTS_EXAMPLES)(ports)
 app.command(epilog=REPLAY_EXAMPLES)(replay)
 app.command(epilog=RIG_EXAMPLES)(rig)

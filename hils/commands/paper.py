@@ -1,0 +1,97 @@
+"""`drft hils paper`: the paper's experiment again, on a virtual rig whose sand loosens."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EXAMPLES = """
+Examples:
+
+  drft hils paper -o out/
+
+  drft hils paper --runs 2 --no-ticks -o out/
+
+  drft hils paper --rig rig.toml --tick 0.005 -o out/
+
+Written are paper.json, paper.md (its tables), fig7.png, fig8.png and ripple.png; docs/hils-paper.md
+tells what they show. Ten runs of either kind take a minute or two, in virtual time.
+"""
+
+
+def paper(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
+        "out"
+    ),
+    runs: Annotated[int, typer.Option(help="HILS runs, and as many free runs.", min=1)] = 10,
+    tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
+    seed: Annotated[int, typer.Option(help="Of the first run's noise and bed.", min=0)] = 0,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="Set-up of the virtual rig (TOML).", show_default="the paper's, its sand loosens"
+        ),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(help="Set-up and profile of the loop.", show_default="data/paper.toml"),
+    ] = None,
+    ticks: Annotated[bool, typer.Option(help="One run at each of some other ticks too.")] = True,
+) -> None:
+    """Make the paper's experiment again: HILS runs beside free runs on sand that loosens."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    from hils.realtime import answer_at_once
+
+    answer_at_once()
+    import msgspec
+    from rich.console import Console
+
+    from drftjax.datafiles import data_file
+    from drftjax.figures import save_figure
+    from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.setup import read_setup
+    from hils.guard import CommandLimits
+    from hils.loop_setup import LoopSetUp
+    from hils.paper import Experiment, by_tick, loosening_rig, make
+    from hils.paper_figures import ripple_figure, runs_figure, trajectory_figure
+    from hils.paper_report import report
+    from hils.virtual_setup import read_virtual_setup
+
+    experiment = Experiment(
+        loop=LoopSetUp(
+            setup=read_setup(profile or data_file("paper.toml")),
+            commands=CommandLimits(2.0, 0.3),
+            tick=tick,
+        ),
+        rig=loosening_rig() if rig is None else read_virtual_setup(rig),
+        runs=runs,
+        seed=seed,
+    )
+    make_folder(output)
+    console = Console()
+    with console.status("compiling") as status:
+        result = make(experiment, status.update)
+        others = by_tick(experiment, tell=status.update) if ticks else {}
+
+    text = report(result, others)
+    document = result.document() | {
+        "by_tick": [
+            {"tick": each, "rmse_z_mm": made.rmse * 1e3, "zeta_end": float(made.zeta[-1])}
+            for each, made in others.items()
+        ]
+    }
+    figures = {
+        "fig7.png": runs_figure(result),
+        "fig8.png": trajectory_figure(result),
+        "ripple.png": ripple_figure(result),
+    }
+    whole = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    replace_file(output / "paper.json", whole)
+    replace_file(output / "paper.md", text.encode())
+    for name, figure in figures.items():
+        save_figure(figure, output / name)
+    typer.echo(text)
+    written = ", ".join(str(output / name) for name in ("paper.json", "paper.md", *figures))
+    typer.echo(f"written: {written}")
