@@ -1,8 +1,10 @@
 """Whom the procedure talks to: a person at the terminal, or nobody."""
 
 import abc
+import math
 
 from drftjax.errors import InputError
+from hils.scene import Phase
 
 
 class AbstractDialogue(abc.ABC):
@@ -20,6 +22,10 @@ class AbstractDialogue(abc.ABC):
             InputError: where nobody can answer.
         """
 
+    @abc.abstractmethod
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        """The run comes to this phase, which lasts so long where that is known [s]."""
+
 
 class Terminal(AbstractDialogue):
     """A person at the terminal, who presses Enter."""
@@ -35,6 +41,9 @@ class Terminal(AbstractDialogue):
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None
 
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        pass
+
 
 class Unattended(AbstractDialogue):
     """Nobody is asked: a virtual rig, or one that prepares itself."""
@@ -48,3 +57,6 @@ class Unattended(AbstractDialogue):
 
     def confirm(self, text: str) -> None:
         self.tell(f"{text}: taken as done")
+
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        pass

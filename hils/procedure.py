@@ -35,6 +35,7 @@ from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
 from hils.rows import Rows
+from hils.scene import Phase
 from hils.session import RigStopped, Session
 from hils.standing import Ended, Settled, Standing, come_to_rest, touch_down
 from hils.stop_request import StopRequest
@@ -195,6 +196,7 @@ def _run(
     rested = False
     try:
         stop.moving = True
+        dialogue.enter(Phase.SETTLING)
         session.arm(standing.rest)
         log.event(Event.ARMED)
         dialogue.tell("Armed. The wheel settles.")
@@ -205,6 +207,7 @@ def _run(
             f"At rest {start.sinkage * 1e3:.2f} mm deep, zeta(0) {start.zeta:.4f}; "
             f"start in {procedure.countdown:g} s"
         )
+        dialogue.enter(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
         start = Start(standing.hold(began - loop.tick / 2, zero, settled), start.zeta)
         state = conduct.begin(start)
@@ -261,6 +264,7 @@ def _to_rest(
     rested = False
     try:
         log.event(Event.STOP_SENT)
+        dialogue.enter(Phase.STOPPING)
         rested = come_to_rest(link, clock, stop, ack.boot_id)
         if stop.emergency or not rested:
             rested = session.emergency_stop(EMERGENCY if stop.emergency else NOT_RESTED)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drftjax.errors import InputError
+from drftjax.runlog.hdf5 import read_run
 from hils.clock import MonotonicClock
 from hils.operator_dialogue import AbstractDialogue
 from hils.port import open_port
@@ -18,6 +19,7 @@ from hils.realtime import timely
 from hils.recorder import Recorder
 from hils.stop_request import StopRequest
 from hils.under_way import announced
+from hils.watched import unwatched, watched
 
 ENDED_EARLY = 1
 INTERRUPTED = 128 + 2
@@ -32,6 +34,8 @@ class Series(NamedTuple):
         files: A run log for each run.
         between: Shell command that prepares the sand; None to ask the operator.
         fifo: Whether to ask the system for SCHED_FIFO.
+        view: Whether to show the live view.
+        plot: Whether to draw each run beside its run log.
     """
 
     port: str
@@ -39,6 +43,8 @@ class Series(NamedTuple):
     files: list[Path]
     between: str | None
     fifo: bool
+    view: bool = False
+    plot: bool = False
 
 
 def file_names(output: Path, runs: int) -> list[Path]:
@@ -78,6 +84,8 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
         report = one_run(procedure, series, path, dialogue)
         for line in told(report, path):
             dialogue.tell(line)
+        if series.plot and path.exists():
+            dialogue.tell(_drawn(path))
         if not report.completed:
             return INTERRUPTED if "Ctrl-C" in report.reason else ENDED_EARLY
     return 0
@@ -89,7 +97,7 @@ def one_run(
     """Open the port, make a run, close everything."""
     stop = StopRequest()
     with ExitStack() as opened:
-        opened.enter_context(announced(series.port, path))
+        under_way = opened.enter_context(announced(series.port, path))
         opened.enter_context(stop.on_signals())
         # Before the port and before any priority: it must outlive the one and not have the other.
         recorder = Recorder(path)
@@ -97,12 +105,18 @@ def one_run(
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
+        seen = unwatched(recorder, dialogue)
+        if series.view:
+            seen = opened.enter_context(
+                watched(under_way, procedure, link, clock, recorder, dialogue, stop)
+            )
 
         def before_motion() -> None:
+            seen.begin()
             granted = opened.enter_context(timely(series.fifo))
-            dialogue.tell(f"Timing: {', '.join(granted)}.")
+            seen.dialogue.tell(f"Timing: {', '.join(granted)}.")
 
-        return run(procedure, link, clock, recorder, dialogue, stop, before_motion)
+        return run(procedure, link, clock, seen.rows, seen.dialogue, stop, before_motion)
 
 
 def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
@@ -121,6 +135,21 @@ def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
             f"the command between runs, {series.between!r}, left with code {done.returncode}; "
             f"{number} of {len(series.files)} runs are made"
         )
+
+
+def _drawn(path: Path) -> str:
+    """Draw the run; a sentence that says where, or why not."""
+    from drftjax.figures import save_figure
+    from hils.run_figure import plot_hils
+
+    picture = path.with_suffix(".png")
+    if picture.exists():
+        return f"No picture was drawn: {picture} is already there."
+    try:
+        save_figure(plot_hils(read_run(path)), picture)
+    except (InputError, OSError) as error:
+        return f"No picture was drawn: {error}."
+    return f"Picture: {picture}"
 
 
 def told(report: RunReport, path: Path) -> list[str]:

@@ -31,14 +31,14 @@ class UnderWay(msgspec.Struct, frozen=True):
 
 
 @contextmanager
-def announced(port: str, output: Path) -> Iterator[None]:
+def announced(port: str, output: Path) -> Iterator[UnderWay]:
     """Within this, the run can be found and stopped from another terminal."""
     pid = os.getpid()
     entry = _folder() / f"{pid}.json"
     run = UnderWay(pid, _born(pid), port, str(output.absolute()))
     entry.write_bytes(msgspec.json.encode(run))
     try:
-        yield
+        yield run
     finally:
         entry.unlink(missing_ok=True)
 

@@ -21,7 +21,9 @@ Examples:
 
 The profile is a set-up file: what you believe of wheel, sand and rig, and omega(t). Nothing moves
 before all is checked and zeroed. Ctrl-C ramps the wheel down, a second Ctrl-C is an emergency stop,
-and so are drft hils stop and drft hils stop --now from another terminal.
+and so are drft hils stop and drft hils stop --now from another terminal. In the live view, S stops
+and E is an emergency stop; there is none with --no-ui, or where the output is no terminal. A
+picture of the run is drawn beside the run log.
 """
 
 
@@ -70,6 +72,9 @@ def run(
     ] = 3.0,
     title: Annotated[str, typer.Option(help="Of the run log.")] = "",
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live view.")] = False,
+    no_plot: Annotated[
+        bool, typer.Option("--no-plot", help="No picture of the run beside the run log.")
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", help="Ask nothing: a virtual rig, or one that needs no hands.")
     ] = False,
@@ -92,6 +97,7 @@ def run(
     from hils.operator_dialogue import Terminal, Unattended
     from hils.pace import require_baud
     from hils.procedure import Procedure
+    from hils.screen import viewable
     from hils.series import Series, file_names, make_series
 
     numbers = _numbers(number or [])
@@ -117,7 +123,8 @@ def run(
         countdown=countdown,
         title=title,
     )
-    series = Series(port, baud, file_names(output, repeat), between, fifo)
+    view = viewable() and not no_ui
+    series = Series(port, baud, file_names(output, repeat), between, fifo, view, not no_plot)
     code = make_series(procedure, series, Unattended() if yes else Terminal())
     if code:
         raise typer.Exit(code)

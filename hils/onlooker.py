@@ -1,0 +1,282 @@
+"""Sees what a run says and records, and tells the live view about it, at most ten times a second.
+
+It wraps where the rows go and whom the procedure talks to, so neither knows of it:
+
+    rows, dialogue = onlooker.rows(recorder), onlooker.dialogue(terminal)
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from drftjax.runlog.head import Head
+from hils.clock import AbstractClock
+from hils.events import Event, TickFlag
+from hils.link import LinkQuality
+from hils.operator_dialogue import AbstractDialogue
+from hils.rows import Rows
+from hils.scene import INTERVAL, Phase, Scene, Words, known
+from hils.stop_request import StopRequest
+
+# A wheel that rolls slower has no slip worth telling [m/s].
+ROLLING = 1e-3
+# Frames are counted over this time [s].
+COUNTED = 1.0
+RAMPING, REFUSED = int(TickFlag.RAMPING), int(TickFlag.REFUSED)
+
+
+class Seen(NamedTuple):
+    """What does not change over a run.
+
+    Attributes:
+        title: What people call it.
+        port, output: Where the rig is, and the run log.
+        duration: Of the profile [s].
+        radius: Of the wheel [m].
+    """
+
+    title: str
+    port: str
+    output: str
+    duration: float
+    radius: float
+
+
+class Onlooker:
+    """Tells a run's scenes.
+
+    Args:
+        run: What does not change.
+        show: Takes a scene, without waiting.
+        clock: Of the loop.
+        quality: Of the link.
+        stop: Whether the run is to end.
+    """
+
+    def __init__(
+        self,
+        run: Seen,
+        show: Callable[[Scene], None],
+        clock: AbstractClock,
+        quality: Callable[[], LinkQuality],
+        stop: StopRequest,
+    ):
+        self._run, self._show, self._clock = run, show, clock
+        self._quality, self._stop = quality, stop
+        self._on = False
+        self._due = -math.inf
+        self._words, self._later = Words(), list[str]()
+        self._phase, self._time = Phase.CHECKING, math.nan
+        self._counted: LinkQuality | None = None
+        self._sent: float | None = None
+        self._received: float | None = None
+        self._missed = self._refused = 0
+        self._omega = self._vx = self._real = math.nan
+        self._online = _Online()
+        self._latest = 0.0
+
+    def rows(self, rows: Rows) -> Rows:
+        """Rows that are recorded as before, and seen."""
+        return _SeenRows(rows, self)
+
+    def dialogue(self, dialogue: AbstractDialogue) -> AbstractDialogue:
+        """A dialogue that is held on the view while that is there."""
+        return _SeenDialogue(dialogue, self)
+
+    @property
+    def on(self) -> bool:
+        """Whether the view has the terminal."""
+        return self._on
+
+    def begin(self) -> None:
+        """Let the view have the terminal."""
+        self._on = True
+        self._tell()
+
+    def end(self) -> list[str]:
+        """The view has given it back.
+
+        Returns:
+            What was told meanwhile.
+        """
+        self._on = False
+        later, self._later = self._later, []
+        return later
+
+    # What is seen -------------------------------------------------------------------------------
+
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        """The run has come to this phase."""
+        self._phase = phase
+        self._time = -lasts if phase is Phase.COUNTDOWN else self._time
+        self._tell()
+
+    def told(self, text: str) -> None:
+        """Something was said."""
+        self._words.add(text)
+        self._later.append(text)
+        self._tell()
+
+    def commanded(self, time: float, omega: float, vx: float | None) -> None:
+        """The loop has asked this of the rig; the one thing that comes on each tick."""
+        self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
+        now = self._clock.now()
+        if now >= self._due:
+            self._due = now + INTERVAL
+            self._tell()
+
+    def measured(self, z: float) -> None:
+        """A reading came."""
+        self._real = -z
+
+    def ticked(self, zeta: float, z_sim: float, late: float, age: float, flags: int) -> None:
+        """The loop has made a tick."""
+        self._online = _Online(zeta, -z_sim, late, age)
+        if late > self._latest:
+            self._latest = late
+        if flags & REFUSED:
+            self._refused += 1
+        if flags & RAMPING and self._phase is Phase.RUNNING:
+            self._phase = Phase.RAMPING
+
+    def happened(self, code: int, arg: float) -> None:
+        """Something beside the ticks."""
+        if code == Event.STARTED:
+            self._phase = Phase.RUNNING
+        elif code == Event.OVERRUN:
+            self._missed += 1
+            self._latest = max(self._latest, arg)
+        elif code == Event.TICKS_SKIPPED:
+            self._missed += max(int(arg) - 1, 0)
+
+    # What is told -------------------------------------------------------------------------------
+
+    def _tell(self) -> None:
+        if not self._on:
+            return
+        sent, received, dropped = self._traffic()
+        run, online, wish = self._run, self._online, self._stop.wish
+        self._show(
+            Scene(
+                phase=self._phase,
+                time=known(self._time),
+                duration=run.duration,
+                title=run.title,
+                port=run.port,
+                output=run.output,
+                real=known(self._real),
+                simulated=known(online.sinkage),
+                zeta=known(online.zeta),
+                slip=known(self._slip()),
+                omega=known(self._omega),
+                vx=known(self._vx),
+                late=known(online.late),
+                latest=self._latest,
+                age=known(online.age),
+                missed=self._missed,
+                refused=self._refused,
+                sent=sent,
+                received=received,
+                dropped=dropped,
+                stopping="" if wish is None else wish.reason,
+                words=self._words.list(),
+            )
+        )
+
+    def _slip(self) -> float:
+        rolling = self._run.radius * self._omega
+        return 1 - self._vx / rolling if abs(rolling) > ROLLING else math.nan
+
+    def _traffic(self) -> tuple[float | None, float | None, int]:
+        """Frames sent and received a second over the last while, and those dropped."""
+        quality = self._quality()
+        counted = self._counted or quality
+        span = quality.time - counted.time
+        if span >= COUNTED:
+            self._sent = (quality.sent - counted.sent) / span
+            self._received = (quality.received - counted.received) / span
+        if span >= COUNTED or self._counted is None:
+            self._counted = quality
+        return self._sent, self._received, quality.dropped
+
+
+class _Online(NamedTuple):
+    """Of the last tick."""
+
+    zeta: float = math.nan
+    sinkage: float = math.nan
+    late: float = math.nan
+    age: float = math.nan
+
+
+class _SeenRows:
+    """Rows that an onlooker sees."""
+
+    def __init__(self, rows: Rows, onlooker: Onlooker):
+        self._rows, self._onlooker = rows, onlooker
+
+    @property
+    def alive(self) -> bool:
+        return self._rows.alive
+
+    @property
+    def reason(self) -> str | None:
+        return self._rows.reason
+
+    def begin(self, head: Head) -> None:
+        self._rows.begin(head)
+
+    def command(self, time: float, omega: float, vx: float | None = None) -> None:
+        self._rows.command(time, omega, vx)
+        self._onlooker.commanded(time, omega, vx)
+
+    def measured(self, time: float, *values: float) -> None:
+        self._rows.measured(time, *values)
+        self._onlooker.measured(values[1])
+
+    def online(
+        self,
+        time: float,
+        zeta: float,
+        x_sim: float,
+        z_sim: float,
+        vx_sim: float,
+        fx_sim: float,
+        tuned: int,
+        late: float,
+        age: float,
+        flags: int,
+        seq_sent: int,
+        seq_received: int,
+        rig_time: float,
+    ) -> None:
+        simulated = time, zeta, x_sim, z_sim, vx_sim, fx_sim
+        self._rows.online(*simulated, tuned, late, age, flags, seq_sent, seq_received, rig_time)
+        self._onlooker.ticked(zeta, z_sim, late, age, flags)
+
+    def event(self, time: float, code: int, arg: float = 0.0) -> None:
+        self._rows.event(time, code, arg)
+        self._onlooker.happened(code, arg)
+
+    def close(self, end_reason: str) -> object:
+        self._onlooker.enter(Phase.CLOSING)
+        return self._rows.close(end_reason)
+
+
+class _SeenDialogue(AbstractDialogue):
+    """A dialogue that goes to the view while that has the terminal."""
+
+    def __init__(self, dialogue: AbstractDialogue, onlooker: Onlooker):
+        self._dialogue, self._onlooker = dialogue, onlooker
+
+    def tell(self, text: str) -> None:
+        if self._onlooker.on:
+            self._onlooker.told(text)
+        else:
+            self._dialogue.tell(text)
+
+    def confirm(self, text: str) -> None:
+        self._dialogue.confirm(text)
+
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        self._onlooker.enter(phase, lasts)

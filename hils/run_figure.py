@@ -1,0 +1,81 @@
+"""A run in the loop as a figure: sinkage real and simulated, zeta, slip, lateness."""
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drftjax.runlog.figure import plot_run
+from drftjax.runlog.record import Online, RunLog
+
+# A wheel that rolls slower has no slip worth drawing [m/s].
+ROLLING = 2e-3
+
+
+def plot_hils(run: RunLog) -> Figure:
+    """Draw a run; one with its carriage free has nothing simulated and is drawn as any other."""
+    online = run.online
+    if online is None or run.measured.z is None:
+        return plot_run(run)
+    figure = Figure(figsize=(8, 9), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=[2, 1, 1, 1])
+    _sinkage(axes[0], run, online)
+    axes[1].plot(online.time, online.zeta, color="C1")
+    axes[1].set_ylabel("zeta [-]")
+    _slip(axes[2], run)
+    _lateness(axes[3], online)
+    for each in axes:
+        each.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    # A title is any text: a dollar sign in it is no formula.
+    figure.suptitle(run.title.replace("$", r"\$"), fontsize="medium")
+    return figure
+
+
+def sinkage_error(run: RunLog) -> np.ndarray:
+    """Measured minus simulated sinkage at the times of the readings [m]; empty without either."""
+    online, z = run.online, run.measured.z
+    if online is None or z is None:
+        return np.empty(0)
+    time = run.measured.time
+    within = (time >= online.time[0]) & (time <= online.time[-1])
+    return np.interp(time[within], online.time, online.z_sim) - z[within]
+
+
+def _sinkage(axes: Axes, run: RunLog, online: Online) -> None:
+    assert run.measured.z is not None
+    axes.plot(run.measured.time, -run.measured.z * 1e3, color="C0", label="HILS (real)")
+    axes.plot(online.time, -online.z_sim * 1e3, color="C1", label="HILS (sim)")
+    error = sinkage_error(run)
+    said = f"RMSE {np.sqrt((error**2).mean()) * 1e3:.3f} mm" if error.size else ""
+    axes.invert_yaxis()
+    axes.legend(fontsize="small", title=said, title_fontsize="small")
+    axes.set_ylabel("sinkage [mm]")
+
+
+def _slip(axes: Axes, run: RunLog) -> None:
+    axes.set_ylabel("slip, commanded [-]")
+    command, radius = run.command, run.setup.wheel_radius
+    if command.vx is None or radius is None:
+        return
+    rolling = radius * command.omega
+    # What is not known leaves a gap in the line.
+    slip = np.full(rolling.shape, math.nan)
+    np.divide(command.vx, rolling, out=slip, where=np.abs(rolling) > ROLLING)
+    axes.plot(command.time, 1 - slip, color="C2")
+
+
+def _lateness(axes: Axes, online: Online) -> None:
+    axes.plot(online.time, online.age * 1e3, color="C7", linewidth=0.8, label="age of the reading")
+    missed = online.late > 0
+    axes.plot(
+        online.time[missed],
+        online.late[missed] * 1e3,
+        "x",
+        color="C3",
+        label=f"over the deadline ({int(missed.sum())} of {online.time.size} ticks)",
+    )
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")
+    axes.set_ylabel("lateness [ms]")
