@@ -29,10 +29,11 @@ def noise_floors(
     repeats = [group for group in conditions(case.candidates) if len(group) > 1]
     for group in repeats:
         for first, second in pairwise(group):
-            if before[first].shape != before[second].shape:
-                continue
             for index, channel in enumerate(case.channels):
-                apart = [each[first][index] - each[second][index] for each in (before, after)]
+                apart = [
+                    _apart(case, (first, second), [each[run][index] for run in (first, second)])
+                    for each in (before, after)
+                ]
                 power = min(float(np.mean(a**2)) / 2 for a in apart)
                 if not np.isfinite(power):  # one of the two lacks the channel
                     continue
@@ -51,6 +52,13 @@ def noise_floors(
             "simulation's own error, and says nothing of how runs scatter."
         )
     return floors, how
+
+
+def _apart(case: Case, runs: tuple[int, int], residual: Sequence[np.ndarray]) -> np.ndarray:
+    """What two repeats' residuals differ by, for as long as both were recorded."""
+    first, second = (case.time(run) for run in runs)
+    both = first <= second[-1]
+    return residual[0][both] - np.interp(first[both], second, residual[1])
 
 
 def _instrument(case: Case, run: int, index: int) -> float:

@@ -16,19 +16,53 @@ from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import Hypothesis, changes
 from identify.candidate import Candidate
 
+# Loads [kg, N] and commands [rad/s, m/s] are the same within this.
+SAME = 1e-6
+# Runs whose sands are believed to differ by more than this in log zeta do not repeat each other.
+SAME_SAND = 0.2
+# A run that was stopped early repeats another where it holds this share of it.
+LEAST_SHARED = 0.5
+
 
 def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
-    """Runs of the same command and load, by number."""
-    groups: dict[tuple, list[int]] = {}
+    """Runs of the same command and load, by number; one that was stopped early is among them."""
+    groups: list[list[int]] = []
     for number, each in enumerate(candidates):
-        groups.setdefault(_condition(each), []).append(number)
-    return list(groups.values())
+        for group in groups:
+            if _alike(candidates[group[0]], each):
+                group.append(number)
+                break
+        else:
+            groups.append([number])
+    return groups
 
 
-def _condition(candidate: Candidate) -> tuple:
-    command, rig = candidate.setup.command, candidate.setup.rig
-    knots = tuple(np.round(command.time, 6)), tuple(np.round(command.omega, 6))
-    return (*knots, round(rig.mass_x, 6), round(rig.mass_z, 6), round(rig.drawbar_load, 6))
+def _alike(one: Candidate, other: Candidate) -> bool:
+    """Whether two runs repeat one condition for as long as both go on."""
+    rigs = one.setup.rig, other.setup.rig
+    loads = [(each.mass_x, each.mass_z, each.drawbar_load) for each in rigs]
+    if not np.allclose(*loads, rtol=0, atol=SAME):
+        return False
+    sands = [each.setup.terrain.zeta for each in (one, other)]
+    known = [np.log(sand) for sand in sands if isinstance(sand, float)]
+    if np.ptp(known or [0.0]) > SAME_SAND:
+        return False
+    a, b = one.setup.command, other.setup.command
+    if (a.vx is None) != (b.vx is None):
+        return False
+    ends = a.time[-1] - a.time[0], b.time[-1] - b.time[0]
+    if min(ends) < LEAST_SHARED * max(ends):
+        return False
+    # Straight lines agree where they agree at the corners of both.
+    times = [np.asarray(each.time) - each.time[0] for each in (a, b)]
+    corners = np.union1d(*times)
+    corners = corners[corners <= min(ends)]
+
+    def agree(first: Sequence[float], second: Sequence[float]) -> bool:
+        values = (np.interp(corners, t, v) for t, v in zip(times, (first, second), strict=True))
+        return np.allclose(*values, rtol=0, atol=SAME)
+
+    return agree(a.omega, b.omega) and (a.vx is None or agree(a.vx, b.vx or ()))
 
 
 def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> list[np.ndarray]:

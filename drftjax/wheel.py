@@ -21,6 +21,13 @@ UNIT_HINT = " (lengths are in metres)"
 
 DEFAULT_PLATE_SIZE = 0.004
 DEFAULT_REACH = math.pi / 2
+# A length that is a whole number of plates but for rounding [plates]: files differ in last digits.
+ROUNDING = 1e-9
+
+
+def plate_count(length: float, plate_size: float) -> int:
+    """How many plates of at most this size [m] cut a length [m]."""
+    return math.ceil(length / plate_size - ROUNDING)
 
 
 class Plates(eqx.Module):
@@ -154,7 +161,7 @@ class PlainWheel(AbstractWheel):
         self.radius = as_real(radius)
         self.width = as_real(width)
         # An even number, so that none lies where a rolling rim is at rest.
-        self.rim_plates = 2 * math.ceil(reach * float(radius) / plate_size)
+        self.rim_plates = 2 * plate_count(reach * float(radius), plate_size)
         self.reach = reach
 
     def cut(self) -> AbstractCut:
@@ -233,9 +240,9 @@ class GrouserWheel(AbstractWheel):
         self.grouser_fraction = as_real(grouser_fraction)
         self.grouser_count = int(grouser_count)
         gap = pitch * float(radius) - float(grouser_thickness)
-        self.rim_plates = math.ceil(gap / plate_size)
-        self.tip_plates = max(1, math.ceil(float(grouser_thickness) / plate_size))
-        self.side_plates = max(1, math.ceil(float(grouser_height) / plate_size))
+        self.rim_plates = plate_count(gap, plate_size)
+        self.tip_plates = max(1, plate_count(float(grouser_thickness), plate_size))
+        self.side_plates = max(1, plate_count(float(grouser_height), plate_size))
         self.reach = reach
 
     @property
@@ -245,7 +252,7 @@ class GrouserWheel(AbstractWheel):
     @property
     def _sectors(self) -> tuple[int, ...]:
         """Grousers, counted from straight down, that come within reach at some wheel angle."""
-        half = math.ceil(self.reach / self._pitch - 1e-9)
+        half = math.ceil(self.reach / self._pitch - ROUNDING)
         if 2 * half + 1 >= self.grouser_count:
             return tuple(range(self.grouser_count))
         return tuple(range(-half, half + 1))

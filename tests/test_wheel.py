@@ -50,6 +50,14 @@ def test_side_faces_of_a_grouser_look_away_from_its_middle():
     np.testing.assert_allclose(plates.normal_x[sides], jnp.sign(plates.x[sides]), atol=ROUNDING)
 
 
+def test_lengths_that_differ_by_rounding_are_cut_alike():
+    # As imported tables have them: the mean of a column of equal numbers.
+    sizes = {"radius": 0.0575, "grouser_height": 0.005, "grouser_thickness": 0.008}
+    wheel = GrouserWheel(**sizes, grouser_count=24)
+    rounded = GrouserWheel(**{k: v * (1 + 4e-16) for k, v in sizes.items()}, grouser_count=24)
+    assert jax.tree.structure(wheel) == jax.tree.structure(rounded)
+
+
 def test_plates_add_up_to_the_perimeter():
     radius, width, count, height, thickness = 0.15, 0.12, 12, 0.018, 0.009
     rim = 2 * math.pi * radius - count * thickness

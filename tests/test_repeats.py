@@ -1,0 +1,90 @@
+"""Which runs repeat each other, and the noise floor that their difference tells."""
+
+import copy
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnose.floor import OWN_ERROR, noise_floors
+from diagnose.left_out import conditions
+from drftjax.setup import SetUp
+from identify.candidate import Candidate, candidate
+from tests.virtual_runs import recorded, setup_of
+
+PROFILE = ([0.0, 0.3, 1.3, 2.0], [0.0, 0.0, 0.5, 0.5])
+
+
+@pytest.fixture(scope="module")
+def whole() -> Candidate:
+    return candidate("whole", recorded(setup_of(PROFILE), rate=100.0))
+
+
+def changed(one: Candidate, **numbers) -> Candidate:
+    """The same run under a command or a set-up that differs in some numbers."""
+    setup: SetUp = copy.deepcopy(one.setup)
+    for name, value in numbers.items():
+        part, field = name.split("_", 1)
+        setattr(getattr(setup, part), field, value)
+    return dataclasses.replace(one, setup=setup)
+
+
+def stopped(one: Candidate, end: float) -> Candidate:
+    """The same run stopped early [s]."""
+    keep = one.observation.time <= end
+    observation = dataclasses.replace(
+        one.observation,
+        time=one.observation.time[keep],
+        values=one.observation.values[:, keep],
+        counts=one.observation.counts[keep],
+    )
+    time = [0.0, 0.3, 1.3, end]
+    return dataclasses.replace(
+        changed(one, command_time=time, command_omega=PROFILE[1]), observation=observation
+    )
+
+
+def test_a_run_that_was_stopped_early_repeats_the_whole_one(whole):
+    assert conditions([whole, stopped(whole, 1.6)]) == [[0, 1]]
+
+
+def test_the_same_profile_told_by_more_knots_is_the_same_command(whole):
+    more = changed(
+        whole, command_time=[0.0, 0.3, 0.8, 1.3, 2.0], command_omega=[0.0, 0.0, 0.25, 0.5, 0.5]
+    )
+    assert conditions([whole, more]) == [[0, 1]]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"command_omega": [0.0, 0.0, 0.5, 0.51]},
+        {"command_time": [0.0, 0.3, 1.3, 5.0]},
+        {"command_vx": [0.0, 0.0, 0.05, 0.05]},
+        {"rig_mass_z": 30.0},
+        {"terrain_zeta": 0.3},
+    ],
+)
+def test_another_command_load_length_or_sand_is_another_condition(whole, other):
+    assert conditions([whole, changed(whole, **other)]) == [[0], [1]]
+
+
+def test_runs_at_two_carriage_speeds_are_two_conditions(whole):
+    slow, fast = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.05, 0.06))
+    assert conditions([slow, fast, slow]) == [[0, 2], [1]]
+
+
+def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
+    short = stopped(whole, 1.6)
+    case = SimpleNamespace(
+        candidates=[whole, short],
+        channels=("x", "z"),
+        time=lambda run: (whole, short)[run].observation.time,
+    )
+    apart = 1e-3
+    residual = [np.zeros((2, len(each.observation.time))) for each in (whole, short)]
+    residual[1] += apart
+    floors, how = noise_floors(case, residual, residual)  # pyright: ignore[reportArgumentType]
+    assert floors["z"] == pytest.approx(np.hypot(apart / np.sqrt(2), OWN_ERROR["z"]))
+    assert "whole and whole" in how
