@@ -15,7 +15,7 @@ from hils.events import Event, TickFlag
 from hils.link import LinkQuality
 from hils.operator_dialogue import AbstractDialogue
 from hils.rows import Rows
-from hils.scene import INTERVAL, Phase, Scene, Words, known
+from hils.scene import INTERVAL, Phase, Scene, Words, known, plain
 from hils.stop_request import StopRequest
 
 # A wheel that rolls slower has no slip worth telling [m/s].
@@ -62,6 +62,7 @@ class Onlooker:
         stop: StopRequest,
     ):
         self._run, self._show, self._clock = run, show, clock
+        self._named = {name: plain(getattr(run, name)) for name in ("title", "port", "output")}
         self._quality, self._stop = quality, stop
         self._on = False
         self._due = -math.inf
@@ -161,9 +162,7 @@ class Onlooker:
                 phase=self._phase,
                 time=known(self._time),
                 duration=run.duration,
-                title=run.title,
-                port=run.port,
-                output=run.output,
+                **self._named,
                 real=known(self._real),
                 simulated=known(online.sinkage),
                 zeta=known(online.zeta),
@@ -178,7 +177,7 @@ class Onlooker:
                 sent=sent,
                 received=received,
                 dropped=dropped,
-                stopping="" if wish is None else wish.reason,
+                stopping="" if wish is None else plain(wish.reason),
                 words=self._words.list(),
             )
         )

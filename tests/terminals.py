@@ -54,6 +54,11 @@ class PseudoTerminal:
     def text(self) -> str:
         return self._text.decode("utf-8", "replace")
 
+    @property
+    def leader(self) -> int:
+        """The process that leads the session."""
+        return self._shell.pid
+
     def mode(self) -> list[Any]:
         return termios.tcgetattr(self._slave)
 
