@@ -20,6 +20,7 @@ import pytest
 
 from hils.receiver import Receiver
 from hils.wire import FROM_RIG, Bye, Frame, Hello, HelloAck, Measurement, RigState, encode
+from tests.command_line import Drft
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
 PATIENCE = 15.0  # for anything to happen at all [s]
@@ -54,9 +55,9 @@ for tick in itertools.count(1):
 class Rig:
     """`drft hils rig`, started."""
 
-    def __init__(self, folder: Path, *arguments: object):
+    def __init__(self, folder: Path, *arguments: object, quick: bool = True):
         setup = folder / "rig.toml"
-        setup.write_text(QUICK_RIG)
+        setup.write_text(QUICK_RIG if quick else "")
         self.process = subprocess.Popen(
             [*DRFT, "hils", "rig", "--setup", str(setup), *map(str, arguments)],
             stdout=subprocess.PIPE,
@@ -98,6 +99,30 @@ def started(tmp_path):
     for rig in rigs:
         rig.process.kill()
         rig.process.wait()
+
+
+@pytest.fixture
+def drft(monkeypatch, capsys) -> Drft:
+    return Drft(monkeypatch, capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--baud", 3], ["--baud is 3", "300"]),
+        (["--latency", -1], ["--latency is -1 ms"]),
+        (["--seed", -1], ["--seed is -1"]),
+        (["--socket", 0, "--link", "rig"], ["--link", "--socket"]),
+        (["--socket", 99999], ["port 99999"]),
+        (["--link", "."], [".", "is there already"]),
+        (["--link", "no/such/folder/rig"], ["no/such/folder/rig"]),
+        (["--setup", "no.toml"], ["no.toml: there is no such file"]),
+        (["--faults", "no.toml"], ["no.toml: there is no such file"]),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(drft, arguments, words):
+    refusal = drft("hils", "rig", *arguments).refusal
+    assert all(word in refusal for word in words), refusal
 
 
 def opened(name: str) -> int:

@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,6 +37,7 @@ from hils.virtual_rig import RIG_ID, RigFault
 from hils.virtual_setup import BedSetUp, VirtualSetUp, read_virtual_setup
 from hils.wire import Arm, Bye, Drive, Hello, HelloAck, Measurement, RigState, Stop
 
+DATA = Path(__file__).resolve().parents[1] / "data"
 TICK = 0.01
 FULL_SPEED = math.radians(30.0)
 # What coarse plates and steps cost, docs/speed.md: plates of 8 mm stand within 0.2 mm.
@@ -372,8 +374,17 @@ def test_file_of_a_virtual_rig(tmp_path):
 
 
 def test_set_up_of_a_run_serves_as_it_is():
-    setup = read_virtual_setup("data/paper.toml")
+    setup = read_virtual_setup(DATA / "paper.toml")
     assert setup.physics.plate_size < setup.wheel.plate_size
+
+
+def test_example_file_is_a_rig_whose_sand_loosens():
+    setup = read_virtual_setup(DATA / "virtual_rig.toml")
+    assert [each["name"] for each in setup.effects] == ["loosening"]
+    like_default = (setup.physics, setup.instruments, setup.limits)
+    default = VirtualSetUp()
+    assert like_default == (default.physics, default.instruments, default.limits)
+    assert setup.clock.ahead == pytest.approx(default.clock.ahead)
 
 
 @pytest.mark.parametrize(
