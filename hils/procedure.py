@@ -7,6 +7,7 @@ Nothing can move before ARM. Whatever happens after it, STOP goes out, and the f
 the reason why the run ended.
 """
 
+import enum
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -52,6 +53,15 @@ PATIENCE = 3.0
 LEAST_ZETA, MOST_ZETA = 0.05, 10.0
 # A wheel that stands less deep was not let down, or was zeroed too low [m].
 LEAST_SINKAGE = 5e-4
+# With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
+MOST_OVER = 0.02
+
+
+class ZeroAt(enum.Enum):
+    """Where the height counts from."""
+
+    HELD = "held"  # the wheel is held where it touches the sand, and zeroed there
+    POWER_UP = "power-up"  # the rig's own zero is touch-down already
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +72,7 @@ class Procedure:
         loop: The loop's numbers, the profile among them.
         free: Whether the carriage runs free and nothing is simulated: the paper's experiment
             driving.
+        zero: Where the height counts from.
         zeta: zeta(0) [-]; None to tell it from the sinkage at rest.
         overruns: What follows a missed deadline.
         countdown: From the wheel's rest to the start [s].
@@ -70,6 +81,7 @@ class Procedure:
 
     loop: LoopSetUp
     free: bool = False
+    zero: ZeroAt = ZeroAt.HELD
     zeta: float | None = None
     overruns: Overruns = Overruns.SKIP
     countdown: float = 3.0
@@ -181,8 +193,11 @@ def _run(
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
             conduct.warm(Start(loop.setup.start.sinkage, 1.0))
-        dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
+        if procedure.zero is ZeroAt.HELD:
+            dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
         zero = touch_down(link, clock, ack)
+        if procedure.zero is ZeroAt.POWER_UP:
+            zero = zero._replace(z=0.0)
         log.event(Event.TOUCHED_DOWN, zero.z)
         dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
         before_motion()
@@ -338,11 +353,13 @@ def _start(
     settled: Settled,
 ) -> Start:
     deepest = float(simulator.wheel.cut().sinkage_limit)
-    if not LEAST_SINKAGE <= settled.sinkage <= deepest:
+    least = LEAST_SINKAGE if procedure.zeta is None else -MOST_OVER
+    if not least <= settled.sinkage <= deepest:
         raise InputError(
             f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
-            f"{LEAST_SINKAGE * 1e3:g} and {deepest * 1e3:.3g} mm: was it held at touch-down, and "
-            "does z count upward?"
+            f"{least * 1e3:g} and {deepest * 1e3:.3g} mm: hold it at touch-down when it is zeroed, "
+            "or give --zero power-up where the scale was zeroed there before, or --zeta0 where "
+            "no sinkage at rest can be told"
         )
     zeta = statics(settled.sinkage) if procedure.zeta is None else procedure.zeta
     if not LEAST_ZETA <= zeta <= MOST_ZETA:

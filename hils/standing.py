@@ -85,7 +85,7 @@ def touch_down(link: AbstractLink, clock: AbstractClock, ack: HelloAck) -> Zero:
             f"wheel was held at touch-down, needs {TOUCH_DOWN_READINGS}; a rig at rest sends one "
             "each 20 ms"
         )
-    spread = float(np.std(heights)) * ack.z_scale
+    spread = float(np.std(heights)) * abs(ack.z_scale)
     if spread > HELD_STILL:
         raise InputError(
             f"the height varies by {spread * 1e3:.2f} mm (standard deviation) while the wheel is "

@@ -54,8 +54,8 @@ class ProportionalIntegralTuner(AbstractTuner):
     """
 
     tick: Float[Array, ""] = eqx.field(converter=as_real, default=0.01)
-    proportional: Float[Array, ""] = eqx.field(converter=as_real, default=40.0)
-    integral: Float[Array, ""] = eqx.field(converter=as_real, default=60.0)
+    proportional: Float[Array, ""] = eqx.field(converter=as_real, default=150.0)
+    integral: Float[Array, ""] = eqx.field(converter=as_real, default=600.0)
     tolerance: Float[Array, ""] = eqx.field(converter=as_real, default=2e-5)
     rate: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
     low: Float[Array, ""] = eqx.field(converter=as_real, default=0.05)

@@ -100,7 +100,7 @@ def test_proportional_integral_law_by_hand():
 
 
 def test_wait_for_a_measurement_counts_as_a_longer_tick():
-    tuner = ProportionalIntegralTuner(proportional=0.0, tolerance=0.0, rate=100.0)
+    tuner = ProportionalIntegralTuner(proportional=0.0, integral=60.0, tolerance=0.0, rate=100.0)
     nan = float("nan")
     np.testing.assert_allclose(
         tune(tuner, nan, nan, nan, 1e-4)[-1], 0.78 - 60 * 1e-4 * 0.04, atol=SAME

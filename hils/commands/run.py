@@ -54,9 +54,18 @@ def run(
         Literal["hils", "free"],
         typer.Option(help="hils: drive at the simulated speed; free: carriage free, record only."),
     ] = "hils",
+    zero: Annotated[
+        Literal["held", "power-up"],
+        typer.Option(
+            help="held: the wheel is held at touch-down and zeroed there; power-up: the rig's own "
+            "zero is touch-down."
+        ),
+    ] = "held",
     zeta: Annotated[
         float | None,
-        typer.Option(help="zeta at the start.", show_default="told by the sinkage at rest"),
+        typer.Option(
+            "--zeta0", help="zeta at the start.", show_default="told by the sinkage at rest"
+        ),
     ] = None,
     repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1)] = 1,
     between: Annotated[
@@ -96,7 +105,7 @@ def run(
     from hils.loop_setup import profile as profile_of
     from hils.operator_dialogue import Terminal, Unattended
     from hils.pace import require_baud
-    from hils.procedure import Procedure
+    from hils.procedure import Procedure, ZeroAt
     from hils.screen import viewable
     from hils.series import Series, file_names, make_series
 
@@ -118,6 +127,7 @@ def run(
     procedure = Procedure(
         loop=loop,
         free=mode == "free",
+        zero=ZeroAt(zero),
         zeta=zeta,
         overruns=Overruns(policy),
         countdown=countdown,

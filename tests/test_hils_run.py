@@ -1,0 +1,247 @@
+"""`drft hils run` and `drft hils stop` against a virtual rig in processes of their own.
+
+What is looked at are outcomes: how the program ends, its file, and what the rig says of itself.
+The control period is long: a busy machine lets processes wait, which is no case for a watchdog.
+Signals, faults and ends of every other kind are `tests/test_hils_loop.py`'s, in virtual time.
+"""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drftjax.runlog.hdf5 import read_run, survey_run
+from drftjax.runlog.record import RunLog
+from hils.under_way import UnderWay, alive, announced, runs_under_way
+from tests.command_line import Drft
+
+DRFT = [sys.executable, "-m", "drftjax.commands.main"]
+TICK = 0.1
+PATIENCE = 60.0
+TRIES, TOO_BUSY = 3, "does not answer|went SAFE|has sent no measurement"
+# HILS (sim) and HILS (real), at ten ticks a second and with coarse plates [m].
+CLOSE = 1.5e-3
+
+PROFILE = """
+title = "a short profile"
+[wheel]
+plate_size = 0.008
+[command]
+time = [0, 0.5, 1.5, 2.0, 3.0]
+omega = [0, 0, 30, 30, 0]
+omega_unit = "deg/s"
+[integrator]
+method = "held pace"
+step = 2e-3
+"""
+
+RIG = """
+[physics]
+step = 1e-3
+plate_size = 0.008
+"""
+
+
+class Bench:
+    """A virtual rig that is switched on, and runs on it, each in a folder of its own."""
+
+    def __init__(self, folder: Path):
+        self.port, self._rig_says = folder / "port", folder / "rig.txt"
+        (folder / "rig.toml").write_text(RIG)
+        self.rig = subprocess.Popen(
+            [*DRFT, "hils", "rig", "--setup", folder / "rig.toml", "--link", self.port],
+            stdout=subprocess.PIPE,
+            stderr=self._rig_says.open("w"),
+            text=True,
+        )
+        assert self.rig.stdout is not None
+        assert self.rig.stdout.readline()
+        self._seen = 0
+
+    def run(self, folder: Path, *arguments: object) -> subprocess.Popen:
+        """Start a run; what it says is in run.txt."""
+        self.folder, self._seen = folder, len(self._rig_says.read_text())
+        (folder / "profile.toml").write_text(PROFILE)
+        return subprocess.Popen(
+            [
+                *(*DRFT, "hils", "run", "--port", self.port, "--no-ui", "--yes", "--no-plot"),
+                *("--profile", folder / "profile.toml", "-o", folder / "run.h5"),
+                *("--tick", str(TICK), "--countdown", "0.3", *map(str, arguments)),
+            ],
+            stdout=(folder / "run.txt").open("w"),
+            stderr=subprocess.STDOUT,
+        )
+
+    def running(self, folder: Path, *arguments: object) -> subprocess.Popen:
+        """A run whose wheel turns.
+
+        A machine that is so busy that a process waits for half a second gets another try: the
+        host takes such a rig for a dead one, and the rig such a host, and both are right.
+        """
+        for _ in range(TRIES):
+            run = self.run(folder, *arguments)
+            while run.poll() is None:
+                if "RUNNING" in self.rig_said():
+                    time.sleep(0.5)  # so that something is recorded
+                    return run
+                time.sleep(0.02)
+            assert re.search(TOO_BUSY, self.said()), self.said()
+        raise AssertionError(self.said())
+
+    def said(self) -> str:
+        return (self.folder / "run.txt").read_text()
+
+    def rig_says(self, state: str) -> None:
+        """Wait until the rig has said that it is in this state, since the run was started."""
+        deadline = time.monotonic() + PATIENCE
+        while state not in self.rig_said():
+            assert time.monotonic() < deadline, f"{self.rig_said()}\n{self.said()}"
+            time.sleep(0.05)
+
+    def rig_said(self) -> str:
+        """What the rig said since the last run was started."""
+        return self._rig_says.read_text()[self._seen :]
+
+    def ends(self, run: subprocess.Popen) -> int:
+        return run.wait(PATIENCE)
+
+    def log(self) -> RunLog:
+        return read_run(self.folder / "run.h5")
+
+
+@pytest.fixture
+def drft(monkeypatch, capsys) -> Drft:
+    return Drft(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Iterator[Bench]:
+    made = Bench(tmp_path_factory.mktemp("bench"))
+    yield made
+    made.rig.kill()
+    made.rig.wait()
+
+
+def test_run_is_completed_recorded_and_reported(bench, tmp_path):
+    run = bench.running(tmp_path, "--tuner", "kalman")
+    assert bench.ends(run) == 0, bench.said()
+    assert "Completed: completed." in bench.said()
+    log = bench.log()
+    assert log.end_reason == "completed"
+    assert log.source == "virtual rig"
+    assert log.title == "a short profile"
+    assert log.online is not None
+    assert log.online.tick == TICK
+    assert len(log.online.time) >= 25
+    assert abs(log.measured.z[-1] - log.online.z_sim[-1]) < CLOSE
+    assert log.measured.x[-1] > 0.05
+    assert log.setup.sinkage_static == pytest.approx(0.017, abs=0.002)
+    bench.rig_says("IDLE (bye")
+    assert survey_run(tmp_path / "run.h5")[1] == []
+
+
+def test_ctrl_c_ramps_down_and_closes_the_file(bench, tmp_path):
+    run = bench.running(tmp_path)
+    run.send_signal(signal.SIGINT)
+    assert bench.ends(run) == 130, bench.said()
+    assert bench.log().end_reason == "interrupted by Ctrl-C"
+    assert "Ended early: interrupted by Ctrl-C." in bench.said()
+    bench.rig_says("IDLE (bye")
+
+
+@pytest.mark.parametrize(
+    ("option", "reason", "state"),
+    [
+        ([], "asked to stop (SIGTERM)", "IDLE (bye"),
+        (["--now"], "emergency stop: asked for by the operator", "SAFE"),
+    ],
+)
+def test_stop_from_another_terminal(bench, drft, tmp_path, option, reason, state):
+    run = bench.running(tmp_path)
+    stopped = drft("hils", "stop", "--port", bench.port, *option)
+    assert stopped.code == 0, stopped
+    assert "has ended; its file is" in stopped.out
+    assert bench.ends(run) == 1, bench.said()
+    assert bench.log().end_reason == reason
+    bench.rig_says(state)
+
+
+def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
+    run = bench.running(tmp_path)
+    bench.rig.kill()
+    assert bench.ends(run) == 1, bench.said()
+    assert bench.log().end_reason.startswith("link lost: ")
+    assert "its own watchdog brings it to rest" in bench.said()
+
+
+# Nothing is opened -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--tick", "0.0001"], "tick is 0.0001, must lie between"),
+        (["--tick", "0.001", "--baud", "115200"], "is too short for 115200 baud"),
+        (["--tick", "0"], "tick is 0"),
+        (["--tuner", "pi", "--zeta-step", "0.1"], "the tuner 'pi' has no number 'zeta_step'"),
+        (["--number", "noise"], "--number is 'noise', must be NAME=VALUE"),
+        (["--omega-max", "0.1"], "the loop allows 0.1 rad/s at most"),
+        (["-o", "run.csv"], "a run log's name must end in .h5"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_opened(drft, tmp_path, arguments, said):
+    (tmp_path / "profile.toml").write_text(PROFILE)
+    port, profile = tmp_path / "nothing", tmp_path / "profile.toml"
+    fixed = ["--port", port, "--profile", profile, "-o", tmp_path / "run.h5", "--yes"]
+    answer = drft("hils", "run", *fixed, *arguments)
+    assert said in answer.refusal
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["profile.toml"]
+
+
+def test_port_that_is_not_there_is_one_sentence_and_leaves_no_file(drft, tmp_path):
+    (tmp_path / "profile.toml").write_text(PROFILE)
+    fixed = ["--port", tmp_path / "nothing", "--profile", tmp_path / "profile.toml"]
+    answer = drft("hils", "run", *fixed, "-o", tmp_path / "run.h5", "--yes", "--no-ui")
+    assert str(tmp_path / "nothing") in answer.refusal
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["profile.toml"]
+
+
+def test_run_log_that_is_already_there_is_not_written_over(drft, tmp_path):
+    (tmp_path / "profile.toml").write_text(PROFILE)
+    (tmp_path / "run-02.h5").write_text("precious")
+    fixed = ["--port", tmp_path / "nothing", "--profile", tmp_path / "profile.toml"]
+    answer = drft("hils", "run", *fixed, "-o", tmp_path / "run.h5", "--yes", "--repeat", "3")
+    assert "run-02.h5 is already there" in answer.refusal
+
+
+# Who is under way ------------------------------------------------------------------------------
+
+
+def test_stop_without_a_run_says_so(drft, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert "no run of this user's is under way" in drft("hils", "stop").refusal
+
+
+def test_runs_are_found_while_they_last_and_not_after(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with announced("/dev/ttyUSB0", tmp_path / "run.h5"):
+        (found,) = runs_under_way()
+        assert found.port == "/dev/ttyUSB0"
+        assert alive(found)
+        # Another process that was given the same number is not that run.
+        assert not alive(UnderWay(found.pid, "1", found.port, found.output))
+    assert runs_under_way() == []
+
+
+def test_what_a_killed_run_left_is_removed(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with announced("/dev/ttyUSB0", tmp_path / "run.h5"):
+        (entry,) = (tmp_path / next(tmp_path.glob("drft-hils-*")).name).glob("*.json")
+        entry.write_text(entry.read_text().replace('"born":"', '"born":"9'))
+        assert runs_under_way() == []
+        assert not entry.exists()
