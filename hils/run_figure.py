@@ -28,8 +28,10 @@ def plot_hils(run: RunLog) -> Figure:
     for each in axes:
         each.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
+    early = run.end_reason is not None and run.end_reason != "completed"
+    title = f"{run.title}\n{run.end_reason}" if early else run.title
     # A title is any text: a dollar sign in it is no formula.
-    figure.suptitle(run.title.replace("$", r"\$"), fontsize="medium")
+    figure.suptitle(title.replace("$", r"\$"), fontsize="medium")
     return figure
 
 

@@ -16,8 +16,8 @@ _OFF: Final = b"\x00"
 class Keyboard:
     """A terminal's way with what is typed: as it was found, and key by key.
 
-    Ctrl-C stays what it is. Ctrl-S no longer holds the view up, and neither Ctrl-Z nor Ctrl-\\
-    stops a program that drives a rig.
+    Ctrl-C and Ctrl-\\ stay what they are. Ctrl-S no longer holds the view up, and Ctrl-Z does not
+    suspend a program that drives a rig.
 
     Args:
         descriptor: The terminal; where it is none, nothing is ever done.
@@ -42,7 +42,7 @@ class Keyboard:
         found[_LOCAL] &= ~(termios.ECHO | termios.ICANON)
         characters = found[_CHARACTERS]
         characters[termios.VMIN], characters[termios.VTIME] = 1, 0
-        characters[termios.VSUSP] = characters[termios.VQUIT] = _OFF
+        characters[termios.VSUSP] = _OFF
         _apply(self._descriptor, termios.TCSANOW, found)
         self._ours = attributes(self._descriptor)
 

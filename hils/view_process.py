@@ -123,11 +123,11 @@ class View:
 
 def main() -> None:
     """Draw what comes through the pipe of this number, for the run in the second argument."""
-    # Ctrl-C is the control program's to answer. Once that has died this process may be in the
-    # background, from where only those who ignore SIGTTOU may set the terminal.
-    for kind in (signal.SIGINT, signal.SIGTTOU, signal.SIGTTIN, signal.SIGTSTP):
+    # Ctrl-C and Ctrl-\ are the control program's to answer. Once that has died this process may be
+    # in the background, from where only those who ignore SIGTTOU may set the terminal.
+    for kind in (signal.SIGINT, signal.SIGQUIT, signal.SIGTTOU, signal.SIGTTIN, signal.SIGTSTP):
         signal.signal(kind, signal.SIG_IGN)
-    for kind in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    for kind in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(kind, _end)
     View(int(sys.argv[1]), msgspec.json.decode(sys.argv[2], type=UnderWay)).run()
 

@@ -19,7 +19,8 @@ PATIENCE = 30.0  # for anything to happen at all on a busy machine [s]
 SHELL = """
 import os, signal, subprocess, sys, time
 os.login_tty(int(sys.argv[1]))
-signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is for the program
+for kind in (signal.SIGINT, signal.SIGQUIT):
+    signal.signal(kind, lambda *_: None)  # Ctrl-C and Ctrl-backslash are for the program
 code = subprocess.call(sys.argv[2:])
 print("left with", code, flush=True)
 time.sleep(600)

@@ -122,14 +122,23 @@ def test_emergency_key_but_no_function_key_that_holds_its_letter(started):
     assert host.terminal.ends() == 0
 
 
-def test_ctrl_c_stays_the_control_programs(started):
+def test_ctrl_c_stays_the_control_programs_and_ctrl_z_suspends_nothing(started):
     host = started()
     host.terminal.sees("H_real")
-    host.terminal.type("\x13\x1a\x1c")  # Ctrl-S, Ctrl-Z and Ctrl-\ do nothing
+    host.terminal.type("\x13\x1a")  # Ctrl-S, Ctrl-Z
     shown = host.shown()
     assert soon(lambda: host.shown() > shown + 40)
     host.terminal.type("\x03")
     assert host.said("ended") == "False interrupted by Ctrl-C"
+    assert host.terminal.ends() == 0
+    assert given_back(host.terminal)
+
+
+def test_ctrl_backslash_stays_an_emergency_stop(started):
+    host = started()
+    host.terminal.sees("H_real")
+    host.terminal.type("\x1c")
+    assert host.said("ended").startswith("True")
     assert host.terminal.ends() == 0
     assert given_back(host.terminal)
 
