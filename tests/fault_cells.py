@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
+
 from drftjax.errors import InputError
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.events import Event
@@ -147,7 +149,14 @@ def cell(what: What | None, phase: str = "connect", duration: float = SHORT) -> 
     return struck(() if what is None else (Fault(what, Window(*PHASES[phase], duration)),))
 
 
+@cache
+def answer_at_once() -> None:
+    """Spare small steps the way through JAX's queue, where it has computed nothing yet."""
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
 def struck(faults: tuple[Fault, ...]) -> Cell:
+    answer_at_once()
     rig = VirtualSetUp(physics=PhysicsSetUp(step=2.5e-3, plate_size=0.01))
     soft, rows = soft_rig(rig, FaultScript(faults, seed=1), grain=2e-3), KeptRows()
     report, refusal = None, ""

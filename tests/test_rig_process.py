@@ -103,6 +103,7 @@ def started(tmp_path):
 
 @pytest.fixture
 def drft(monkeypatch, capsys) -> Drft:
+    monkeypatch.setenv("NPROC", "1")  # which the command sets, and which ends with the test
     return Drft(monkeypatch, capsys)
 
 

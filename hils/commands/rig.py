@@ -59,12 +59,10 @@ def rig(
         raise InputError("--link names a pseudo-terminal; it does not go with --socket")
 
     from drftjax.commands.runtime import configure_jax
+    from hils.realtime import answer_at_once
 
     configure_jax()
-    import jax
-
-    # One core is enough, and a call that comes back with its answer is the faster one.
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    answer_at_once()
     from hils.faults import FaultScript, read_faults
     from hils.rig_ends import PtyEnd, SocketEnd
     from hils.rig_process import serve
