@@ -1,14 +1,11 @@
 """`drft hils run`: the paper's experiment on a rig."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from drftjax.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 EXAMPLES = """
 Examples:
