@@ -10,15 +10,15 @@ from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
-from diagnose.follows import simplest
 from diagnose.hypothesis import Hypothesis, left_of
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.search import Found, Report, search
 from diagnose.shrinkage import Gap, gaps
-from diagnose.stages import Stage, stages
+from diagnose.stages import stages
+from diagnose.unwritten import Correction, Unwritten, unwritten
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
-from diagnose.where import Share, where
+from diagnose.where import by_stage, where
 from drftjax.effects.catalogue import numbers
 from drftjax.effects.stage import AbstractEffect
 
@@ -29,8 +29,6 @@ GROUPED = 0.95
 NAMED = 0.02
 # Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
 JUDGED_SINGLES, JUDGED_PAIRS = 4, 2
-# A signal follows a variable that explains this share of it.
-FOLLOWS = 0.5
 
 
 @dataclass(frozen=True)
@@ -64,6 +62,8 @@ class Diagnosis:
         before, after: By run, simulated less recorded by the reference model, and by the chosen
             one fitted to the other conditions, shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
+        where: Shares of the gap by axis.
+        unwritten: Where the verdict is unknown, what an effect that explains it looks like.
     """
 
     verdict: tuple[str, ...]
@@ -79,10 +79,16 @@ class Diagnosis:
     after: list[np.ndarray]
     floors: Mapping[str, float]
     where: Sequence[Any] = field(default_factory=list)
+    unwritten: Unwritten | None = None
 
     @property
     def case(self) -> Case:
         return self.found.bench.case
+
+    @property
+    def correction(self) -> Correction | None:
+        """A curve offered in the place of an effect that nobody has written."""
+        return None if self.unwritten is None else self.unwritten.offered
 
     def document(self) -> dict:
         """The diagnosis as plain values, in the layout of diagnosis.json."""
@@ -98,7 +104,7 @@ class Diagnosis:
                     "axis": each.axis,
                     "label": each.label,
                     "share": each.share,
-                    "interval": [None if np.isnan(e) else e for e in each.interval],
+                    "interval": list(each.interval),
                 }
                 for each in self.where
             ],
@@ -109,6 +115,7 @@ class Diagnosis:
                 }
                 for name, fields in self.parameters.items()
             },
+            "correction": None if self.correction is None else self.correction.document(),
             "next_run": dict(self.next_run),
             "notes": list(self.notes),
         }
@@ -143,11 +150,14 @@ def diagnose(
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
     notes = [how, *_warnings(case)]
+    signal = None
     if verdict != (NONE,):
         lies = stages(case, found.none.log_zeta)
-        places += [_share(each) for each in lies]
-        if verdict == (UNKNOWN,):
-            notes += _followed(case, lies)
+        places += by_stage(lies)
+        if verdict == (UNKNOWN,) and lies:
+            report("what an effect that explains it would look like")
+            signal = unwritten(case, lies, found.none, floors)
+            notes += signal.sentences()
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
@@ -164,25 +174,8 @@ def diagnose(
         after=after,
         floors=floors,
         where=places,
+        unwritten=signal,
     )
-
-
-def _share(stage: Stage) -> Share:
-    """How much of the gap an unknown signal at one stage would explain; no interval is known."""
-    label = f"{stage.name}: {stage.meaning}"
-    return Share("stage", label, float(stage.explained), (float("nan"), float("nan")))
-
-
-def _followed(case: Case, lies: Sequence[Stage]) -> list[str]:
-    """What an unwritten effect looks like, in a sentence."""
-    if not lies:
-        return []
-    stage, variables = simplest(case, lies)
-    said = f"The simplest unknown signal is one of {stage.name} ({stage.meaning})"
-    if not variables or variables[0][1] < FOLLOWS:
-        return [f"{said}; it follows none of the variables known."]
-    name, share = variables[0]
-    return [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
 
 
 def _weights(

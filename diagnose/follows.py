@@ -1,6 +1,7 @@
 """What an unknown error follows: the variable of which it is a curve, in runs not seen."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,14 +9,11 @@ from diagnose.case import Case
 from diagnose.motion import Motion, motion_of_run
 from diagnose.smoother import OWN_ZETA
 from diagnose.stages import Columns, Stage
-from drftjax.effects.correction import VARIABLES, correction, fields, known_to
-from drftjax.effects.stage import AbstractEffect
+from drftjax.effects.correction import VARIABLES, Curve, correction
 
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,
 # whichever predicts the runs left out best.
 CURVE_LEVELS, CURVE_BENDS = 5.0, (1.5, 0.3, 0.06, 0.012)
-# A correction is offered where its curve explains at least this share of what the signal does.
-OFFERED = 0.5
 # Stages whose logarithm of evidence differs by less than this are not told apart by it.
 TIED = 10.0
 # Knots of a curve; where it may be a matter of places or of moments, patches and waves need more.
@@ -63,27 +61,37 @@ def simplest(case: Case, found: Sequence[Stage]) -> tuple[Stage, list[tuple[str,
     return max(both, key=lambda pair: pair[1][0][1] if pair[1] else 0.0)
 
 
-def offered(case: Case, stage: Stage, variable: str | None = None) -> AbstractEffect | None:
-    """A correction fitted to all runs; None where the signal follows nothing that is known.
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A curve in the place of a stage's signal.
+
+    Attributes:
+        kind: The correction that holds it.
+        values: At its knots.
+        precision: Of what is believed of these values before any run, shape (knots, knots).
+    """
+
+    kind: type[Curve]
+    values: np.ndarray
+    precision: np.ndarray
+
+
+def fitted(case: Case, stage: Stage, variable: str) -> Fitted | None:
+    """The curve over a variable that stands for a stage's signal in all runs, on straight lines.
 
     Args:
         case: The runs.
         stage: Of `stages`.
-        variable: What it follows; the best that its stage can know where none is given.
+        variable: That its stage can know; None comes back where some run does not tell it.
     """
-    if variable is None:
-        known = [each for each in follows(case, stage) if each[0] in known_to(stage.name)]
-        if not known or known[0][1] < OFFERED:
-            return None
-        variable = known[0][0]
     motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
     values = _at_knots(motions, stage.columns, variable)
     if values is None:
         return None
     curves = _Curves.of(stage, values, variable)
-    fitted = curves.fitted(np.arange(len(values)))
     kind = correction(stage.name, variable, curves.knots.tolist())
-    return kind(**{field: float(v) for field, v in zip(fields(len(fitted)), fitted, strict=True)})
+    runs = np.arange(len(values))
+    return Fitted(kind, curves.fitted(runs), curves.precision(curves.bend))
 
 
 def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -129,10 +137,13 @@ class _Curves:
     def fitted(self, runs: np.ndarray, bend: float | None = None) -> np.ndarray:
         """Values of the curve of these runs."""
         total = np.sum([self.free(run) for run in runs], axis=0)
-        bend = self.bend if bend is None else bend
-        prior = np.eye(len(self.knots)) / (CURVE_LEVELS * self.level) ** 2
-        prior += self.bends.T @ self.bends / (bend * self.level) ** 2
+        prior = self.precision(self.bend if bend is None else bend)
         return np.linalg.solve(total[:-1, :-1] + prior, total[:-1, -1])
+
+    def precision(self, bend: float) -> np.ndarray:
+        """Of the belief that the curve is of about the signal's level, and bends this little."""
+        prior = np.eye(len(self.knots)) / (CURVE_LEVELS * self.level) ** 2
+        return prior + self.bends.T @ self.bends / (bend * self.level) ** 2
 
     def gained(self, bend: float) -> float:
         """Squares that a curve takes away from each run in turn, fitted to the others."""

@@ -10,7 +10,8 @@ import numpy as np
 from diagnose.diagnosis import Diagnosis, Number
 from diagnose.response import Model
 from diagnose.weights import NONE, UNKNOWN
-from drftjax.effects.entry import built
+from drftjax.effects.correction import VARIABLES
+from drftjax.effects.entry import built, entry_of
 from drftjax.effects.stage import AbstractEffect
 from drftjax.runlog.content import printable
 from drftjax.saved import thinned
@@ -26,7 +27,8 @@ def model_toml(found: Diagnosis) -> str:
     candidates = found.case.candidates
     setup = candidates[0].setup
     zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
-    zeta = zeta * np.exp(found.chosen.log_zeta)
+    offered = found.correction
+    zeta = zeta * np.exp(found.chosen.log_zeta if offered is None else offered.log_zeta)
     document = msgspec.to_builtins(setup)
     document["command"] = msgspec.to_builtins(thinned(setup.command))
     document["terrain"]["zeta"] = float(zeta.mean())
@@ -42,7 +44,14 @@ def model_toml(found: Diagnosis) -> str:
             if value is not None:
                 comment = about.get((name, key))
                 lines.append(f"{key} = {_toml(value)}" + (f"  # {comment}" if comment else ""))
-    for name, numbers in found.parameters.items():
+    if offered is not None:
+        entry = entry_of(offered.effect)
+        about = {"knots": VARIABLES[offered.effect.variable], "values": offered.unit}
+        lines += ["", "[[effect]]"]
+        for key, value in entry.items():
+            comment = f"  # {about[key]}" if about.get(key, "-") != "-" else ""
+            lines.append(f"{key} = {_toml(value)}{comment}")
+    for name, numbers in found.parameters.items() if offered is None else ():
         lines += ["", "[[effect]]", f"name = {_toml(name)}"]
         lines += [f"{key} = {each.value!r}  # {told(each)}" for key, each in numbers.items()]
     return "\n".join(lines) + "\n"
@@ -59,6 +68,8 @@ def _head(found: Diagnosis) -> list[str]:
     lines = [f"From a diagnosis of {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
+    elif found.correction is not None:
+        lines.append("No effect that is known explains these runs; a curve fitted to them does.")
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
     lines += [

@@ -1,7 +1,7 @@
 """A diagnosis told: in sentences and tables for a terminal, and as files for a folder."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,18 @@ from diagnose import where as location
 from diagnose.diagnosis import Diagnosis, conditions_of
 from diagnose.evaluation import shown
 from diagnose.model_file import model_toml, told
-from diagnose.report_figures import as_source, at_a_glance, residuals, weights
+from diagnose.report_figures import (
+    as_source,
+    at_a_glance,
+    residuals,
+    unknown_signal,
+    weights,
+)
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax import __version__
 from drftjax.effects.catalogue import effect_class
+from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file
 
@@ -62,6 +69,7 @@ def paragraphs(found: Diagnosis) -> list[str]:
     lines = [f"weights: {told_weights}"]
     lines += group_sentences(found)
     lines += gap_sentences(found)
+    lines += correction_sentences(found)
     if found.verdict != (NONE,):
         lines.append(location.sentence(found.where))  # pyright: ignore[reportArgumentType]
     lines += parameter_sentences(found)
@@ -113,16 +121,36 @@ def gap_sentences(found: Diagnosis) -> list[str]:
     if not found.chosen.names:
         return []
     least = " and ".join(found.chosen.names)
-    if len(conditions_of(found.case)) > 1:
-        on = "on runs left out while the effect's numbers were found"
-    else:
-        on = "on the very runs that the effect's numbers were found on, which flatters it"
-    shares = [
-        f"{channel} {shrunk(found, gap)}" for channel, gap in found.gap.items() if reducible(gap)
-    ]
+    shares = _shrunk_by(found, found.gap)
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]
-    return [f"With {least} the gap above the noise floor shrinks by {', '.join(shares)}, {on}."]
+    on = _measured_on(found, "the effect's numbers were")
+    return [f"With {least} the gap above the noise floor shrinks by {shares}, {on}."]
+
+
+def correction_sentences(found: Diagnosis) -> list[str]:
+    """What the curve does that is offered where no effect explains the runs."""
+    offered = found.correction
+    if offered is None:
+        return []
+    effect, on = offered.effect, _measured_on(found, "its curve was")
+    return [
+        f"Offered instead: a correction of {effect.stage} over {effect.variable}, fitted to these "
+        "runs. With it the gap above the noise floor shrinks by "
+        f"{_shrunk_by(found, offered.gap)}, {on}; model.toml holds it."
+    ]
+
+
+def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap]) -> str:
+    return ", ".join(
+        f"{channel} {shrunk(found, gap)}" for channel, gap in gaps.items() if reducible(gap)
+    )
+
+
+def _measured_on(found: Diagnosis, what: str) -> str:
+    if len(conditions_of(found.case)) > 1:
+        return f"on runs left out while {what} found"
+    return f"on the very runs that {what} found on, which flatters it"
 
 
 def parameter_sentences(found: Diagnosis) -> list[str]:
@@ -158,10 +186,15 @@ def next_sentences(found: Diagnosis) -> list[str]:
 # Tables -------------------------------------------------------------------------------------------
 
 
-def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
-    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval."""
+def gap_rows(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> list[tuple[str, ...]]:
+    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval.
+
+    Args:
+        found: The diagnosis.
+        gaps: Other gaps than those of the effect chosen.
+    """
     rows = []
-    for channel, gap in found.gap.items():
+    for channel, gap in (found.gap if gaps is None else gaps).items():
         unit, scale = shown(channel)
         rows.append(
             (
@@ -170,7 +203,7 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
                 f"{gap.after * scale:.3f}",
                 f"{gap.floor * scale:.3f}",
                 f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
-                shrunk(found, gap) if found.chosen.names else "-",
+                shrunk(found, gap) if found.chosen.names or gaps else "-",
             )
         )
     return rows
@@ -234,6 +267,7 @@ def page(found: Diagnosis) -> str:
         sentences=[
             *group_sentences(found),
             *gap_sentences(found),
+            *correction_sentences(found),
             *([location.sentence(found.where)] if found.verdict != (NONE,) else []),  # pyright: ignore
         ],
         glance=as_source(at_a_glance(found)),
@@ -246,9 +280,29 @@ def page(found: Diagnosis) -> str:
         where=found.where,
         parameters=_parameter_rows(found),
         unknown=found.verdict == (UNKNOWN,),
+        signal=_signal(found),
         next=next_sentences(found),
         notes=found.notes,
     )
+
+
+def _signal(found: Diagnosis) -> dict[str, Any] | None:
+    """What an effect that nobody has written looks like, for the page."""
+    if found.unwritten is None:
+        return None
+    offered = found.correction
+    rows = []
+    if offered is not None:
+        knots, values = (np.asarray(v) for v in (offered.effect.knots, offered.effect.values()))
+        rows = [(f"{a:.4g}", f"{b:.4g}") for a, b in zip(knots, values, strict=True)]
+    return {
+        "sentences": [*found.unwritten.sentences(), *correction_sentences(found)],
+        "figure": as_source(unknown_signal(found, found.unwritten)),
+        "correction": offered,
+        "variable_unit": "" if offered is None else VARIABLES[offered.effect.variable],
+        "rows": rows,
+        "gap_rows": [] if offered is None else gap_rows(found, offered.gap),
+    }
 
 
 def _parameter_rows(found: Diagnosis) -> list[Sequence[str]]:

@@ -12,14 +12,19 @@ from matplotlib.figure import Figure
 
 from diagnose.diagnosis import Diagnosis
 from diagnose.evaluation import shown
+from diagnose.follows import against
+from diagnose.unwritten import Unwritten
 from diagnose.where import Share
+from drftjax.effects.correction import VARIABLES, Curve
 
 NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}
-BEFORE, AFTER, FLOOR = "#b8542f", "#2a6f97", "0.55"
+BEFORE, AFTER, CORRECTED, FLOOR = "#b8542f", "#2a6f97", "#4c8c4a", "0.55"
 # What the gap is cut by at a glance; the report's table has the other axes.
 CUTS = {"phase": "#c9805f", "profile": "#8fae8b", "channel": "#8d99ae"}
 # So many runs are drawn, so many weights, bins of an axis and points of a line.
 MOST_RUNS, MOST_WEIGHTS, MOST_BINS, MOST_POINTS = 16, 8, 4, 600
+# Panels of the unknown signal stand in so many columns; dots of large error are this faint.
+COLUMNS, FAINTEST = 3, 0.08
 
 
 def at_a_glance(found: Diagnosis) -> Figure:
@@ -35,15 +40,20 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     channels = list(found.gap)
     place = np.arange(len(channels))
     gaps = [found.gap[channel] for channel in channels]
-    bars = (("reference model", BEFORE, -0.2, "before"), ("with the effect", AFTER, 0.2, "after"))
-    for label, colour, shift, which in bars if found.chosen.names else bars[:1]:
-        sizes = [getattr(gap, which) / gap.floor for gap in gaps]
-        axes.barh(place + shift, sizes, 0.36, color=colour, label=label)
-        for at, size, gap, channel in zip(place + shift, sizes, gaps, channels, strict=True):
+    bars = [("reference model", BEFORE, [gap.before for gap in gaps])]
+    if found.chosen.names:
+        bars.append(("with the effect", AFTER, [gap.after for gap in gaps]))
+    if found.correction is not None:
+        after = [found.correction.gap[channel].after for channel in channels]
+        bars.append(("with the correction", CORRECTED, after))
+    wide = 0.8 / max(len(bars), 2)
+    for number, (label, colour, left) in enumerate(bars):
+        shifted = place + wide * (number - (max(len(bars), 2) - 1) / 2)
+        sizes = [each / gap.floor for each, gap in zip(left, gaps, strict=True)]
+        axes.barh(shifted, sizes, 0.9 * wide, color=colour, label=label)
+        for at, size, each, channel in zip(shifted, sizes, left, channels, strict=True):
             unit, scale = shown(channel)
-            axes.text(
-                size, at, f" {getattr(gap, which) * scale:.3g} {unit}", va="center", fontsize=8
-            )
+            axes.text(size, at, f" {each * scale:.3g} {unit}", va="center", fontsize=8)
     axes.axvline(1, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     axes.set_yticks(place, [NAMES[channel] for channel in channels])
     axes.invert_yaxis()
@@ -107,6 +117,11 @@ def weights(found: Diagnosis) -> Figure:
 def residuals(found: Diagnosis) -> Figure:
     """Simulated less recorded, one row for each run, one column for each channel."""
     case = found.case
+    lines = [("reference model", BEFORE, found.before)]
+    if found.chosen.names:
+        lines.append(("with the effect", AFTER, found.after))
+    if found.correction is not None:
+        lines.append(("with the correction", CORRECTED, found.correction.unseen))
     runs = range(min(len(case.candidates), MOST_RUNS))
     count = len(case.channels)
     figure = Figure(figsize=(4.8 * count, 1.25 * len(runs) + 0.7), layout="constrained")
@@ -118,11 +133,7 @@ def residuals(found: Diagnosis) -> Figure:
             floor = found.floors[channel] * scale
             axes.axhspan(-floor, floor, color=FLOOR, alpha=0.25, lw=0, label="noise floor")
             time = case.time(run)
-            lines = (
-                ("reference model", BEFORE, found.before),
-                ("with the effect", AFTER, found.after),
-            )
-            for label, colour, values in lines if found.chosen.names else lines[:1]:
+            for label, colour, values in lines:
                 _line(axes, time, scale * values[run][place], colour, label)
             axes.set_title(f"{name}, {NAMES[channel]} [{unit}]", fontsize=8, parse_math=False)
             axes.tick_params(labelsize=7)
@@ -130,6 +141,44 @@ def residuals(found: Diagnosis) -> Figure:
         axes.set_xlabel("time [s]", fontsize=8)
     grid[0][0].legend(fontsize=6, loc="best")
     return figure
+
+
+def unknown_signal(found: Diagnosis, signal: Unwritten) -> Figure:
+    """The simplest unknown signal against every variable that the runs tell."""
+    case, stage = found.case, signal.stage
+    shares = dict(signal.follows)
+    panels = [(name, against(case, stage, name)) for name in VARIABLES if name in shares]
+    lines = -(-len(panels) // COLUMNS)
+    figure = Figure(figsize=(9.6, 2.5 * lines), layout="constrained")
+    grid = figure.subplots(lines, COLUMNS, sharey=True, squeeze=False).ravel()
+    spread = max(float(np.std(np.concatenate(stage.signal))), 1e-12)
+    for axes, (name, pairs) in zip(grid, panels, strict=False):
+        for run, (values, height) in enumerate(pairs):
+            at = np.mod(values, 2 * np.pi) if name == "wheel angle" else values
+            sure = np.clip(1 - stage.error[run] / (2 * spread), FAINTEST, 0.9)
+            colour = mpl.colormaps["viridis"](run / max(len(pairs) - 1, 1))
+            axes.scatter(at, height, s=9, color=colour, alpha=sure, linewidths=0)
+        if signal.offered is not None and name == signal.offered.effect.variable:
+            _curve(axes, signal.offered.effect, pairs)
+        axes.set_title(f"{name}: {shares[name]:.0%} of it", fontsize=9, loc="left")
+        axes.set_xlabel(f"{name} [{VARIABLES[name]}]", fontsize=8)
+        axes.tick_params(labelsize=7)
+    for axes in grid[len(panels) :]:
+        axes.remove()
+    for axes in grid[::COLUMNS]:
+        axes.set_ylabel(f"{stage.name} [{stage.unit}]", fontsize=8)
+    return figure
+
+
+def _curve(axes: Axes, effect: Curve, pairs: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    knots, height = np.asarray(effect.knots), np.asarray(effect.values())
+    if effect.stage == "zeta":
+        # A run's own zeta takes up any level; the dots' is drawn.
+        around = 2 * np.pi if effect.variable == "wheel angle" else None
+        miss = [h - np.interp(v, knots, height, period=around) for v, h in pairs]
+        height = height + np.median(np.concatenate(miss))
+    axes.plot(knots, height, color=CORRECTED, lw=2, label="correction")
+    axes.legend(fontsize=7)
 
 
 def _line(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:

@@ -80,6 +80,8 @@ class Stage:
         level: Standard deviation of the signals' level.
         noise: By channel, the noise that goes with it, in floors.
         columns: What it was estimated from.
+        power: By run, squares of the slow part in every half second, in floors: without the signal
+            and with it, shape (half seconds, 2).
     """
 
     name: str
@@ -96,6 +98,7 @@ class Stage:
     level: float
     noise: np.ndarray
     columns: Columns
+    power: list[np.ndarray]
 
 
 def stages(
@@ -161,7 +164,21 @@ def _stage(case: Case, name: str, columns: Columns) -> Stage:
         fit.level,
         fit.noise,
         columns,
+        [_power(columns, run, nothing.mean[run], fit.mean[run]) for run in range(len(lengths))],
     )
+
+
+def _power(columns: Columns, run: int, nothing: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """Squares that own zeta alone, and with the signal, leave in every half second of a run."""
+    left = []
+    for runs, data in zip(columns.columns, columns.data, strict=True):
+        alone = data[run] - runs[run][:, : len(nothing)] @ nothing
+        left.append(np.stack([alone, data[run] - runs[run] @ signal], axis=1) ** 2)
+    # A change between two half seconds counts in the later one.
+    total = np.zeros((max(map(len, left)), 2))
+    for each in left:
+        total[len(total) - len(each) :] += each
+    return total
 
 
 def _left(case: Case, fit: Smoothed) -> dict[str, float]:

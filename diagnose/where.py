@@ -26,6 +26,7 @@ from diagnose.spectrum import (
     power_by_hertz,
     power_by_order,
 )
+from diagnose.stages import Stage
 
 # Intervals hold the share with this probability.
 PROBABILITY = 0.9
@@ -137,6 +138,28 @@ def where(case: Case, residual: list[np.ndarray], floor: dict[str, float]) -> li
     return [share for cut in cuts for share in _shares(cut, grouped.get(cut.axis, drawn), total)]
 
 
+def by_stage(found: Sequence[Stage]) -> list[Share]:
+    """What an unknown error in each stage would take away of the gap's slow part.
+
+    Each stage is taken alone, so that these shares do not add up to one.
+    """
+    if not found:
+        return []
+    sizes = [len(each) for each in found[0].power]
+    draws = _draws(np.random.default_rng(SEED), sizes, [0] * len(sizes))
+
+    def of(stage: Stage) -> Share:
+        before, after = (draws @ np.concatenate(stage.power)).T
+        share = float(stage.explained)
+        drawn = np.where(before > 0, 1 - after / np.maximum(before, 1e-300), share)
+        tail = 50 * (1 - PROBABILITY)
+        low, high = np.percentile(np.clip(drawn, 0, 1), [tail, 100 - tail])
+        interval = (float(min(low, share)), float(max(high, share)))
+        return Share("stage", f"{stage.name}: {stage.meaning}", share, interval)
+
+    return [of(each) for each in found]
+
+
 def sentence(shares: Sequence[Share]) -> str:
     """Where most of the gap lies, in one plain sentence.
 
@@ -149,7 +172,7 @@ def sentence(shares: Sequence[Share]) -> str:
         axes.setdefault(each.axis, []).append(each)
     told = []
     for axis, parts in axes.items():
-        if len(parts) < 2 or axis in ("run", "frequency"):
+        if len(parts) < 2 or axis in ("run", "frequency", "stage"):
             continue
         for part in parts:
             even = MARKED if axis == "order" else 1 / len(parts)

@@ -41,6 +41,7 @@ KEYS = {
     "gap",
     "where",
     "parameters",
+    "correction",
     "next_run",
     "notes",
 }
@@ -173,6 +174,8 @@ def test_the_json_has_the_documented_layout(diagnosed):
     assert slope["value"] == pytest.approx(SLOPE, rel=0.05)
     for share in document["where"]:
         assert set(share) == {"axis", "label", "share", "interval"}
+        assert share["interval"][0] <= share["share"] <= share["interval"][1]
+    assert document["correction"] is None
     assert any("notes.h5" in note for note in document["notes"])
 
 

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case, with_zeta
-from diagnose.follows import TIED, against, follows, offered, simplest
+from diagnose.follows import TIED, against, fitted, follows, simplest
 from diagnose.kick import READINGS, kick, respond_to
 from diagnose.response import Model
 from diagnose.stages import Stage, stages
 from drftjax.effects.catalogue import numbers
-from drftjax.effects.correction import Curve, correction, fields, known_to
+from drftjax.effects.correction import correction, fields, known_to
 from drftjax.effects.drive import SpeedGain
-from drftjax.effects.entry import built, entry_of
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
 from drftjax.errors import InputError
@@ -96,23 +95,17 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert ranked[0][1] > 0.9
 
 
-def test_what_is_offered_for_it_closes_the_gap():
-    found = of_gain()[0]
-    effect = offered(case(), found)
-    assert isinstance(effect, Curve)
-    entry = entry_of(effect)
-    assert entry["variable"] == "angular velocity"
-    slope = np.polyfit(effect.knots, np.asarray(effect.values()), 1)[0]
-    assert slope == pytest.approx(0.05, abs=0.015)
+def test_a_curve_in_its_place_closes_the_gap():
+    found = fitted(case(), of_gain()[0], "angular velocity")
+    assert found is not None
+    knots, values = np.asarray(found.kind.knots), found.values
+    assert np.polyfit(knots, values, 1)[0] == pytest.approx(0.05, abs=0.015)
     before = with_(SpeedGain, gain=0.05)
-    after = with_(type(effect), **values_of(effect.values()))
+    after = with_(found.kind, **values_of(values))
     for run, (truth, corrected) in enumerate(zip(before, after, strict=True)):
         x = case().channels.index("x")
         gap = np.abs(truth[x] - plain()[run][x])[-1]
         assert np.abs(truth[x] - corrected[x])[-1] < 0.3 * gap
-    again = built(entry, 1)
-    assert type(again) is type(effect)
-    assert entry_of(again) == entry
 
 
 def test_sand_that_loosens_is_an_unknown_zeta_that_follows_the_turning():

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.effects.stage import (
@@ -79,7 +80,7 @@ class Gone(eqx.Module):
         return cls(nought, nought, nought)
 
 
-class Curve(eqx.Module):
+class Curve(AbstractEffect):
     """Values at knots over a variable. The knots and the variable belong to the class."""
 
     variable: ClassVar[str]
@@ -235,7 +236,7 @@ class ReadingCorrection(Curve, AbstractSensor):
 
 
 # Class, unit and typical size of a correction of each stage.
-STAGES: dict[str, tuple[type[AbstractEffect], str, float]] = {
+STAGES: dict[str, tuple[type[Curve], str, float]] = {
     "zeta": (ZetaCorrection, "-", 0.1),
     "force_x": (XForceCorrection, "N", 5.0),
     "force_z": (ZForceCorrection, "N", 5.0),
@@ -260,7 +261,7 @@ def known_to(stage: str) -> tuple[str, ...]:
     return tuple(VARIABLES)
 
 
-def correction(stage: str, variable: str, knots: Sequence[float]) -> type[AbstractEffect]:
+def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Curve]:
     """Class of a correction.
 
     Args:
@@ -275,7 +276,7 @@ def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Abstra
 
 
 @cache
-def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[AbstractEffect]:
+def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Curve]:
     if stage not in STAGES:
         raise InputError(f"a correction's stage is {stage!r}, must be one of {', '.join(STAGES)}")
     if variable not in known_to(stage):
@@ -285,23 +286,54 @@ def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Abs
         raise InputError(f"a correction has 2 to {MOST_KNOTS} knots; {len(knots)} were given")
     if any(a >= b for a, b in itertools.pairwise(knots)):
         raise InputError(f"the knots of a correction must ascend; {list(knots)} were given")
-    base, unit, typical = STAGES[stage]
+    if variable == "wheel angle" and not (knots[0] >= 0 and knots[-1] < TURN):
+        raise InputError(
+            f"the knots over a wheel angle must lie from 0 to under 2 pi rad; {list(knots)} "
+            "were given"
+        )
+    _, unit, typical = STAGES[stage]
+    at = [f"at {variable} = {knot:.4g} {VARIABLES[variable]}" for knot in knots]
+    strengths = [strength(unit, typical, text) for text in at]
+    return _class(stage, variable, knots, dict(zip(fields(len(knots)), strengths, strict=True)))
+
+
+def in_modes(
+    kind: type[Curve], modes: Float[np.ndarray, "knots modes"], typical: float
+) -> type[Curve]:
+    """Class of the same correction as a sum of curves, with their amplitudes as strengths.
+
+    Args:
+        kind: By `correction`.
+        modes: The curves, one a column, by their values at its knots.
+        typical: Size that the amplitudes may well have.
+    """
+    names = [f"mode_{k}" for k in range(modes.shape[1])]
+
+    def values(self) -> Float[Array, " knots"]:
+        return jnp.asarray(modes) @ jnp.stack([getattr(self, name) for name in names])
+
+    strengths = {name: strength("-", typical, "amplitude of a curve") for name in names}
+    return _class(kind.stage, kind.variable, kind.knots, {**strengths, "values": values})
+
+
+def _class(
+    stage: str, variable: str, knots: tuple[float, ...], members: Mapping[str, Any]
+) -> type[Curve]:
+    base, _, _ = STAGES[stage]
     formula = base.about.formula.replace("reading", stage.removeprefix(READING))
-    names, of = fields(len(knots)), f"at {variable} ="
-    at = [f"{of} {knot:.4g} {VARIABLES[variable]}" for knot in knots]
     made: Any = type(base)
     return made(
         base.__name__,
         (base,),
         {
-            "__annotations__": dict.fromkeys(names, Number),
+            "__annotations__": {name: Number for name in members if name != "values"},
             "__module__": __name__,
             "__doc__": base.__doc__,
             "about": replace(base.about, formula=f"{formula} over {variable}"),
             "variable": variable,
             "knots": knots,
             "stage": stage,
-            **{n: strength(unit, typical, text) for n, text in zip(names, at, strict=True)},
+            **members,
         },
     )
 
@@ -317,7 +349,7 @@ def entry_of(effect: Curve) -> dict[str, Any]:
     }
 
 
-def built(entry: Mapping[str, Any]) -> AbstractEffect:
+def built(entry: Mapping[str, Any]) -> Curve:
     """The correction that an entry describes.
 
     Raises:
@@ -341,7 +373,7 @@ def built(entry: Mapping[str, Any]) -> AbstractEffect:
     return with_values(kind, values)
 
 
-def with_values(kind: type[AbstractEffect], values: Sequence[float]) -> AbstractEffect:
+def with_values(kind: type[Curve], values: Sequence[float]) -> Curve:
     """The correction with these values at its knots."""
     return kind(**{field: float(v) for field, v in zip(fields(len(values)), values, strict=True)})
 

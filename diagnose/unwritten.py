@@ -1,0 +1,176 @@
+"""What an effect that nobody has written looks like, and a correction that stands for it.
+
+Where no effect of the list explains the runs, the simplest unknown signal is held against every
+state variable. Where it follows one, the curve is fitted as a correction: all its runs simulated
+freely, then those left out by condition, as any effect's. It is offered only where that helps.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diagnose.bench import Bench
+from diagnose.case import Case
+from diagnose.evidence import WORTH
+from diagnose.follows import Fitted, fitted, simplest
+from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
+from diagnose.left_out import predicted_unseen
+from diagnose.response import Model, predict
+from diagnose.shrinkage import Gap, gaps
+from diagnose.stages import Stage
+from drftjax.effects.correction import (
+    STAGES,
+    Curve,
+    entry_of,
+    in_modes,
+    known_to,
+    with_values,
+)
+
+# A signal follows a variable that explains this share of it.
+FOLLOWS = 0.5
+# A correction helps where the gap, in floors over all channels, falls by this share at least.
+HELPS = 0.1
+# Simulations that its curve is fitted by.
+TURNS = 6
+# Ways for a curve to bend are left out where they are believed to be this much smaller than the
+# largest.
+SMALLEST_MODE = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A curve that stands for an effect that nobody has written.
+
+    Attributes:
+        effect: With its values.
+        explained: Share of the signal that such a curve explains on runs left out [-].
+        log_zeta: Each run's log zeta over its set-up's beside it.
+        unseen: By run, simulated less recorded while its condition was left out.
+        gap: Before and after on runs left out, by channel.
+    """
+
+    effect: Curve
+    explained: float
+    log_zeta: np.ndarray
+    unseen: list[np.ndarray]
+    gap: Mapping[str, Gap]
+
+    @property
+    def unit(self) -> str:
+        """Of its values; "-" for none."""
+        return STAGES[self.effect.stage][1]
+
+    def helps(self) -> bool:
+        """Whether it shrinks the gap over all channels."""
+        before, after = (
+            sum((getattr(gap, which) / gap.floor) ** 2 for gap in self.gap.values())
+            for which in ("before", "after")
+        )
+        return bool(np.sqrt(after) < (1 - HELPS) * np.sqrt(before))
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, in the layout of diagnosis.json."""
+        entry = entry_of(self.effect)
+        return {
+            "stage": entry["stage"],
+            "variable": entry["variable"],
+            "unit": self.unit,
+            "knots": entry["knots"],
+            "values": entry["values"],
+            "explained": self.explained,
+            "gap": {channel: gap.document() for channel, gap in self.gap.items()},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Unwritten:
+    """The simplest unknown signal.
+
+    Attributes:
+        stage: Where it would act.
+        follows: Variables with the share of it that a curve over each explains, best first.
+        tried: A correction that was simulated; None where the signal follows nothing that its
+            stage can know.
+    """
+
+    stage: Stage
+    follows: Sequence[tuple[str, float]]
+    tried: Correction | None
+
+    @property
+    def offered(self) -> Correction | None:
+        """The correction, where it helps."""
+        return self.tried if self.tried is not None and self.tried.helps() else None
+
+    def sentences(self) -> list[str]:
+        """What it looks like, and why no correction is offered where none is."""
+        said = f"The simplest unknown signal is one of {self.stage.name} ({self.stage.meaning})"
+        if not self.follows or self.follows[0][1] < FOLLOWS:
+            return [f"{said}; it follows none of the variables known."]
+        name, share = self.follows[0]
+        found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
+        if self.tried is None:
+            found.append(f"Nothing that {self.stage.name} can know stands for it: no correction.")
+        elif self.offered is None:
+            found.append(
+                f"A curve of it over {self.tried.effect.variable} was tried; simulated on runs "
+                "left out it does not shrink the gap, so no correction is offered."
+            )
+        return found
+
+
+def unwritten(
+    case: Case,
+    found: Sequence[Stage],
+    none: Hypothesis,
+    floors: Mapping[str, float],
+) -> Unwritten:
+    """The simplest unknown signal of a case, and a correction where it follows something.
+
+    Args:
+        case: The runs.
+        found: By `stages`, best first; not empty.
+        none: The reference model, settled.
+        floors: Noise floor of each channel.
+    """
+    stage, variables = simplest(case, found)
+    known = [each for each in variables if each[0] in known_to(stage.name)]
+    curve = None
+    if known and known[0][1] >= FOLLOWS:
+        curve = fitted(case, stage, known[0][0])
+    if curve is None:
+        return Unwritten(stage, variables, None)
+    return Unwritten(stage, variables, corrected(case, curve, known[0][1], none, floors))
+
+
+def corrected(
+    case: Case, curve: Fitted, explained: float, none: Hypothesis, floors: Mapping[str, float]
+) -> Correction | None:
+    """A curve fitted by free-running simulation; None where it cannot be simulated."""
+    modes = _modes(curve)
+    kind = in_modes(curve.kind, modes, 1 / STRENGTH_BELIEF)
+    case.warm(predict, [Model((kind,))])
+    bench = Bench.of(case, none.log_zeta, [kind])
+    best = settled(bench, proposed(bench, bench.variants), TURNS)
+    if not best.simulated:
+        return None
+    unseen = predicted_unseen(bench, best)
+    (effect,) = best.model.build(best.coordinates)
+    assert isinstance(effect, Curve)
+    plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
+    return Correction(
+        plain, explained, best.log_zeta, unseen, gaps(case, none.residual, unseen, floors)
+    )
+
+
+def _modes(curve: Fitted) -> np.ndarray:
+    """Curves whose amplitudes are believed to be one each, and independent, before any run."""
+    # A fit by simulation takes a half second for less than the straight lines here do.
+    precision = WORTH["slow"] * curve.precision
+    size, way = np.linalg.eigh(precision)
+    spread = 1 / np.sqrt(size)
+    kept = spread > SMALLEST_MODE * spread.max()
+    return way[:, kept] * spread[kept]

@@ -1,0 +1,188 @@
+"""An effect that no list has: its signal, what it follows, and the correction offered for it."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diagnose.case import Case, threads
+from diagnose.diagnosis import Diagnosis, diagnose
+from diagnose.model_file import read_effects
+from diagnose.report import page, paragraphs, write
+from diagnose.runs import gather
+from diagnose.where import sentence
+from drftjax.effects.catalogue import catalogue
+from drftjax.effects.correction import Curve
+from drftjax.effects.entry import entry_of
+from drftjax.effects.stage import About, AbstractZetaFactor, Memory, Moment, strength
+from drftjax.runlog.hdf5 import read_run, write_run
+from drftjax.setup import read_setup
+from drftjax.statics import sinkage_under_load
+from tests.command_line import Drft
+from tests.virtual_runs import recorded, setup_of
+
+# log zeta at 30 mm of sinkage over that at the surface.
+RISE, DEPTH = 0.1, 0.03
+# The curve's rise from its first knot to its last is found within this share; six straight pieces
+# stand for a square, and runs leave the outermost knots to few samples.
+RISE_ERR = 0.15
+# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions.
+RUNS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 26.0, 0.752))
+FRESH = (1.0, 22.0, 0.754)
+
+
+class Packing(AbstractZetaFactor):
+    """zeta rises with the square of the sinkage."""
+
+    about: ClassVar = About(
+        "packing", "terrain", "ζ = ζ exp(rise H²)", "sand that packs with depth"
+    )
+    rise: float = strength("-", 0.1, "log zeta gained at 30 mm")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def factor(self, moment: Moment, memory: Memory):
+        return jnp.exp(self.rise * (moment.position[1] / DEPTH) ** 2)
+
+
+@pytest.fixture(scope="module")
+def packing():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue(), "packing", Packing)
+        yield
+
+
+def written(folder: Path, name: str, speed: float, mass: float, zeta: float, seed: int) -> Path:
+    """A run of a rig whose sand packs, as its log."""
+    profile = ([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed])
+    setup = setup_of(profile, zeta)
+    setup.rig.mass_z = mass
+    setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
+    setup.effects = [{"name": "packing", "rise": RISE}]
+    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
+    write_run(folder / f"{name}.h5", recorded(setup, seed=seed, noise=10e-6))
+    return folder / f"{name}.h5"
+
+
+@pytest.fixture(scope="module")
+def found(packing, tmp_path_factory) -> Diagnosis:
+    folder = tmp_path_factory.mktemp("packing")
+    for number, each in enumerate(RUNS):
+        written(folder, f"run_{number}", *each, seed=number)
+    with threads() as pool:
+        return diagnose(Case.of(gather([folder]).candidates, pool), ())
+
+
+@pytest.fixture(scope="module")
+def files(found, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("diagnosed")
+    write(found, folder)
+    return folder
+
+
+def test_the_simplest_signal_is_a_zeta_that_follows_the_sinkage(found):
+    assert found.verdict == ("unknown",)
+    assert found.unwritten.stage.name == "zeta"
+    (first, share), *_ = found.unwritten.follows
+    assert first == "sinkage"
+    assert share > 0.9
+    assert any("one of zeta" in note and "it follows sinkage" in note for note in found.notes)
+
+
+def test_the_correction_is_the_curve_of_the_rig(found):
+    effect = found.correction.effect
+    assert (effect.stage, effect.variable) == ("zeta", "sinkage")
+    knots, values = np.asarray(effect.knots), np.asarray(effect.values())
+    truth = RISE * (knots / DEPTH) ** 2
+    # A level is zeta's own, of every run.
+    assert values[-1] - values[0] == pytest.approx(truth[-1] - truth[0], rel=RISE_ERR)
+    steps = np.diff(values) / np.diff(knots)
+    assert steps[-1] > 1.3 * steps[0]
+
+
+def test_it_closes_the_gap_of_runs_left_out(found):
+    z = found.correction.gap["z"]
+    assert z.before > 3 * z.floor
+    assert z.shrinkage > 0.9
+    (said,) = [each for each in paragraphs(found) if each.startswith("Offered instead: ")]
+    assert "a correction of zeta over sinkage" in said
+    assert "on runs left out" in said
+
+
+def test_the_json_holds_it_as_documented(found, files):
+    document = json.loads((files / "diagnosis.json").read_text())["correction"]
+    keys = {"stage", "variable", "unit", "knots", "values", "explained", "gap"}
+    assert set(document) == keys
+    assert (document["stage"], document["variable"], document["unit"]) == ("zeta", "sinkage", "-")
+    assert len(document["knots"]) == len(document["values"])
+    assert document["gap"]["z"]["shrinkage"] > 0.9
+
+
+def test_the_page_shows_the_signal_against_the_variables(files):
+    text = (files / "report.html").read_text()
+    assert "The simplest unknown signal against each state variable" in text
+    assert "a correction of zeta over sinkage" in text
+    assert "<th>sinkage [m]</th><th>zeta [-]</th>" in text
+
+
+def test_the_model_file_simulates_and_closes_the_gap_of_a_fresh_run(
+    found, files, packing, monkeypatch, capsys, tmp_path
+):
+    drft = Drft(monkeypatch, capsys)
+    (effect,) = read_effects(files / "model.toml")
+    assert isinstance(effect, Curve)
+    assert entry_of(effect) == entry_of(found.correction.effect)
+    assert drft("simulate", files / "model.toml", "-o", tmp_path / "again.h5").code == 0
+    # The mean zeta is not quite this run's own.
+    again = read_run(tmp_path / "again.h5").measured
+    first = found.case.recorded(0)[found.case.channels.index("z")]
+    then = np.interp(found.case.time(0), again.time, again.z)
+    assert np.abs(then - first).max() < 0.5e-3
+    fresh = written(tmp_path, "fresh", *FRESH, seed=9)
+    report = tmp_path / "evaluation.json"
+    answer = drft("evaluate", fresh, "--model", files / "model.toml", "--json", report)
+    assert answer.code == 0, answer
+    assert "after: with correction" in answer.out
+    z = json.loads(report.read_text())["gap"]["z"]
+    assert z["after"] < 0.3 * z["before"]
+
+
+def test_what_does_not_help_is_not_offered_and_the_page_says_so(found):
+    tried = found.unwritten.tried
+    same = {c: dataclasses.replace(gap, after=gap.before) for c, gap in tried.gap.items()}
+    useless = dataclasses.replace(
+        found.unwritten, tried=dataclasses.replace(tried, gap=same, unseen=found.before)
+    )
+    assert useless.offered is None
+    (_, said) = useless.sentences()
+    assert "does not shrink the gap, so no correction is offered" in said
+    other = dataclasses.replace(found, unwritten=useless)
+    assert other.document()["correction"] is None
+    assert "no correction is offered" in page(other)
+    assert not [each for each in paragraphs(other) if each.startswith("Offered instead")]
+
+
+def test_what_follows_nothing_is_said_to(found):
+    nothing = dataclasses.replace(found.unwritten, follows=[("travel", 0.2)], tried=None)
+    (said,) = nothing.sentences()
+    assert "it follows none of the variables known" in said
+
+
+def test_shares_of_stages_have_intervals_from_drawing_runs_anew(found):
+    stages = {each.label.split(":")[0]: each for each in found.where if each.axis == "stage"}
+    for each in stages.values():
+        low, high = each.interval
+        assert 0 <= low <= each.share <= high <= 1
+    low, high = stages["zeta"].interval
+    assert 0.9 < low < high
+    # A reading of x has nothing to do with it, and the runs say so.
+    assert stages["reading x"].interval[1] < 0.5
+    assert "stage" not in sentence(found.where)
