@@ -108,7 +108,8 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
 
     def varied(motion, inputs, state, command):
         plus = replace(simulator, effects=simulator.effects + latents(inputs))
-        start = state_of(motion, state.time, state.omega + inputs[3], ((),) * 4)
+        memory = (*state.memory, *((),) * 4)
+        start = state_of(motion, state.time, state.omega + inputs[3], memory)
         after, output = plus.step(start, command, dt)
         return jnp.concatenate(
             [motion_of(after), jnp.stack([getattr(output, name) for name in FORCES])]

@@ -1,0 +1,61 @@
+"""The history of DRFT: quasi-static theory lacks two dynamic terms, and at some speed it shows.
+
+`tests.studies.history` asks the whole catalogue of five long runs. Here three shorter ones are
+asked for the two terms alone, so that the answer takes a minute of computing.
+"""
+
+import pytest
+
+from diagnose.case import threads
+from diagnose.diagnosis import Diagnosis
+from drftjax.effects.catalogue import effect_class
+from tests.studies.history import TERMS, against_quasi_static, unseen_floors
+
+EFFECTS = tuple(effect_class(name) for name in TERMS)
+# Top speeds [deg/s], and the time at them [s].
+FAST, SLOW = (120.0, 300.0, 300.0), (15.0, 30.0, 30.0)
+LASTING = 3.0
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with threads() as executor:
+        yield executor
+
+
+@pytest.fixture(scope="module")
+def fast(pool) -> Diagnosis:
+    return against_quasi_static(FAST, EFFECTS, pool, LASTING)
+
+
+def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
+    assert "height_decrease" in fast.verdict
+    assert fast.gap["x"].before > 100 * fast.gap["x"].floor
+
+
+def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
+    assert unseen_floors(fast, TERMS) < 1.5
+    assert min(unseen_floors(fast, [term]) for term in TERMS) > 20
+
+
+def test_the_pair_has_the_strengths_of_the_dynamic_theory(fast):
+    pair = next(each for each in fast.found.pairs if set(each.names) == set(TERMS))
+    values = {
+        pair.names[free.index]: float(free.value(at))
+        for free, at in zip(pair.model.free, pair.coordinates, strict=True)
+    }
+    assert values["height_decrease"] == pytest.approx(1.0, abs=0.1)
+    assert values["momentum_flux"] == pytest.approx(1.1, abs=0.1)
+
+
+@pytest.mark.xfail(
+    reason="the height decrease alone leaves under a tenth of the gap, which the weights pardon "
+    "any effect, so the pair is found and simulated but weighs little",
+    strict=False,
+)
+def test_at_300_deg_a_second_both_terms_are_named(fast):
+    assert set(fast.verdict) == set(TERMS)
+
+
+def test_at_30_deg_a_second_neither_is_named(pool):
+    assert against_quasi_static(SLOW, EFFECTS, pool, LASTING).verdict == ("none",)
