@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnose.bench import Bench, Variant
 from diagnose.case import Case, baseline
-from diagnose.evidence import FLOOR, LINES_ERR, Line, coarseness, fit_line
+from diagnose.evidence import FLOOR, LINES_ERR, Line, Products, coarseness, fit_line
 from diagnose.hypothesis import (
     STRENGTH_BELIEF,
     Hypothesis,
@@ -160,7 +160,7 @@ def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
 
 def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Pairs that straight lines from the settled singles put first, simulated."""
-    orders = [_proposals(bench, singles, *order) for order in ORDERS]
+    orders = _proposals(bench, singles[:PAIRED_SINGLES])
     leading: dict[frozenset[str], Hypothesis] = {}
     for every in zip(*orders, strict=True):
         for pair, hypothesis in every:
@@ -172,31 +172,41 @@ def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def _proposals(
-    bench: Bench, singles: Sequence[Hypothesis], share: float, trust: float
-) -> list[tuple[frozenset[str], Hypothesis]]:
-    """Pairs of a settled single and any other effect, best first by straight lines."""
-    best: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
-    worst = coarseness(bench.products.blocks, singles[0].line.left, share)
-    for single in singles[:PAIRED_SINGLES]:
-        count = len(single.coordinates)
-        columns = [
-            np.concatenate([mine, theirs[:, :, 1:]], axis=2)
-            for mine, theirs in zip(single.columns, bench.columns, strict=True)
-        ]
-        products = bench.products_of(columns, single.residual, single.log_zeta)
-        for variant in bench.variants:
-            name = variant.effect.about.name
-            if name in single.names:
-                continue
-            both = [*range(count), *(count + c for c in variant.columns)]
-            least = np.r_[least_changes(single), leasts(variant.effect)]
-            prior = np.full(len(both), STRENGTH_BELIEF)
-            line = fit_line(products, both, prior=prior, least=least, trust=trust, coarse=worst)
-            pair = frozenset((*single.names, name))
-            if pair not in best or line.score > best[pair][0]:
-                best[pair] = line.score, single, variant, line
-    ranked = sorted(best.items(), key=lambda each: -each[1][0])[:PAIRS]
-    return [(pair, _joined(bench, s, v, line)) for pair, (_, s, v, line) in ranked]
+    bench: Bench, singles: Sequence[Hypothesis]
+) -> list[list[tuple[frozenset[str], Hypothesis]]]:
+    """Pairs of a settled single and any other effect, by each of the orders, best first."""
+    both = [_products_with_all(bench, single) for single in singles]
+    found = []
+    for share, trust in ORDERS:
+        worst = coarseness(bench.products.blocks, singles[0].line.left, share)
+        best: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
+        for single, products in zip(singles, both, strict=True):
+            count = len(single.coordinates)
+            for variant in bench.variants:
+                name = variant.effect.about.name
+                if name in single.names:
+                    continue
+                columns = [*range(count), *(count + c for c in variant.columns)]
+                least = np.r_[least_changes(single), leasts(variant.effect)]
+                prior = np.full(len(columns), STRENGTH_BELIEF)
+                line = fit_line(
+                    products, columns, prior=prior, least=least, trust=trust, coarse=worst
+                )
+                pair = frozenset((*single.names, name))
+                if pair not in best or line.score > best[pair][0]:
+                    best[pair] = line.score, single, variant, line
+        ranked = sorted(best.items(), key=lambda each: -each[1][0])[:PAIRS]
+        found.append([(pair, _joined(bench, s, v, line)) for pair, (_, s, v, line) in ranked])
+    return found
+
+
+def _products_with_all(bench: Bench, single: Hypothesis) -> Products:
+    """Products of a single's own columns and those of all variants of all effects."""
+    columns = [
+        np.concatenate([mine, theirs[:, :, 1:]], axis=2)
+        for mine, theirs in zip(single.columns, bench.columns, strict=True)
+    ]
+    return bench.products_of(columns, single.residual, single.log_zeta)
 
 
 def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> Hypothesis:

@@ -11,7 +11,6 @@ from diagnose.diagnosis import diagnose
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import conditions, predicted_unseen
-from diagnose.search import ORDERS
 from diagnose.search import _proposals as search_proposals
 from diagnose.shrinkage import shrinkage
 from diagnose.weights import Judged, Scale, weights
@@ -99,7 +98,7 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
 
 def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
     gain = settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, TravelGain)]), 3)
-    pairs = dict(search_proposals(sloping_bench, [gain], *ORDERS[0]))
+    pairs = dict(search_proposals(sloping_bench, [gain])[0])
     pair = pairs[frozenset({"travel_gain", "surface_slope"})]
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
     # more than half of it is asked, and not all.
