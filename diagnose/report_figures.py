@@ -61,7 +61,7 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     axes.set_xlim(left=0)
     axes.set_xlabel("gap [noise floors]")
     axes.set_title("Simulated against recorded", fontsize=10, loc="left")
-    axes.legend(fontsize=7, loc="lower right")
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
 
 
 def _bins(axes: Axes, found: Diagnosis) -> None:
