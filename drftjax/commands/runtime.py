@@ -28,6 +28,9 @@ def configure_jax(
     if precision not in ("float64", "float32"):
         raise InputError(f"precision must be float64 or float32, not {precision!r}")
     _compile_loops_whole()
+    # Programs spread their work over threads themselves; NumPy's own would only wait for these.
+    # Read when NumPy is first imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax  # here, so that `drft --help` needs no JAX
 
     jax.config.update("jax_enable_x64", precision == "float64")
