@@ -42,6 +42,7 @@ class Setting(NamedTuple):
         zeta_step, tolerance: Of eq. 7 [-], [m].
         damping_x, damping_z: Of the simulated rig alone [N s/m].
         angle: By how much the real wheel's grousers are ahead of the simulated ones [rad].
+        dropped: By how much less deep than at rest both wheels are let go [m].
         omega: Angular velocity in the end [rad/s].
         noise: Standard deviation of a reading [m].
     """
@@ -54,6 +55,7 @@ class Setting(NamedTuple):
     angle: float = 0.0
     omega: float = SPEED
     noise: float = 2e-5
+    dropped: float = 0.0
 
 
 class Traces(NamedTuple):
@@ -106,15 +108,25 @@ def run(
     rig = Simulator(
         wheel(grousers, plate), terrain, integrator=HeldPace(), effects=(Loosening(LOSS, 2.0),)
     )
-    sinkage = float(sinkage_under_load(rig, ZETA))
-    start = float(zeta_from_sinkage(loop, sinkage))
+    # At rest the real wheel is as deep as its angle has it, and zeta(0) is what that tells.
+    angles = {setting.angle for setting in settings}
+    rest = {angle: float(sinkage_under_load(rig, ZETA, angle=angle)) for angle in angles}
+    told = {angle: float(zeta_from_sinkage(loop, depth)) for angle, depth in rest.items()}
+    depths = np.array([rest[setting.angle] - setting.dropped for setting in settings])
+    zetas = np.array([told[setting.angle] for setting in settings])
     rig = dataclasses.replace(rig, rig=dataclasses.replace(rig.rig, carriage=DrivenCarriage()))
     rig = rig.prepared()
     rows = round(duration / INTERVAL)
     columns = [np.asarray(column, float) for column in zip(*settings, strict=True)]
     every = np.maximum(1, np.round(columns[0] / STEP)).astype(int)
 
-    def one(setting: Setting, every: Int[Array, ""], key: Array) -> tuple[Array, Array, Array]:
+    def one(
+        setting: Setting,
+        every: Int[Array, ""],
+        sinkage: Float[Array, ""],
+        start: Float[Array, ""],
+        key: Array,
+    ) -> tuple[Array, Array, Array]:
         damped = dataclasses.replace(
             loop.rig, damping_x=setting.damping_x, damping_z=setting.damping_z
         )
@@ -142,9 +154,10 @@ def run(
             return carried, (state.position[1], real.position[1], zeta)
 
         noises = setting.noise * jax.random.normal(key, (rows, STEPS_A_ROW))
-        begun = (jnp.zeros((), int), state, real, nought + start)
+        begun = (jnp.zeros((), int), state, real, start)
         return jax.lax.scan(row, begun, noises)[1]
 
     keys = jax.vmap(jax.random.key)(np.arange(len(settings)) if seeds is None else np.array(seeds))
-    made = jax.jit(jax.vmap(one))(Setting(*map(jnp.asarray, columns)), jnp.asarray(every), keys)
+    columns = Setting(*map(jnp.asarray, columns))
+    made = jax.jit(jax.vmap(one))(columns, *map(jnp.asarray, (every, depths, zetas)), keys)
     return Traces(*map(np.asarray, made))

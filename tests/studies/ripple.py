@@ -21,6 +21,8 @@ TICKS = (0.001, 0.002, 0.005, 0.01, 0.02)
 TOLERANCES = (0.0, 2e-5, 5e-5, 1e-4, 2e-4)
 DAMPINGS = [(0.0, 0.0), (10.0, 0.0), (100.0, 0.0), (0.0, 300.0), (0.0, 1e3), (0.0, 3e3), (0.0, 1e4)]
 AHEAD = (0.0, 5.0, 10.0, 15.0)
+# Wheels that are let go this much too high start with a swing [m].
+DROPPED = 2e-3
 SPEEDS = (15.0, 20.0, 30.0, 45.0, 60.0)
 NOISES = (0.0, 5e-6, 2e-5, 5e-5, 1e-4, 2e-4)
 PLATES = (8e-3, 4e-3, 2e-3, 1e-3, 5e-4)
@@ -94,9 +96,10 @@ def groups() -> dict[str, list[Setting]]:
         "damping": [RINGING._replace(damping_x=x, damping_z=z) for x, z in DAMPINGS],
         "quiet damping": [base._replace(damping_x=x, damping_z=z) for x, z in DAMPINGS],
         "ahead": [
-            Setting(tick=tick, angle=float(np.radians(degrees)))
+            Setting(tick=tick, angle=float(np.radians(degrees)), dropped=dropped)
             for degrees in AHEAD
             for tick in (0.002, 0.01)
+            for dropped in (0.0, DROPPED)
         ],
         "speed": [RINGING._replace(omega=float(np.radians(speed))) for speed in SPEEDS],
         "repeats": [Setting(t, tolerance=d) for t, d in RIPPLING for _ in range(REPEATS)],
@@ -120,11 +123,13 @@ class Linear(NamedTuple):
         gain: Sinkage in the end by zeta [m].
         time: In which it gets there: the slow mode [s].
         next: Time constant of the mode after that [s].
+        resistance: Of the sand against the wheel's rising and sinking [N s/m].
     """
 
     gain: float
     time: float
     next: float
+    resistance: float
 
     def frequency(self, setting: Setting, spread: float) -> float:
         """At which the tuner goes round, while the loop is two integrators in a row [Hz].
@@ -184,7 +189,7 @@ def linear(zeta: float = ZETA * (1 - LOSS), omega: float = SPEED) -> Linear:
     system = np.vstack([[0.0, 0.0, 1.0], by_state / mass[:, None]])
     lasting = np.linalg.solve(-system, np.r_[0.0, by_zeta / mass])[0]
     slowest, following = np.sort(-np.linalg.eigvals(system).real)[:2]
-    return Linear(float(lasting), float(1 / slowest), float(1 / following))
+    return Linear(float(lasting), float(1 / slowest), float(1 / following), -float(by_state[1, 2]))
 
 
 # The whole loop -----------------------------------------------------------------------------------
@@ -194,6 +199,7 @@ def linear(zeta: float = ZETA * (1 - LOSS), omega: float = SPEED) -> Linear:
 WHOLE = (
     (0.01, 1e-4, 0.0, 2e-5),
     (0.012, 0.0, 0.0, 2e-5),
+    (0.011, 0.0, 0.0, 2e-5),
     (0.01, 0.0, 0.0, 2e-5),
     (0.005, 0.0, 0.0, 2e-5),
     (0.002, 0.0, 0.0, 2e-5),
@@ -311,7 +317,7 @@ def main() -> None:
     model = linear()
     print(
         f"\nbare rim made linear: {MM * model.gain:.1f} mm by zeta in {model.time:.2f} s, "
-        f"the next mode {MM * model.next:.0f} ms"
+        f"the next mode {MM * model.next:.0f} ms, resistance {model.resistance:.0f} N s/m"
     )
     columns = (
         *("tick, ms", "dead band, mm", "noise, mm", "strongest line, Hz", "median"),
@@ -359,11 +365,21 @@ def main() -> None:
     )
     show(
         "real grousers ahead of the simulated ones, dead band 0.1 mm",
-        ("ahead, deg", "tick, ms", "line", "in z, sim", "in z, real", "in zeta", "RMSE, mm"),
+        (
+            "apart, deg",
+            "tick, ms",
+            "dropped, mm",
+            "line",
+            "in z, sim",
+            "in z, real",
+            "in zeta",
+            "RMSE, mm",
+        ),
         [
             (
                 f"{np.degrees(setting.angle):g}",
                 f"{MM * setting.tick:g}",
+                f"{MM * setting.dropped:g}",
                 one.text,
                 f"{UM * one.sim:.0f} µm",
                 f"{UM * one.real:.0f} µm",
