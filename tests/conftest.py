@@ -19,6 +19,8 @@ os.environ |= {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "jax"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
     "MPLBACKEND": "agg",
+    # As `drft` and the workers of a cluster have it: sums of other threads round otherwise.
+    "OPENBLAS_NUM_THREADS": "1",
 }
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
