@@ -135,9 +135,15 @@ def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
         assert fit_on(client, logs, SETTINGS, store, report) == {}
         assert killed
         assert {log.digest for log in logs if log.digest in store} == {log.digest for log in logs}
-        # Not the last: its fit stalls on rough ground, where this process, whose compiler is set
-        # otherwise than a worker's, rounds its way to an error 6e-8 of itself away.
         check_same(decoded(store.result(logs[0].digest)), alone(logs[0].path))
+        # The last one's fit stalls on rough ground, where this process, whose compiler is set
+        # otherwise than a worker's, rounds its way to an error 6e-8 of itself away.
+        last, here = decoded(store.result(logs[-1].digest)), alone(logs[-1].path)
+        assert (last.status, last.steps) == (here.status, here.steps)
+        for name, value in here.runs[0].values.items():
+            assert last.run.values[name].value == pytest.approx(value.value, rel=SAME, abs=0)
+            assert last.run.values[name].error == pytest.approx(value.error, rel=1e-6, abs=0)
+        np.testing.assert_allclose(last.run.after, here.runs[0].after, rtol=0, atol=SAME)
 
 
 def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, logs, tmp_path):
