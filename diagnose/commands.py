@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from drftjax.effects.stage import AbstractEffect
     from identify.candidate import Candidate
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 EXAMPLES = """
 Examples:

@@ -14,15 +14,16 @@ if TYPE_CHECKING:
     from diagnose.evaluation import Evaluation
     from diagnose.tuned import Moves
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 SCHEMA = "drft-evaluation"
 EXAMPLES = """
 Examples:
 
+\b
   drft evaluate fresh/*.h5 --model out/diagnosis/model.toml
-
-  drft evaluate fresh/ --model out/diagnosis/model.toml --tuner --json out/evaluation.json
+  drft evaluate fresh/ --model out/diagnosis/model.toml --tuner \\
+      --json out/evaluation.json
 
 Each run is simulated freely from its start, by the reference model and by that with the effects
 of the model file, each with the zeta that meets the run's mean sinkage. All other numbers are the

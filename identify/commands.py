@@ -7,31 +7,27 @@ import typer
 
 from drftjax.errors import InputError
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 ZETAS = ("constant", "phases", "path")
 
 EXAMPLES = """
 Examples:
 
-  drft fit data/runs/*.h5 -o out/fit                zeta for each run, lambda shared
-
-  drft fit runs/*.h5 --share zeta -o out/fit        one zeta for all runs
-
+\b
+  drft fit data/runs/*.h5 -o out/fit           zeta for each run, lambda shared
+  drft fit runs/*.h5 --share zeta -o out/fit   one zeta for all runs
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
-
-  drft fit runs/*.h5 --zeta phases                  zeta of standing, speeding up, going, ...
-
-  drft fit runs/*.h5 --zeta path                    zeta(t), as smooth as the data ask for
-
+  drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
+  drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
+  drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
 
-  drft fit runs/*.h5 --parameters fit.toml          names, bounds and priors from a file:
-
+\b
       [[parameter]]
-      name = "zeta"                # one for each run; shared = true for all
+      name = "zeta"         # one for each run; shared = true for all
       bounds = [0.3, 2.0]
-      prior = [0.78, 0.1]          # mean and standard error believed before the runs
+      prior = [0.78, 0.1]   # mean and standard error believed before the runs
 
 The result is out/fit.json, out/fit.h5 and out/fit.png; `drft simulate --from out/fit.json --run
 NAME` simulates a fitted run again.

@@ -13,16 +13,17 @@ if TYPE_CHECKING:
 
     from identify.crosscheck import Comparison, CrossCheck, RunCheck, Setting
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 MM = 1e3
 MOST_SHOWN = 8
 EXAMPLES = """
 Examples:
 
+\b
   drft crosscheck data/runs/medium.h5
-
-  drft crosscheck runs/*.h5 --tick 0.005 --zeta-step 0.002 -o out/crosscheck
+  drft crosscheck runs/*.h5 --tick 0.005 --zeta-step 0.002 \\
+      -o out/crosscheck
 
 The result is out/crosscheck.json and out/crosscheck.png.
 """

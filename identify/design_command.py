@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from identify.design import Design, Option
     from identify.information import Knowledge
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 EXAMPLES = """
 Examples:
 
+\b
   drft design data/paper.toml --parameter lambda --max-speed 300 -o out/design
-
-  drft design --like run.h5 --nuisance zeta --nuisance rig.damping_x --loads 150 220
-
+  drft design --like run.h5 --nuisance zeta --nuisance rig.damping_x \\
+      --loads 150 220
   drft simulate out/design.toml -o out/design.h5
 
 The result is out/design.toml (the run to make), out/design.json and out/design.png.

@@ -7,7 +7,7 @@ import typer
 
 from drftjax.errors import InputError
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 EXAMPLES = """
 Examples:

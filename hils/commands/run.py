@@ -10,11 +10,12 @@ from drftjax.errors import InputError
 EXAMPLES = """
 Examples:
 
+\b
   drft hils run --port /dev/ttyUSB0 --profile data/paper.toml -o run.h5
-
-  drft hils run --port /tmp/rig --profile data/paper.toml -o run.h5 --no-ui --yes
-
-  drft hils run --port socket://192.168.1.7:4000 --profile data/paper.toml -o bed.h5 --repeat 10
+  drft hils run --port /tmp/rig --profile data/paper.toml -o run.h5 \\
+      --no-ui --yes
+  drft hils run --port socket://192.168.1.7:4000 --profile data/paper.toml \\
+      -o bed.h5 --repeat 10
 
 The profile is a set-up file: what you believe of wheel, sand and rig, and omega(t). Nothing moves
 before all is checked and zeroed. Ctrl-C ramps the wheel down, a second Ctrl-C is an emergency stop,
