@@ -1,6 +1,7 @@
 """Blind sets: seals, scores worked out by hand, and answers that never see a label."""
 
 import json
+import os
 import sys
 import types
 
@@ -8,7 +9,15 @@ import pytest
 from command_line import Drft
 
 from diagnose.blind import commands
-from diagnose.blind.answers import Answer, FreshAnswer, GapAnswer, answer_all, runs_of
+from diagnose.blind.answers import (
+    SCHEMA,
+    Answer,
+    FreshAnswer,
+    GapAnswer,
+    answer_all,
+    answer_sets,
+    runs_of,
+)
 from diagnose.blind.score import score
 from diagnose.blind.sealing import HASH, SEALED, open_labels, seal
 from diagnose.blind.share import Share
@@ -189,6 +198,34 @@ def test_answer_and_score_from_the_command_line(sets, blind, tmp_path, monkeypat
     assert found["kinds"]["none"]["false_alarms"]["hits"] == 0
     assert found["kinds"]["single, plain"]["missed"]["hits"] == 1
     assert found["wrong"] == [{"set": "set_2", "true": ["drawbar"], "answered": []}]
+
+
+def test_answers_already_in_the_file_are_kept(sets, blind, tmp_path, monkeypatch, capsys):
+    run = _app(monkeypatch, capsys)
+    kept = {"verdict": ["drawbar"], "weights": {"drawbar": 1.0}, "notes": ["by another program"]}
+    (tmp_path / "answers.json").write_text(
+        json.dumps({"schema": SCHEMA, "schema_version": 1, "answers": {"set_1": kept}})
+    )
+    run("answer", sets, "-o", tmp_path / "answers.json", "--resume")
+    answers = json.loads((tmp_path / "answers.json").read_text())["answers"]
+    assert answers["set_1"] == kept
+    assert answers["set_2"]["verdict"] == ["none"]
+    assert len(blind) == 1
+
+
+def _dies(runs):
+    if runs == ["die"]:
+        os._exit(1)
+    return {"verdict": runs}
+
+
+def test_processes_are_replaced_and_one_that_dies_spoils_no_more_than_its_own_sets(monkeypatch):
+    monkeypatch.setattr("diagnose.blind.answers.answer_one", _dies)
+    sets = {f"set_{each:02}": [f"run_{each}"] for each in range(9)} | {"set_99": ["die"]}
+    found = dict(answer_sets(sets, 2))
+    assert set(found) == set(sets)
+    assert all(found[f"set_{each:02}"] == {"verdict": [f"run_{each}"]} for each in range(8))
+    assert "died" in found["set_99"]
 
 
 def test_refusals_are_one_sentence(sets, tmp_path, monkeypatch, capsys):

@@ -1,10 +1,14 @@
 """Answers to blind sets: what a diagnosis says of each from its runs alone. Never opens a label."""
 
 import json
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from multiprocessing import get_context
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 import msgspec
 
@@ -13,6 +17,8 @@ from drftjax.runlog.replace import replace_file
 from drftjax.structfile import read_document, to_structure
 
 SCHEMA = "drft-blind-answers"
+# A process is replaced after so many sets: the programs compiled for them keep gigabytes.
+SETS_A_PROCESS = 4
 
 
 class GapAnswer(msgspec.Struct):
@@ -84,6 +90,16 @@ def read_answers(path: Path) -> dict[str, Answer]:
     return to_structure(document, Answers, path).answers
 
 
+def answers_in(path: Path) -> dict[str, dict]:
+    """Answers by set as they are written, with all that `Answer` leaves out.
+
+    Raises:
+        InputError: as `read_answers`.
+    """
+    read_answers(path)
+    return dict(read_document(path)["answers"])
+
+
 def write_answers(path: Path, answers: dict[str, dict]) -> None:
     """Write answers by set as a file."""
     document = {"schema": SCHEMA, "schema_version": 1, "answers": dict(sorted(answers.items()))}
@@ -122,18 +138,72 @@ def answer_all(folder: Path, jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
 
     Args:
         folder: The sets.
-        jobs: Processes to find them in.
+        jobs: Processes to find them in, each with its share of the cores.
     """
-    sets = runs_of(folder)
-    if jobs == 1:
+    yield from answer_sets(runs_of(folder), jobs)
+
+
+def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
+    """As `answer_all`, for the runs of sets by name."""
+    if jobs == 1 and len(sets) <= SETS_A_PROCESS:
         for name, runs in sets.items():
             yield name, answer_one(runs)
         return
+    waiting, found = SimpleQueue(), SimpleQueue()
+    names = list(sets)
+    for first in range(0, len(names), SETS_A_PROCESS):
+        waiting.put(names[first : first + SETS_A_PROCESS])
+    with ThreadPoolExecutor(jobs) as pool:
+        workers = [pool.submit(_work, waiting, found, sets, cores) for cores in _shares(jobs)]
+        try:
+            for _ in sets:
+                answered = found.get()
+                if answered is None:
+                    break
+                yield answered
+        finally:
+            while not waiting.empty():
+                waiting.get()
+        for worker in workers:
+            worker.result()
+
+
+def _work(
+    waiting: SimpleQueue, found: SimpleQueue, sets: Mapping[str, list[Path]], cores: set[int]
+) -> None:
+    """Answer some sets after others, each time in a fresh process; None is put on any error."""
+    try:
+        while not waiting.empty():
+            with suppress(Empty):
+                for answered in _answer_some(waiting.get_nowait(), sets, cores):
+                    found.put(answered)
+    except BaseException:
+        found.put(None)
+        raise
+
+
+def _answer_some(
+    names: list[str], sets: Mapping[str, list[Path]], cores: set[int]
+) -> Iterator[tuple[str, dict | str]]:
     # A fresh process, as JAX's threads do not live through a fork.
-    with ProcessPoolExecutor(jobs, get_context("spawn"), configure) as pool:
-        waiting = {pool.submit(answer_one, runs): name for name, runs in sets.items()}
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
+    with ProcessPoolExecutor(1, get_context("spawn"), _configure_on, (cores,)) as process:
+        answers = [(name, process.submit(answer_one, sets[name])) for name in names]
+        for name, answer in answers:
+            try:
+                yield name, answer.result()
+            except BrokenProcessPool:
+                yield name, "the process at work on it or on one before it died; memory is short?"
+
+
+def _shares(jobs: int) -> list[set[int]]:
+    """The cores of each process: all of them shared out, or one by turns where there are fewer."""
+    cores = sorted(os.sched_getaffinity(0))
+    return [set(cores[job::jobs]) or {cores[job % len(cores)]} for job in range(jobs)]
+
+
+def _configure_on(cores: set[int]) -> None:
+    os.sched_setaffinity(0, cores)
+    configure()
 
 
 def configure() -> None:

@@ -58,7 +58,8 @@ Example:
 
   drft blind answer out/blind -o out/answers.json --jobs 2
 
-Labels are not looked at: the command works as well where there are none.
+Each answer is written as it is found; with --resume, the file's own are kept and the other sets
+answered. Labels are not looked at: the command works as well where there are none.
 """
 
 
@@ -67,33 +68,37 @@ def answer(
     folder: Annotated[Path, typer.Argument(help="A folder of sets.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Write the answers here (JSON).")],
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep the answers that the file has.")
+    ] = False,
 ) -> None:
     """Diagnose every set of a folder from its runs alone."""
     from rich.progress import Progress
 
-    from diagnose.blind.answers import answer_all, configure, runs_of, write_answers
+    from diagnose.blind.answers import answer_sets, answers_in, configure, runs_of, write_answers
     from drftjax.runlog.content import printable
     from drftjax.runlog.replace import make_folder
 
     if output.suffix.lower() != ".json":
         raise InputError(f"{output}: a file of answers must end in .json")
+    answers = answers_in(output) if resume and output.exists() else {}
+    open_sets = {name: runs for name, runs in runs_of(folder).items() if name not in answers}
     configure()
-    answers: dict[str, dict] = {}
+    make_folder(output.parent)
     failures: dict[str, str] = {}
     with Progress(transient=True) as bar:
-        task = bar.add_task("answering", total=len(runs_of(folder)))
-        for name, found in answer_all(folder, jobs):
+        task = bar.add_task("answering", total=len(open_sets))
+        for name, found in answer_sets(open_sets, jobs):
             if isinstance(found, str):
                 failures[name] = found
             else:
                 answers[name] = found
+                write_answers(output, answers)
             bar.advance(task)
     for name, why in sorted(failures.items()):
         typer.echo(f"no answer to {printable(name)}: {printable(why)}")
     if not answers:
         raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
-    make_folder(output.parent)
-    write_answers(output, answers)
     typer.echo(f"{len(answers)} answers written to {output}")
 
 
