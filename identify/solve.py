@@ -87,7 +87,7 @@ def solve(
         task = problem, problem.everywhere(jnp.asarray(moving))
         return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
 
-    coordinates, status, number = start, "out of steps", 0
+    coordinates, ahead, status, number = start, None, "out of steps", 0
     task, state, loss, each, refused = begun()
     shortened = False
     for number in range(1, MOST_STEPS + 1):
@@ -101,13 +101,15 @@ def solve(
                 break
             if not shortened and _gain(each_now, np.asarray(each_next), counted) <= least_gain:
                 # So short a step is taken on the straight line's word.
-                coordinates, status = state.y_eval, "converged"
+                ahead, status = state.y_eval, "converged"
                 break
             loss, each, refused = now, each_now, 0
             continue
         # From here on steps are damped, and promise little because they are short.
         shortened = True
-        sound, each_tried = map(np.asarray, _tried(task, coordinates, tried))
+        sound, each_tried = map(np.asarray, _tried(task, tried))
+        if not all(np.isfinite(part).all() for part in state.y_eval):
+            sound = sound & np.asarray(_differentiated(task, coordinates))
         strikes = np.where(moving & ~sound, strikes + 1, 0)
         if strikes.any():
             if strikes.max() < MOST_STRIKES:
@@ -129,8 +131,13 @@ def solve(
             break
         task, state, loss, each, refused = begun()
         shortened = False
-    task = problem, problem.everywhere(jnp.asarray(active))
-    residual, blocks, belief, belief_slope = map(np.asarray, _ending(task, coordinates))
+    if (active != moving).any() or not np.isfinite(loss):
+        # The solver has not been where it stands with all these runs.
+        task = problem, problem.everywhere(jnp.asarray(active))
+        state = _step(task, coordinates, _initial(task, coordinates))[1]
+    ends = _ending(coordinates, ahead or coordinates, state)
+    residual, blocks, belief, belief_slope = map(np.asarray, ends)
+    coordinates = ahead or coordinates
     information, slope = normal_equations(blocks, len(problem.shared), residual)
     information += np.diag(belief_slope**2)
     slope += belief_slope * belief
@@ -208,35 +215,42 @@ def _step(task: Task, coordinates: Coordinates, state):
 
 
 @eqx.filter_jit
-def _tried(
-    task: Task, coordinates: Coordinates, tried: Coordinates
-) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
-    """Which runs can be simulated at `tried` and differentiated where the solver stands.
-
-    Also each run's sum of squares at `tried`.
-    """
-
-    def finite(values: Array) -> Bool[Array, " runs"]:
-        return jnp.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-
-    problem, _ = task
-    residual = problem.residual(*tried)
-    sound = finite(residual) & finite(problem.blocks(*coordinates)[1])
-    return sound, jnp.sum(residual**2, axis=(1, 2))
+def _tried(task: Task, tried: Coordinates) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
+    """Which runs can be simulated at `tried`, and each run's sum of squares there."""
+    residual = task[0].residual(*tried)
+    return _finite(residual), jnp.sum(residual**2, axis=(1, 2))
 
 
 @eqx.filter_jit
-def _ending(task: Task, coordinates: Coordinates):
-    problem, active = task
+def _differentiated(task: Task, coordinates: Coordinates) -> Bool[Array, " runs"]:
+    """Which runs can be differentiated where the solver stands."""
+    return _finite(task[0].blocks(*coordinates)[1])
 
-    def beliefs(coordinates: Coordinates) -> Array:
-        shared, own = problem.beliefs(*coordinates)
-        return jnp.concatenate([shared, own.ravel()])
 
-    ones = jax.tree.map(jnp.ones_like, coordinates)
+def _finite(values: Array) -> Bool[Array, " runs"]:
+    return jnp.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+
+
+@eqx.filter_jit
+def _ending(coordinates: Coordinates, ahead: Coordinates, state):
+    """Residuals and derivatives where the solver stands, on a straight line to `ahead`.
+
+    What the solver has is taken: nothing is simulated.
+    """
+    info = state.f_info
+    shared, own = coordinates
+    runs, number = own.shape
+    units = [
+        *((unit, jnp.zeros_like(own)) for unit in jnp.eye(len(shared))),
+        *((jnp.zeros_like(shared), jnp.tile(unit, (runs, 1))) for unit in jnp.eye(number)),
+    ]
+    blocks = jnp.stack([info.jac.mv(unit)[0] for unit in units], axis=-1)
+    step = jax.tree.map(jnp.subtract, ahead, coordinates)
+    residual, *beliefs = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
     # Each belief bears on one coordinate, so a single sweep gives every slope.
-    ends = (_counted(active, part) for part in problem.blocks(*coordinates))
-    return *ends, *jax.jvp(beliefs, (coordinates,), (ones,))
+    _, *slopes = info.jac.mv(jax.tree.map(jnp.ones_like, coordinates))
+    flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (beliefs, slopes)]
+    return residual, blocks, *flat
 
 
 def _counted(active: Bool[Array, " runs"], values: Array) -> Array:
