@@ -35,6 +35,8 @@ LABELS = {
     "set_4": told(["unknown"], 5.0),
     "set_5": told(["speed_lag", "cohesion"], 5.0),
     "set_6": told(["eccentricity"], 3.0),
+    "set_7": told(["drawbar", "backlash"], 9.0)
+    | {"mechanisms": [{"floors": 8.0}, {"floors": 1.0}]},
 }
 ANSWERS = {
     "set_1": Answer(
@@ -55,21 +57,27 @@ ANSWERS = {
     "set_4": Answer(["unknown"], {"unknown": 0.99}),
     "set_5": Answer(["speed_lag", "backlash"], {"speed_lag": 0.5}),
     "set_6": Answer(["none"], {"none": 0.9}),
+    "set_7": Answer(["drawbar"], {"drawbar": 0.9, "none": 0.1}),
 }
 
 
 def test_score_counts_what_a_hand_counts():
     kinds = score(LABELS, ANSWERS)["kinds"]
-    plain, faint, pair = (kinds[each] for each in ("single, plain", "single, faint", "pair"))
+    assert list(kinds) == [
+        *("single, plain", "single, faint", "pair, plain", "pair, faint", "unknown, plain", "none")
+    ]
+    plain, faint, pair = (kinds[each] for each in ("single, plain", "single, faint", "pair, plain"))
     assert (plain["sets"], plain["first"]["hits"], plain["missed"]["hits"]) == (2, 1, 1)
     assert plain["mean_group_size"] == 1.5
-    assert plain["confidently_wrong"]["share"] == 0.5  # 0.9 on nothing, where there was something
+    assert plain["confidently_wrong"]["share"] == 0  # 0.9 on nothing is a miss, and no wrong effect
     assert (faint["first"]["hits"], faint["in_group"]["hits"]) == (0, 1)
     assert (faint["mean_group_size"], faint["confidently_wrong"]["hits"]) == (3, 1)
     assert kinds["none"]["false_alarms"]["share"] == 1
-    assert kinds["unknown"]["recognised"]["share"] == 1
+    assert kinds["unknown, plain"]["recognised"]["share"] == 1
     assert (pair["both"]["hits"], pair["at_least_one"]["hits"], pair["first"]["hits"]) == (0, 1, 1)
     assert pair["in_group"]["hits"] == 0
+    weak = kinds["pair, faint"]
+    assert (weak["sets"], weak["both"]["hits"], weak["at_least_one"]["hits"]) == (1, 0, 1)
 
 
 def test_score_of_the_truth_has_no_fault():
@@ -91,17 +99,28 @@ def test_confusions_and_calibration():
     assert found["confusion"]["none"] == {"drawbar": 1}
     assert found["confusion"]["cohesion + speed_lag"] == {"backlash + speed_lag": 1}
     bins = {row["from"]: row["right"] for row in found["calibration"]}
-    assert (bins[0.9]["hits"], bins[0.9]["of"]) == (2, 3)
+    assert (bins[0.9]["hits"], bins[0.9]["of"]) == (3, 4)
     assert (bins[0.8]["hits"], bins[0.8]["of"]) == (0, 1)
     assert (bins[0.5]["hits"], bins[0.5]["of"]) == (1, 1)
-    assert (bins[0.1]["hits"], bins[0.1]["of"]) == (1, 1)
+    assert (bins[0.1]["hits"], bins[0.1]["of"]) == (1, 2)
     assert bins[0.2]["of"] == 0
+    apart = {row["from"]: row["right"] for row in found["calibration_without_faint"]}
+    assert (apart[0.9]["hits"], apart[0.9]["of"]) == (2, 3)
+    assert apart[0.8]["of"] == 0  # set_2 is faint
 
 
 def test_shrinkage_is_held_against_the_promise():
     found = score(LABELS, ANSWERS)["shrinkage"]["x"]
-    assert [each["realised"] for each in found["sets"]] == pytest.approx([0.8, 0.5])
+    # Of 1 and 2 mm, 0.92 and 1.92 lie above the floor, and 0.8 and 1 mm went.
+    realised = [each["realised"] for each in found["sets"]]
+    assert realised == pytest.approx([0.8 / 0.92, 1.0 / 1.92])
     assert (found["kept"]["hits"], found["in_interval"]["hits"]) == (1, 1)
+
+
+def test_nothing_is_promised_of_a_gap_at_its_floor():
+    faint = Answer(["drawbar"], {}, [], {"x": GapAnswer(0.1, 0.1, 0.08, 0.0, (0.0, 0.0))})
+    faint.fresh = {"x": FreshAnswer(0.2, 0.1)}
+    assert score({"set_1": LABELS["set_1"]}, {"set_1": faint})["shrinkage"] == {}
 
 
 def test_interval_of_a_share():

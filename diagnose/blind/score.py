@@ -4,18 +4,21 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from diagnose.blind.answers import Answer
+from diagnose.blind.answers import Answer, FreshAnswer
 from diagnose.blind.share import Share
 
 NONE, UNKNOWN = "none", "unknown"
-# A single effect that shows by fewer floors than this is faint.
+# What shows by fewer floors than this is faint; of a pair, the weaker one counts.
 FAINT_FLOORS = 3.0
 CONFIDENT = 0.8
 BINS = 10
 # A promise is kept where the realised shrinkage lies within ten points of it.
 PROMISE = 0.10
 
-KINDS = ("single", "single, plain", "single, faint", "none", "unknown", "pair")
+SINGLE, PAIR = "single", "pair"
+PLAIN, FAINT = "plain", "faint"
+# A gap that is less than half its floor over it cannot be said to shrink; no promise is made of it.
+PROMISED_FLOORS = 1.5
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Case:
     Attributes:
         name: The set.
         true: Effects that it has; "unknown" for one outside the catalogue.
-        floors: How much they show, where labels say it.
+        floors: How much they show, where labels say it; of several, the weakest.
         answer: What was answered.
     """
 
@@ -36,16 +39,18 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """One of `KINDS`; a single effect of unstated strength is just "single"."""
+        """Single, pair, unknown or none, and how plainly it shows where that is stated."""
         if not self.true:
             return NONE
-        if UNKNOWN in self.true:
-            return UNKNOWN
-        if len(self.true) > 1:
-            return "pair"
+        kind = UNKNOWN if UNKNOWN in self.true else SINGLE if len(self.true) == 1 else PAIR
         if self.floors is None:
-            return "single"
-        return "single, plain" if self.floors >= FAINT_FLOORS else "single, faint"
+            return kind
+        return f"{kind}, {PLAIN if self.floors >= FAINT_FLOORS else FAINT}"
+
+    @property
+    def tellable(self) -> bool:
+        """Whether a gap, or that there is none, can be told from these runs."""
+        return not self.kind.endswith(FAINT)
 
     @property
     def right_names(self) -> frozenset[str]:
@@ -84,8 +89,9 @@ class Case:
 
     @property
     def confidently_wrong(self) -> bool:
+        """Whether an effect that the rig does not have is all but certain."""
         return any(
-            weight > CONFIDENT and not self.holds(name)
+            weight > CONFIDENT and name not in (NONE, UNKNOWN) and not self.holds(name)
             for name, weight in self.answer.weights.items()
         )
 
@@ -93,10 +99,15 @@ class Case:
 def cases(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> list[Case]:
     """Labels beside their answers, for every set that has both."""
     return [
-        Case(name, tuple(label["effects"]), label.get("floors"), answers[name])
+        Case(name, tuple(label["effects"]), _floors(label), answers[name])
         for name, label in sorted(labels.items())
         if name in answers
     ]
+
+
+def _floors(label: dict) -> float | None:
+    apart = [each["floors"] for each in label.get("mechanisms", ())]
+    return min(apart) if apart else label.get("floors")
 
 
 def _share(over: Iterable[Case], of: Callable[[Case], bool]) -> dict:
@@ -104,13 +115,15 @@ def _share(over: Iterable[Case], of: Callable[[Case], bool]) -> dict:
     return Share(sum(held), len(held)).document()
 
 
+def _order(kind: str) -> tuple[int, bool]:
+    return (SINGLE, PAIR, UNKNOWN, NONE).index(kind.split(",")[0]), kind.endswith(FAINT)
+
+
 def by_kind(given: list[Case]) -> dict[str, dict]:
     """Counts and shares for each kind of set that there is."""
     table = {}
-    for kind in KINDS:
+    for kind in sorted({case.kind for case in given}, key=_order):
         these = [case for case in given if case.kind == kind]
-        if not these:
-            continue
         row: dict = {
             "sets": len(these),
             "first": _share(these, lambda case: case.is_first),
@@ -120,12 +133,12 @@ def by_kind(given: list[Case]) -> dict[str, dict]:
         }
         if kind == NONE:
             row["false_alarms"] = _share(these, lambda case: bool(case.answer.named()))
-        elif kind == UNKNOWN:
+        elif kind.startswith(UNKNOWN):
             row["recognised"] = _share(these, lambda case: case.first == UNKNOWN)
         else:
             row["missed"] = _share(these, lambda case: not case.answer.named())
             row["called_unknown"] = _share(these, lambda case: case.first == UNKNOWN)
-        if kind == "pair":
+        if kind.startswith(PAIR):
             row["both"] = _share(these, lambda case: case.all_named)
             row["at_least_one"] = _share(
                 these, lambda case: bool(case.right_names & set(case.answer.named()))
@@ -163,15 +176,18 @@ def calibration(given: list[Case]) -> list[dict]:
 
 
 def shrinkage(given: list[Case]) -> dict[str, dict]:
-    """Promised against realised shrinkage of the misfit on fresh runs, by channel."""
+    """Promised against realised shrinkage of the misfit on fresh runs, by channel.
+
+    Both are shares of what lies above the promise's noise floor.
+    """
     found: dict[str, list[dict]] = defaultdict(list)
     for case in given:
         for channel, fresh in case.answer.fresh.items():
             promise = case.answer.gap.get(channel)
-            if promise is None or fresh.before_mm <= 0:
+            if promise is None or promise.before_mm <= PROMISED_FLOORS * promise.floor_mm:
                 continue
             low, high = promise.shrinkage_interval
-            realised = 1 - fresh.after_mm / fresh.before_mm
+            realised = _realised(fresh, promise.floor_mm)
             found[channel].append(
                 {
                     "set": case.name,
@@ -191,6 +207,13 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
     }
 
 
+def _realised(fresh: FreshAnswer, floor: float) -> float:
+    reachable = fresh.before_mm - floor
+    if reachable <= 0:
+        return 0.0
+    return max(-1.0, (fresh.before_mm - max(fresh.after_mm, floor)) / reachable)
+
+
 def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
     """Everything there is to say of answers, as plain values."""
     given = cases(labels, answers)
@@ -202,6 +225,7 @@ def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
         "kinds": by_kind(given),
         "confusion": confusion(given),
         "calibration": calibration(given),
+        "calibration_without_faint": calibration([case for case in given if case.tellable]),
         "shrinkage": shrinkage(given),
         "wrong": [
             {"set": case.name, "true": list(case.true), "answered": case.answer.named()}

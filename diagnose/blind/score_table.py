@@ -15,7 +15,8 @@ def tables(score: dict) -> Iterator[Table]:
     """The tables of a score: kinds, confusions, calibration, and shrinkage where it is known."""
     yield _kinds(score)
     yield _confusions(score)
-    yield _calibration(score)
+    yield _calibration(score["calibration"], "calibration of the weights")
+    yield _calibration(score["calibration_without_faint"], "the same without faint sets")
     if score["shrinkage"]:
         yield _shrinkage(score)
 
@@ -55,11 +56,11 @@ def _confusions(score: dict) -> Table:
     return table
 
 
-def _calibration(score: dict) -> Table:
-    table = Table(title="calibration of the weights")
+def _calibration(rows: list[dict], title: str) -> Table:
+    table = Table(title=title)
     for heading in ("weight", "mean", "number", "right"):
         table.add_column(heading, justify="right")
-    for row in score["calibration"]:
+    for row in rows:
         mean = "-" if row["mean_weight"] is None else f"{row['mean_weight']:.2f}"
         number = str(row["right"]["of"])
         table.add_row(f"{row['from']:.1f}-{row['to']:.1f}", mean, number, _text(row["right"]))
