@@ -6,6 +6,9 @@
 
 The rig at the other end has no physics and plays the paper's trajectory, in a process of its own
 with the same scheduling: a real one would not share these cores. The recorder records.
+
+With --bare, each run is followed by a loop of the same period that only sleeps and spins for the
+run's median work: what it misses, the machine misses.
 """
 
 import argparse
@@ -72,6 +75,7 @@ def main() -> None:
     options.add_argument("--fifo", action="store_true")
     options.add_argument("--busy", action="store_true")
     options.add_argument("--pty", action="store_true")
+    options.add_argument("--bare", action="store_true")
     given = options.parse_args()
     configure_jax()
     from hils.realtime import answer_at_once
@@ -100,7 +104,7 @@ def main() -> None:
         trajectory = Path(folder) / "trajectory.npy"
         np.save(trajectory, [truth.measured.time, truth.measured.z, truth.measured.x])
         print(
-            "run  missed  skipped  work  and  woken late: p50, p99.9, most [ms]  a tick old at most"
+            " run  missed  skipped  work and woken late: p50, p99.9, most [ms]  a tick old at most"
         )
         for number in range(given.runs):
             with busy(cores if given.busy else 0):
@@ -153,7 +157,7 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
         procedure = Procedure(loop=loop, countdown=1.0)
         report = run(procedure, link, clock, recorder, Unattended(True), StopRequest(), timed)
     if report.loop is None:
-        print(f"{number:3d}  {report.reason}")
+        print(f"{number:4d}  {report.reason}")
         return
     from drftjax.runlog.hdf5 import read_run
 
@@ -162,10 +166,23 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
     fresh = float((online.age[5:] <= given.tick).mean())
     loop = report.loop
     print(
-        f"{number:3d}  {loop.overruns:6d}  {loop.skipped:7d}  "
+        f"{number:4d}  {loop.overruns:6d}  {loop.skipped:7d}  "
         f"{_figures(loop.busy)}  {_figures(loop.woken)}  {fresh:.2%}  {report.reason}",
         flush=True,
     )
+    if given.bare:
+        bare(given, float(np.median(loop.busy)))
+
+
+def bare(given: argparse.Namespace, work: float) -> None:
+    """The same with nothing but the machine."""
+    numbers = [str(each) for each in (given.tick, given.seconds, work)]
+    command = [sys.executable, "-m", "tests.benchmarks.bare_loop", *numbers]
+    if given.fifo:
+        command.append("--fifo")
+    found = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    missed, figures = found.strip().split("  ", 1)
+    print(f"bare  {missed:>6}  {'':7}  {figures}", flush=True)
 
 
 def _figures(seconds: np.ndarray) -> str:
