@@ -141,7 +141,7 @@ def diagnose(
     leading = [*found.singles[:JUDGED_SINGLES], *found.pairs[:JUDGED_PAIRS]]
     unseen = {each.names: predicted_unseen(found.bench, each) for each in leading}
     share = _weights(found, leading, unseen)
-    verdict, groups = _verdict(share)
+    verdict, groups = verdict_of(share)
     chosen = _chosen(found, leading, share, verdict)
     before = found.none.residual
     after = unseen.get(chosen.names, chosen.residual)
@@ -184,10 +184,12 @@ def _weights(
     unseen: Mapping[tuple[str, ...], list[np.ndarray]],
 ) -> dict[tuple[str, ...], float]:
     products = found.bench.products
-    judged = [Judged((), found.none.line.left, found.none.line.scatter, 0)]
+    none = found.none.line
+    judged = [Judged((), none.left, none.left, none.scatter, 0)]
     for each in leading:
         left, _ = left_of(found.bench, unseen[each.names])
-        judged.append(Judged(each.names, left, each.line.scatter, len(each.coordinates)))
+        line = each.line
+        judged.append(Judged(each.names, left, line.left, line.scatter, len(each.coordinates)))
     total = products.number.sum(axis=0)
     runs = len(products.log_zeta)
     return weights(judged, products.blocks, total, found.bench.noise, runs)
@@ -202,26 +204,34 @@ def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     return dict(sorted(total.items(), key=lambda each: -each[1]))
 
 
-def _verdict(
+def verdict_of(
     share: Mapping[tuple[str, ...], float],
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The likeliest explanation, and the groups that cannot be told apart from it."""
+    """The likeliest explanation, and the groups that cannot be told apart from it.
+
+    Effects that share their weight speak together against none and unknown.
+    """
     ranked = sorted(share.items(), key=lambda each: -each[1])
+    effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
+    together = sum(weight for _, weight in effects)
     verdict = ranked[0][0]
-    named, total = [], 0.0
+    if effects and together >= max(share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)):
+        verdict, ranked = effects[0][0], effects
+    whole = sum(weight for _, weight in ranked)
+    kept, total = [], 0.0
     for names, weight in ranked:
-        if named and (total >= GROUPED or weight < NAMED):
+        if kept and (total >= GROUPED * whole or weight < NAMED):
             break
-        named.append(names)
+        kept.append(names)
         total += weight
     groups: list[list[str]] = []
     for place, first in enumerate(verdict):
         group = [first]
-        for names in named[1:]:
+        for names in kept[1:]:
             others = [n for n in names if n not in verdict]
             if len(names) == len(verdict) and place < len(names):
-                kept = set(names) & set(verdict)
-                if len(verdict) == 1 or (len(kept) == 1 and first not in kept):
+                same = set(names) & set(verdict)
+                if len(verdict) == 1 or (len(same) == 1 and first not in same):
                     group += [n for n in others if n not in group]
         groups.append(group)
     return verdict, groups

@@ -74,8 +74,10 @@ class HeightError(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return ()
 
-    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
-        return jnp.full_like(x, self.error)
+    def height(
+        self, axle: Number, ahead: Float[Array, " plates"], memory: Memory
+    ) -> Float[Array, " plates"]:
+        return jnp.full_like(ahead, self.error)
 
 
 # The inputs of a linearised run, in order.

@@ -1,12 +1,15 @@
 """Weights over effects, pairs of them, none and unknown.
 
-A hypothesis is judged by what it leaves on runs it was not fitted to, block by block, each block
-with a variance of its own: half its worth times the logarithm of what is left, on top of a model's
-own error. `unknown` stands for a model that nobody has written: it is taken to leave a small share
-of what the reference model leaves, so that a listed effect must explain nearly all of a gap to be
-believed. The numbers in `Scale` were set by hand, near those that gave the truth most weight on the
-first sets of our own generator (`drft blind make`), and are no part of any single case. Of `form`
-those sets say little between 0.005 and 0.1; a share that pardons a second effect is too large.
+A hypothesis is judged by what it leaves on runs it was not fitted to and on those it was, block by
+block, each block with a variance of its own: half its worth times the logarithm of what is left, on
+top of a model's own error. Prediction alone would condemn a right effect where the one run that
+shows it best is the one left out, as what the others know of its numbers is then far from certain;
+the fit alone would reward what bends to every run. `unknown` stands for a model that nobody has
+written: it is taken to leave a small share of what the reference model leaves, so that a listed
+effect must explain nearly all of a gap to be believed. The numbers in `Scale` were set by hand,
+near those that gave the truth most weight on the first sets of our own generator (`drft blind
+make`), and are no part of any single case. Of `form` those sets say little between 0.005 and 0.1; a
+share that pardons a second effect is too large.
 """
 
 from collections.abc import Sequence
@@ -29,6 +32,7 @@ class Scale:
         floor: What a model's own error is taken for, over `FLOOR`.
         form: Share of the reference model's residual (in amplitude) that a right effect may leave
             because no rig follows a formula exactly.
+        unseen: Share of the evidence that prediction of runs left out has; the fit has the rest.
         number: Cost of each free number.
         reached: Share of the reference model's residual (in amplitude) that `unknown` leaves.
         none, unknown, pair: Logarithms of what is believed before any run, over a single effect.
@@ -39,6 +43,7 @@ class Scale:
     zeta: float = 0.6
     floor: float = 1.0
     form: float = 0.01
+    unseen: float = 0.5
     number: float = 1.0
     reached: float = 0.12
     none: float = 2.0
@@ -56,12 +61,14 @@ class Judged:
     Attributes:
         names: Its effects; none for the reference model.
         left: Mean square left in each block on runs it was not fitted to.
+        fitted: The same on the runs it was fitted to.
         scatter: Mean square of log zeta about its mean.
         numbers: How many numbers it has free.
     """
 
     names: tuple[str, ...]
     left: np.ndarray
+    fitted: np.ndarray
     scatter: float
     numbers: int
 
@@ -97,7 +104,9 @@ def log_weights(
     found = []
     for each in judged:
         before = {0: scale.none, 1: 0.0}.get(len(each.names), scale.pair)
-        found.append(evidence(each.left, each.scatter) - scale.number * each.numbers + before)
+        predicted, fitted = (evidence(left, each.scatter) for left in (each.left, each.fitted))
+        told = scale.unseen * predicted + (1 - scale.unseen) * fitted
+        found.append(told - scale.number * each.numbers + before)
     left = judged[0].left - (1 - scale.reached**2) * beyond
     unwritten = evidence(left, judged[0].scatter)
     return np.array(found), unwritten + scale.unknown - scale.number * 3

@@ -198,7 +198,7 @@ class Simulator(eqx.Module):
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
         motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
-        motion = chain.on_surface(self.effects, memory, motion, position[0] + plates.x)
+        motion = chain.on_surface(self.effects, memory, motion, position[0], plates.x)
         stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
         factor = chain.stress_factor(self.effects, motion)
         return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)

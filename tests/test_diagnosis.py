@@ -7,7 +7,7 @@ import pytest
 
 from diagnose.bench import Bench
 from diagnose.case import Case, baseline, threads
-from diagnose.diagnosis import diagnose
+from diagnose.diagnosis import diagnose, verdict_of
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import conditions, predicted_unseen
@@ -170,7 +170,22 @@ def test_weights_follow_what_is_left():
     scale = dataclasses.replace(
         Scale(), none=0.0, number=0.0, floor=0.0, form=0.0, slow=2.0, unknown=-50.0
     )
-    judged = [Judged((), np.array([4e-8]), 0.0, 0), Judged(("drawbar",), np.array([1e-8]), 0.0, 1)]
-    found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
+
+    def ratio(unseen: float, fitted: float) -> float:
+        gap = np.array([4e-8])
+        drawbar = Judged(("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1)
+        judged = [Judged((), gap, gap, 0.0, 0), drawbar]
+        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
+        return found[("drawbar",)] / found[("none",)]
+
     # Half of a worth of 2 by the logarithm of a quarter: four to one.
-    assert found[("drawbar",)] / found[("none",)] == pytest.approx(4.0, rel=1e-9)
+    assert ratio(1e-8, 1e-8) == pytest.approx(4.0, rel=1e-9)
+    # Fitted to a quarter, predicted no better than nothing: the geometric mean of four and one.
+    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - scale.unseen), rel=1e-9)
+
+
+def test_effects_that_share_their_weight_speak_together():
+    share = {("none",): 0.02, ("unknown",): 0.4, ("drawbar",): 0.3, ("bulldozing",): 0.28}
+    assert verdict_of(share) == (("drawbar",), [["drawbar", "bulldozing"]])
+    assert verdict_of(share | {("unknown",): 0.6})[0] == ("unknown",)
+    assert verdict_of({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])

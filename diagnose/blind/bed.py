@@ -73,13 +73,13 @@ class Still(AbstractSurface):
 
 
 class SurfaceProfile(Still):
-    """Heights along a curve."""
+    """Heights along a curve, each plate over its own."""
 
     amplitude: Number = number()
     curve: Curve = eqx.field(default_factory=flat)
 
-    def height(self, x: Each, memory: Memory) -> Each:
-        return self.amplitude * self.curve(x)
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        return self.amplitude * self.curve(axle + ahead)
 
 
 class SurfaceSlope(Still):
@@ -88,7 +88,8 @@ class SurfaceSlope(Still):
     slope: Number = number()
     bend: Number = number()
 
-    def height(self, x: Each, memory: Memory) -> Each:
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        x = axle + ahead
         return self.slope * x * (1 + self.bend * x / 2)
 
 
@@ -105,9 +106,9 @@ class Excavation(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return memory + moment.dt * jnp.abs(moment.rim_slip())
 
-    def height(self, x: Each, memory: Memory) -> Each:
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         dug = ((1 + memory / self.length) ** self.power - 1) / self.power
-        return jnp.full_like(x, -1) * self.rate * self.length * dug
+        return jnp.full_like(ahead, -1) * self.rate * self.length * dug
 
 
 GROUND = (SurfaceProfile, SurfaceSlope, Excavation)

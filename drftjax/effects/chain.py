@@ -94,13 +94,17 @@ def place(effects: Effects, plates: Plates, angle: Number) -> Plates:
 
 
 def on_surface(
-    effects: Effects, memories: Memories, motion: PlateMotion, x: Float[Array, " plates"]
+    effects: Effects,
+    memories: Memories,
+    motion: PlateMotion,
+    axle: Number,
+    ahead: Float[Array, " plates"],
 ) -> PlateMotion:
-    """The plates' motion with depths from the true surface; `x` are their places [m]."""
+    """The plates' motion with depths from the true surface; see `AbstractSurface.height`."""
     depth = motion.depth
     for effect, memory in zip(effects, memories, strict=True):
         if isinstance(effect, AbstractSurface):
-            depth = depth + effect.height(x, memory)
+            depth = depth + effect.height(axle, ahead, memory)
     return dataclasses.replace(motion, depth=depth)
 
 

@@ -203,8 +203,10 @@ class HeightCorrection(Curve, AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return _gone_on(memory, moment)
 
-    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
-        return jnp.full_like(x, self.at(getattr(memory, self.variable)))
+    def height(
+        self, axle: Number, ahead: Float[Array, " plates"], memory: Memory
+    ) -> Float[Array, " plates"]:
+        return jnp.full_like(ahead, self.at(getattr(memory, self.variable)))
 
 
 class ReadingCorrection(Curve, AbstractSensor):

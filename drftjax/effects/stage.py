@@ -183,8 +183,16 @@ class AbstractSurface(AbstractEffect):
         """The memory after the step."""
 
     @abc.abstractmethod
-    def height(self, x: Float[Array, " plates"], memory: Memory) -> Float[Array, " plates"]:
-        """Height of the surface over the undisturbed one at these places [m]."""
+    def height(
+        self, axle: Float[Array, ""], ahead: Float[Array, " plates"], memory: Memory
+    ) -> Float[Array, " plates"]:
+        """Height of the surface over the undisturbed one [m] at the plates.
+
+        Args:
+            axle: Place of the axle along x [m].
+            ahead: How far ahead of it each plate is [m].
+            memory: As `advance` left it.
+        """
 
 
 class AbstractLoad(AbstractEffect):

@@ -2,9 +2,7 @@
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.effects.stage import (
@@ -20,47 +18,17 @@ Number = Float[Array, ""]
 Each = Float[Array, " plates"]
 
 
-# Polynomials in y² for cos y and (sin y) / y, y up to an eighth of a turn: right to 2e-7 of a
-# wave's height.
-TERMS = 4
-_square = (np.pi / 4) ** 2 * (1 + np.polynomial.chebyshev.chebpts1(TERMS)) / 2
-_root = np.sqrt(_square)
-COSINE = np.polynomial.polynomial.polyfit(_square, np.cos(_root), TERMS - 1)
-SINE = np.polynomial.polynomial.polyfit(_square, np.sin(_root) / _root, TERMS - 1)
-
-
-@jax.custom_jvp
-def _wave(turns: Each) -> tuple[Each, Each]:
-    """cos(2π turns) - 1 and sin(2π turns), by polynomials and two doublings of the angle.
-
-    The compiler calls its own sine for one plate after the other, which costs five plain steps;
-    of polynomials it makes vectors.
-    """
-    quarter = jnp.pi / 2 * (turns - jnp.round(turns))
-    square = quarter * quarter
-    cosine = sine = jnp.zeros_like(quarter)
-    for cosine_term, sine_term in zip(COSINE[::-1].tolist(), SINE[::-1].tolist(), strict=True):
-        cosine = cosine * square + cosine_term
-        sine = sine * square + sine_term
-    sine = sine * quarter
-    cosine, sine = 1 - 2 * sine * sine, 2 * sine * cosine
-    return -2 * sine * sine, 2 * sine * cosine
-
-
-@_wave.defjvp
-def _wave_by_turns(primals: tuple[Each], tangents: tuple[Each]):
-    cosine_less_one, sine = _wave(*primals)
-    change = 2 * jnp.pi * tangents[0]
-    return (cosine_less_one, sine), (-sine * change, (1 + cosine_less_one) * change)
-
-
 class SurfaceProfile(AbstractSurface):
-    """Height waves along x; the datum is the height at x = 0."""
+    """Height waves along x; the datum is the height at x = 0.
+
+    The theory knows sand with a flat surface, so the wheel is on the plane that touches the wave
+    under its axle.
+    """
 
     about: ClassVar = About(
         "surface_profile",
         "terrain",
-        "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length)",
+        "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length), a plane under the wheel",
         "the surface is not flat: height waves in x",
     )
     cosine: Number = strength("m", 0.001, "amplitude in phase with x = 0")
@@ -73,9 +41,11 @@ class SurfaceProfile(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return ()
 
-    def height(self, x: Each, memory: Memory) -> Each:
-        cosine_less_one, sine = _wave(x * (1 / self.length))
-        return self.cosine * cosine_less_one + self.sine * sine
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        turn = 2 * jnp.pi / self.length
+        across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
+        slope = turn * (self.sine * across - self.cosine * along)
+        return self.cosine * (across - 1) + self.sine * along + slope * ahead
 
 
 class SurfaceSlope(AbstractSurface):
@@ -90,8 +60,8 @@ class SurfaceSlope(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return ()
 
-    def height(self, x: Each, memory: Memory) -> Each:
-        return self.slope * x
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        return self.slope * (axle + ahead)
 
 
 class Excavation(AbstractSurface):
@@ -111,8 +81,8 @@ class Excavation(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return memory + moment.dt * jnp.abs(moment.rim_slip())
 
-    def height(self, x: Each, memory: Memory) -> Each:
-        return jnp.broadcast_to(-self.rate * memory, x.shape)
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        return jnp.broadcast_to(-self.rate * memory, ahead.shape)
 
 
 SURFACE = (SurfaceProfile, SurfaceSlope, Excavation)
