@@ -137,6 +137,7 @@ class TickLoop:
         room = conduct.ticks + math.ceil(ramp / self._tick) + 2
         self._busy, self._woken, self._error = np.zeros(room), np.zeros(room), np.zeros(room)
         self._ticks = self._fresh = self._refused = self._missed = self._skipped = 0
+        self._compared = 0
         self._wish: Wish | None = None
         self._ramping_since: int | None = None
         self._seen: Arrival | None = None
@@ -221,6 +222,7 @@ class TickLoop:
         if reading is not None:
             rows.measured(reading.time, reading.x, reading.z)
             self._reading_time = reading.time
+            self._fresh += 1
         if said.limited:
             rows.event(time, Event.COMMAND_LIMITED, said.asked.vx)
         if not self._conduct.driven:
@@ -249,9 +251,9 @@ class TickLoop:
             0 if arrival is None else arrival.frame.seq,
             (self._rig_us or 0) * 1e-6,
         )
-        if not math.isnan(said.after.error) and self._fresh < len(self._error):
-            self._error[self._fresh] = said.after.error
-            self._fresh += 1
+        if not math.isnan(said.after.error) and self._compared < len(self._error):
+            self._error[self._compared] = said.after.error
+            self._compared += 1
 
     def _command(self, time: float, demand: Demand) -> None:
         if self._conduct.driven:
@@ -403,7 +405,7 @@ class TickLoop:
             self._skipped,
             self._fresh,
             self._refused,
-            self._error[: self._fresh].copy(),
+            self._error[: self._compared].copy(),
             self._busy[:ticks].copy(),
             self._woken[:ticks].copy(),
             state,

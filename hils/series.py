@@ -168,7 +168,7 @@ def told(report: RunReport, path: Path) -> list[str]:
             )
         lines.append(
             f"{loop.ticks} ticks, {loop.overruns} deadlines missed, {loop.skipped} ticks skipped; "
-            f"{loop.fresh} fresh readings used, {loop.refused} refused."
+            f"{loop.fresh} fresh readings, {loop.refused} refused."
         )
         if len(loop.busy):
             busy, woken = loop.busy * 1e3, loop.woken * 1e3

@@ -232,6 +232,9 @@ def test_free_carriage_is_recorded_and_nothing_is_simulated():
     drives = [m for _, m in made.said if isinstance(m, Drive)]
     assert not any(m.driven or m.vx for m in drives)
     assert log.measured.x[-1] > 0.1
+    # Readings come as ever; there is no sinkage to compare them with.
+    assert made.report.loop.fresh > 0.9 * made.report.loop.ticks
+    assert len(made.report.loop.error) == 0
     assert resting(made)
 
 
