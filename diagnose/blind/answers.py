@@ -196,13 +196,19 @@ def _answer_some(
 
 
 def _shares(jobs: int) -> list[set[int]]:
-    """The cores of each process: all of them shared out, or one by turns where there are fewer."""
+    """The cores of each process: all of them shared out, or one by turns where there are fewer.
+
+    Where the system does not tell (macOS), none are named, and processes share all.
+    """
+    if not hasattr(os, "sched_getaffinity"):
+        return [set()] * jobs
     cores = sorted(os.sched_getaffinity(0))
     return [set(cores[job::jobs]) or {cores[job % len(cores)]} for job in range(jobs)]
 
 
 def _configure_on(cores: set[int]) -> None:
-    os.sched_setaffinity(0, cores)
+    if cores:
+        os.sched_setaffinity(0, cores)
     configure()
 
 
