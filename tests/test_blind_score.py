@@ -9,15 +9,8 @@ import pytest
 from command_line import Drft
 
 from diagnose.blind import commands
-from diagnose.blind.answers import (
-    SCHEMA,
-    Answer,
-    FreshAnswer,
-    GapAnswer,
-    answer_all,
-    answer_sets,
-    runs_of,
-)
+from diagnose.blind.answering import answer_all, answer_sets, runs_of
+from diagnose.blind.answers import SCHEMA, Answer, FreshAnswer, GapAnswer
 from diagnose.blind.score import score
 from diagnose.blind.sealing import HASH, SEALED, open_labels, seal
 from diagnose.blind.share import Share
@@ -203,7 +196,7 @@ def test_answers_see_runs_alone(sets, blind, monkeypatch):
 
 def test_the_module_of_answers_knows_no_labels():
     # What a module does not import, it cannot open.
-    source = __import__("diagnose.blind.answers", fromlist=["answers"])
+    source = __import__("diagnose.blind.answering", fromlist=["answering"])
     assert not any("seal" in name or "label" in name for name in vars(source))
 
 
@@ -239,7 +232,7 @@ def _dies(runs):
 
 
 def test_processes_are_replaced_and_one_that_dies_spoils_no_more_than_its_own_sets(monkeypatch):
-    monkeypatch.setattr("diagnose.blind.answers.answer_one", _dies)
+    monkeypatch.setattr("diagnose.blind.answering.answer_one", _dies)
     sets = {f"set_{each:02}": [f"run_{each}"] for each in range(9)} | {"set_99": ["die"]}
     found = dict(answer_sets(sets, 2))
     assert set(found) == set(sets)

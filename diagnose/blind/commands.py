@@ -75,7 +75,8 @@ def answer(
     """Diagnose every set of a folder from its runs alone."""
     from rich.progress import Progress
 
-    from diagnose.blind.answers import answer_sets, answers_in, configure, runs_of, write_answers
+    from diagnose.blind.answering import answer_sets, configure, runs_of
+    from diagnose.blind.answers import answers_in, write_answers
     from drftjax.runlog.content import printable
     from drftjax.runlog.replace import make_folder
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnose.blind import plant
-from diagnose.blind.answers import configure
+from diagnose.blind.answering import configure
 from diagnose.blind.gap import FLOORS, Gap, Probe
 from diagnose.blind.instrument import Reading
 from diagnose.blind.plant import group_of
