@@ -19,7 +19,7 @@ from diagnose.stages import stages
 from diagnose.unwritten import Correction, Unwritten, unwritten
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
-from drftjax.effects.catalogue import numbers
+from drftjax.effects.catalogue import numbers, spoken_of
 from drftjax.effects.stage import AbstractEffect
 
 SCHEMA = "drft-diagnosis"
@@ -161,9 +161,9 @@ def diagnose(
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
-        verdict=verdict,
+        verdict=_spoken(verdict),
         weights=_by_name(share),
-        groups=groups,
+        groups=[_spoken(group) for group in groups],
         gap=gaps(case, before, after, floors),
         parameters=_parameters(found.bench, chosen) if chosen.names else {},
         notes=notes,
@@ -199,9 +199,14 @@ def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Weight of each name: that of every hypothesis it is part of."""
     total: dict[str, float] = {}
     for names, weight in share.items():
-        for name in names:
+        for name in _spoken(names):
             total[name] = total.get(name, 0.0) + weight
     return dict(sorted(total.items(), key=lambda each: -each[1]))
+
+
+def _spoken(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of effects as a diagnosis tells them, each once."""
+    return tuple(dict.fromkeys(spoken_of(name) for name in names))
 
 
 def verdict_of(
@@ -283,7 +288,7 @@ def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]
         effect = chosen.model.effects[free.index]
         value = float(free.value(at))
         scale = free.scale if free.scale is not None else value
-        fields = found.setdefault(effect.about.name, {})
+        fields = found.setdefault(spoken_of(effect.about.name), {})
         unit = numbers(effect)[free.field]["unit"]
         fields[free.field] = Number(value, float(scale * spread), unit)
     return found

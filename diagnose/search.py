@@ -1,7 +1,7 @@
 """The search: which effects, alone or in pairs, explain a case."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from diagnose.hypothesis import (
     settled,
 )
 from diagnose.response import Model, predict, respond
+from drftjax.effects.catalogue import numbers, strengths
 from drftjax.effects.stage import AbstractEffect
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
@@ -42,6 +43,8 @@ HOPELESS = 100.0
 # floor that floors are raised to, and the share of a response that a line may be wrong by. The last
 # takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
 ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
+# Strengths far from zero are tried one by one where the gap is so many times a model's own error.
+FAR = 10.0
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
 MUCH = 1.5
 
@@ -86,12 +89,52 @@ def search(
     starts = [proposed(bench, [variant], line) for variant, line in ranked]
     case.warm(predict, [each.model for each in starts])
     singles = [settled(bench, each, TURNS) for each in starts]
+    if coarseness(bench.products.blocks, none.line.left, 1.0) > FAR:
+        singles = _with_far(bench, singles)
     singles = _finished(bench, singles)
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
         pairs = _pairs(bench, singles)
     return Found(bench, none, tuple(singles), tuple(pairs))
+
+
+def _with_far(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Singles, and in their place those that do better from a strength far from zero."""
+    found = {each.names: each for each in singles}
+    for variant in bench.variants:
+        for coordinate, values in enumerate(_far(variant.effect)):
+            start = proposed(bench, [variant])
+            afar = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
+            bench.case.warm(predict, [start.model])
+            tried = [settled(bench, each, 1) for each in afar]
+            best = max((each for each in tried if each.simulated), key=_score, default=None)
+            if best is None:
+                continue
+            # The way there was long: what it tells of the columns holds for no small step.
+            best = settled(bench, refreshed(bench, best), MORE_TURNS)
+            if best.names not in found or best.score > found[best.names].score:
+                found[best.names] = best
+    return list(found.values())
+
+
+def _far(effect: type[AbstractEffect]) -> list[list[float]]:
+    """By strength, the values far from zero to try, in typical sizes."""
+    about = [numbers(effect)[name] for name in strengths(effect)]
+    return [[value / each["typical"] for value in each["far"]] for each in about]
+
+
+def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
+    """The way from a proposal's null to one strength alone."""
+    assert start.ahead is not None
+    zeta, change = start.ahead
+    there = change.copy()
+    there[coordinate] = value - start.coordinates[coordinate]
+    return np.zeros_like(zeta), there
+
+
+def _score(each: Hypothesis) -> float:
+    return each.score
 
 
 def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

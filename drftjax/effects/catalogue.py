@@ -67,6 +67,12 @@ def effect_class(name: str) -> type[AbstractEffect]:
     return known[name]
 
 
+def spoken_of(name: str) -> str:
+    """What a diagnosis calls an effect: the one that it is a form of, or itself."""
+    effect = catalogue().get(name)
+    return name if effect is None else effect.about.form_of or name
+
+
 def numbers(effect: type[AbstractEffect]) -> dict[str, dict]:
     """An effect's fields with their units, meanings and typical sizes or starts, by name."""
     return {

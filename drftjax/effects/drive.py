@@ -87,7 +87,13 @@ class Backlash(AbstractDrive):
         "ω = 0 until the drive has turned by play either way, then ω_cmd",
         "the wheel starts late by an angle",
     )
-    play: Number = strength("rad", 0.05, "angle of the drive before the wheel follows", least=0.0)
+    play: Number = strength(
+        "rad",
+        0.05,
+        "angle of the drive before the wheel follows",
+        least=0.0,
+        far=(0.03, 0.06, 0.1, 0.15, 0.2, 0.27, 0.35),
+    )
 
     def begin(self, omega: Number, angle: Number) -> Memory:
         return jnp.zeros_like(angle)

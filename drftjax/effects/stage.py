@@ -34,15 +34,24 @@ class About:
         stage: wheel, terrain, rig, drive or sensor.
         formula: What it changes, in the fields' symbols.
         meaning: The same in words.
+        form_of: The effect that this is another form of, and goes by in a diagnosis; empty for
+            most.
     """
 
     name: str
     stage: str
     formula: str
     meaning: str
+    form_of: str = ""
 
 
-def strength(unit: str, typical: float, meaning: str, least: float = -math.inf) -> Any:
+def strength(
+    unit: str,
+    typical: float,
+    meaning: str,
+    least: float = -math.inf,
+    far: Sequence[float] = (),
+) -> Any:
     """A field that is zero where the effect is absent.
 
     Args:
@@ -50,11 +59,18 @@ def strength(unit: str, typical: float, meaning: str, least: float = -math.inf) 
         typical: Size that a rig may well show, in that unit: the scale of a fit.
         meaning: What it is.
         least: Smallest value that means something: files may not go below it, fits should not.
+        far: Values that no derivative at zero tells the way to: a search tries them one by one.
     """
     return eqx.field(
         converter=as_real,
         default=0.0,
-        metadata={"unit": unit, "typical": typical, "meaning": meaning, "least": least},
+        metadata={
+            "unit": unit,
+            "typical": typical,
+            "meaning": meaning,
+            "least": least,
+            "far": tuple(far),
+        },
     )
 
 

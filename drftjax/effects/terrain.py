@@ -88,6 +88,31 @@ class TerrainVariation(AbstractZetaFactor):
         return 1 + self.excess * jnp.exp(-(away**2) / 2)
 
 
+class TerrainWave(AbstractZetaFactor):
+    """zeta depends on the place: waves along x."""
+
+    about: ClassVar = About(
+        "terrain_wave",
+        "terrain",
+        "ζ = ζ (1 + cosine cos(2π x / length) + sine sin(2π x / length))",
+        "zeta depends on the place: waves that a preparation leaves",
+        form_of="terrain_variation",
+    )
+    cosine: Number = strength("-", 0.05, "amplitude in phase with x = 0")
+    sine: Number = strength("-", 0.05, "amplitude a quarter wave on")
+    length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+    def factor(self, moment: Moment, memory: Memory) -> Number:
+        turn = 2 * jnp.pi / self.length * moment.position[0]
+        return 1 + self.cosine * jnp.cos(turn) + self.sine * jnp.sin(turn)
+
+
 class Bulldozing(AbstractSandLoad):
     """Sand piles up ahead: a resistance that grows with travel and saturates."""
 
@@ -113,4 +138,4 @@ class Bulldozing(AbstractSandLoad):
         return jnp.stack([resistance, jnp.zeros_like(resistance)])
 
 
-TERRAIN = (Loosening, SlipSoftening, TerrainVariation, Bulldozing)
+TERRAIN = (Loosening, SlipSoftening, TerrainVariation, TerrainWave, Bulldozing)

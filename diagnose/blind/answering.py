@@ -1,0 +1,128 @@
+"""Answering blind sets: a diagnosis of each from its runs alone. Never opens a label."""
+
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from multiprocessing import get_context
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from drftjax.errors import InputError
+
+# A process is replaced after so many sets: the programs compiled for them keep gigabytes.
+SETS_A_PROCESS = 4
+
+
+def runs_of(folder: Path) -> dict[str, list[Path]]:
+    """The run logs of every set in a folder; fresh runs lie deeper and are none of them.
+
+    Raises:
+        InputError: where there are no sets.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder of sets")
+    sets = {
+        each.name: sorted(each.glob("*.h5")) for each in sorted(folder.iterdir()) if each.is_dir()
+    }
+    sets = {name: runs for name, runs in sets.items() if runs}
+    if not sets:
+        raise InputError(f"{folder} holds no sets; a set is a folder of run logs")
+    return sets
+
+
+def answer_one(runs: list[Path]) -> dict | str:
+    """The answer to one set, or why there is none."""
+    from diagnose.answer import answer_set
+
+    try:
+        return answer_set(runs)
+    except InputError as problem:
+        return str(problem)
+
+
+def answer_all(folder: Path, jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
+    """Every set's name and answer, as it is found, or why there is none.
+
+    Args:
+        folder: The sets.
+        jobs: Processes to find them in, each with its share of the cores.
+    """
+    yield from answer_sets(runs_of(folder), jobs)
+
+
+def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
+    """As `answer_all`, for the runs of sets by name."""
+    if jobs == 1 and len(sets) <= SETS_A_PROCESS:
+        for name, runs in sets.items():
+            yield name, answer_one(runs)
+        return
+    waiting, found = SimpleQueue(), SimpleQueue()
+    names = list(sets)
+    for first in range(0, len(names), SETS_A_PROCESS):
+        waiting.put(names[first : first + SETS_A_PROCESS])
+    with ThreadPoolExecutor(jobs) as pool:
+        workers = [pool.submit(_work, waiting, found, sets, cores) for cores in _shares(jobs)]
+        try:
+            for _ in sets:
+                answered = found.get()
+                if answered is None:
+                    break
+                yield answered
+        finally:
+            while not waiting.empty():
+                waiting.get()
+        for worker in workers:
+            worker.result()
+
+
+def _work(
+    waiting: SimpleQueue, found: SimpleQueue, sets: Mapping[str, list[Path]], cores: set[int]
+) -> None:
+    """Answer some sets after others, each time in a fresh process; None is put on any error."""
+    try:
+        while not waiting.empty():
+            with suppress(Empty):
+                for answered in _answer_some(waiting.get_nowait(), sets, cores):
+                    found.put(answered)
+    except BaseException:
+        found.put(None)
+        raise
+
+
+def _answer_some(
+    names: list[str], sets: Mapping[str, list[Path]], cores: set[int]
+) -> Iterator[tuple[str, dict | str]]:
+    # A fresh process, as JAX's threads do not live through a fork.
+    with ProcessPoolExecutor(1, get_context("spawn"), _configure_on, (cores,)) as process:
+        answers = [(name, process.submit(answer_one, sets[name])) for name in names]
+        for name, answer in answers:
+            try:
+                yield name, answer.result()
+            except BrokenProcessPool:
+                yield name, "the process at work on it or on one before it died; memory is short?"
+
+
+def _shares(jobs: int) -> list[set[int]]:
+    """The cores of each process: all of them shared out, or one by turns where there are fewer.
+
+    Where the system does not tell (macOS), none are named, and processes share all.
+    """
+    if not hasattr(os, "sched_getaffinity"):
+        return [set()] * jobs
+    cores = sorted(os.sched_getaffinity(0))
+    return [set(cores[job::jobs]) or {cores[job % len(cores)]} for job in range(jobs)]
+
+
+def _configure_on(cores: set[int]) -> None:
+    if cores:
+        os.sched_setaffinity(0, cores)
+    configure()
+
+
+def configure() -> None:
+    """Set a fresh process's JAX up as the command line's."""
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()

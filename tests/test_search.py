@@ -1,0 +1,56 @@
+"""The search: large strengths that no straight line leads to, and several forms of one effect."""
+
+import numpy as np
+import pytest
+
+from diagnose.case import Case, threads
+from diagnose.diagnosis import diagnose
+from diagnose.search import search
+from drftjax.effects.drive import Backlash, SpeedLag
+from drftjax.effects.terrain import TerrainVariation, TerrainWave
+from tests.virtual_runs import coarse, recorded, setup_of
+
+PROFILES = (
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
+)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with threads() as executor:
+        yield executor
+
+
+def case_with(pool, effect: dict) -> Case:
+    found = []
+    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
+        setup = setup_of(profile, zeta)
+        setup.effects = [effect]
+        found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
+    return Case.of(found, pool)
+
+
+def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
+    # The wheel starts 0.9 s late at 0.5 rad/s: x is behind by 30 mm, a thousand times its noise.
+    found = search(case_with(pool, {"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
+    best = found.singles[0]
+    assert best.names == ("backlash",)
+    # A step of 2 ms at 0.3 rad/s is 0.6 mrad.
+    assert best.coordinates[0] * best.model.free[0].scale == pytest.approx(0.22, abs=1e-3)
+    x = found.bench.case.channels.index("x")
+    for residual in best.residual:
+        assert np.sqrt(np.mean(residual[x] ** 2)) < 1e-4
+
+
+def test_another_form_of_an_effect_goes_by_its_name(pool):
+    wave = {"name": "terrain_wave", "cosine": 0.0, "sine": 0.15, "length": 0.15}
+    found = diagnose(case_with(pool, wave), (TerrainVariation, TerrainWave))
+    assert found.chosen.names == ("terrain_wave",)
+    assert found.verdict == ("terrain_variation",)
+    assert found.weights["terrain_variation"] > 0.9
+    assert "terrain_wave" not in found.weights
+    numbers = found.parameters["terrain_variation"]
+    assert numbers["length"].value == pytest.approx(0.15, rel=0.01)
+    assert numbers["sine"].value == pytest.approx(0.15, rel=0.05)
