@@ -14,7 +14,8 @@ def _text(share: dict | None) -> str:
 def tables(score: dict) -> Iterator[Table]:
     """The tables of a score: kinds, confusions, calibration, and shrinkage where it is known."""
     yield _kinds(score)
-    yield _confusions(score)
+    if any(answered != truth for truth, row in score["confusion"].items() for answered in row):
+        yield _confusions(score)
     yield _calibration(score["calibration"], "calibration of the weights")
     yield _calibration(score["calibration_without_faint"], "the same without faint sets")
     if score["shrinkage"]:
@@ -22,27 +23,27 @@ def tables(score: dict) -> Iterator[Table]:
 
 
 def _kinds(score: dict) -> Table:
-    table = Table(title="answers by kind of set, share with its 90 % interval")
-    columns = {
-        "first": "right first",
-        "in_group": "in group",
-        "confidently_wrong": "sure and wrong",
-        "missed": "missed",
-        "called_unknown": "called unknown",
-        "false_alarms": "false alarms",
-        "recognised": "recognised",
-        "both": "both",
-        "at_least_one": "at least one",
-    }
-    shown = [name for name in columns if any(name in row for row in score["kinds"].values())]
-    table.add_column("kind", no_wrap=True)
+    table = Table("kind of set", title="answers by kind of set")
     table.add_column("sets", justify="right")
-    table.add_column("group size", justify="right")
-    for name in shown:
-        table.add_column(columns[name], justify="right")
+    table.add_column("what")
+    table.add_column("share (90 % interval)", justify="right")
+    words = {
+        "first": "right at first place",
+        "in_group": "in the group named",
+        "both": "both named",
+        "at_least_one": "at least one named",
+        "recognised": "recognised",
+        "called_unknown": "called unknown",
+        "missed": "called none",
+        "false_alarms": "false alarms",
+        "confidently_wrong": "sure of a wrong effect",
+    }
     for kind, row in score["kinds"].items():
-        shares = (_text(row.get(name)) for name in shown)
-        table.add_row(kind, str(row["sets"]), f"{row['mean_group_size']:.1f}", *shares)
+        shown = [(words[name], _text(row[name])) for name in words if name in row]
+        shown.insert(2, ("effects in the group", f"{row['mean_group_size']:.1f}"))
+        for number, (what, share) in enumerate(shown):
+            first = (kind, str(row["sets"])) if number == 0 else ("", "")
+            table.add_row(*first, what, share, end_section=number == len(shown) - 1)
     return table
 
 
