@@ -9,7 +9,7 @@ from diagnose.blind import make, plant
 from diagnose.blind.gap import FLOORS, Probe
 from diagnose.blind.protocol import Profile, drawn_fresh, drawn_nine
 from diagnose.blind.recipe import CATALOGUE, STRANGERS, UNKNOWN, draw, draw_stranger
-from drftjax.effects.catalogue import OURS
+from drftjax.effects.catalogue import OURS, spoken_of
 from drftjax.runlog.hdf5 import read_run
 from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
@@ -45,7 +45,7 @@ def test_mechanisms_of_strength_zero_change_nothing():
 
 
 def test_every_effect_of_the_catalogue_can_be_drawn():
-    ours = {each.about.name: each.about.stage for each in OURS}
+    ours = {spoken_of(each.about.name): each.about.stage for each in OURS}
     drawable = {name: stage for stage, names in CATALOGUE.items() for name in names}
     assert drawable == ours
 
