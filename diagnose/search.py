@@ -44,7 +44,7 @@ HOPELESS = 100.0
 # takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
 ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
 # Strengths far from zero are tried one by one where the gap is so many times a model's own error.
-FAR = 10.0
+FAR = 30.0
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
 MUCH = 1.5
 
