@@ -19,7 +19,7 @@ from diagnose.stages import stages
 from diagnose.unwritten import Correction, Unwritten, unwritten
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
-from drftjax.effects.catalogue import numbers, spoken_of
+from drftjax.effects.catalogue import numbers, spoken, spoken_of
 from drftjax.effects.stage import AbstractEffect
 
 SCHEMA = "drft-diagnosis"
@@ -161,9 +161,9 @@ def diagnose(
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
-        verdict=_spoken(verdict),
+        verdict=spoken(verdict),
         weights=_by_name(share),
-        groups=[_spoken(group) for group in groups],
+        groups=[spoken(group) for group in groups],
         gap=gaps(case, before, after, floors),
         parameters=_parameters(found.bench, chosen) if chosen.names else {},
         notes=notes,
@@ -199,14 +199,9 @@ def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Weight of each name: that of every hypothesis it is part of."""
     total: dict[str, float] = {}
     for names, weight in share.items():
-        for name in _spoken(names):
+        for name in spoken(names):
             total[name] = total.get(name, 0.0) + weight
     return dict(sorted(total.items(), key=lambda each: -each[1]))
-
-
-def _spoken(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of effects as a diagnosis tells them, each once."""
-    return tuple(dict.fromkeys(spoken_of(name) for name in names))
 
 
 def verdict_of(
@@ -264,7 +259,12 @@ def _rival(
 ) -> Hypothesis | None:
     """The likeliest other explanation, where it is likely enough to matter."""
     others = {each.names or (NONE,): each for each in (found.none, *leading)}
-    named = {names: share[names] for names in others if names != verdict and share[names] >= NAMED}
+    # Two forms of one effect need no telling apart.
+    named = {
+        names: share[names]
+        for names in others
+        if spoken(names) != spoken(verdict) and share[names] >= NAMED
+    }
     if not named or verdict == (UNKNOWN,):
         return None
     return others[max(named, key=lambda names: named[names])]

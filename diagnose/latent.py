@@ -9,9 +9,9 @@ from drftjax.effects.load import MemorylessLoad
 from drftjax.effects.stage import (
     About,
     AbstractDrive,
-    AbstractSurface,
-    AbstractZetaFactor,
     Memory,
+    MemorylessSurface,
+    MemorylessZetaFactor,
     Moment,
     strength,
 )
@@ -20,17 +20,11 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-class ZetaError(AbstractZetaFactor):
+class ZetaError(MemorylessZetaFactor):
     """zeta is off by a factor."""
 
     about: ClassVar = About("zeta_error", "terrain", "ζ = ζ exp(error)", "an unknown zeta factor")
     error: Number = strength("-", 0.1, "logarithm of the factor")
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def factor(self, moment: Moment, memory: Memory) -> Number:
         return jnp.exp(self.error)
@@ -62,17 +56,11 @@ class SpeedError(AbstractDrive):
         return omega + self.error, ()
 
 
-class HeightError(AbstractSurface):
+class HeightError(MemorylessSurface):
     """The surface lies higher."""
 
     about: ClassVar = About("height_error", "terrain", "h = h + error", "an unknown surface height")
     error: Number = strength("m", 0.001, "height of the surface")
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def height(
         self, axle: Number, ahead: Float[Array, " plates"], memory: Memory

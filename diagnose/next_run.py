@@ -15,6 +15,7 @@ import numpy as np
 from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
+from drftjax.effects.catalogue import spoken
 from drftjax.integrator import steady_step
 from drftjax.trial import Trial
 from identify.candidate import STEPS_A_ROW
@@ -97,7 +98,7 @@ def next_run(
     new = [p for p in proposals if p.channel in recorded and p.run != variations[0][0]]
     now = [p for p in proposals if p.channel not in recorded and p.run == variations[0][0]]
     return {
-        "tells": ["+".join(first.names or ("none",)), "+".join(second.names or ("none",))],
+        "tells": ["+".join(spoken(each.names) or ("none",)) for each in (first, second)],
         "run": _best(new),
         "channel": _best(now),
     }

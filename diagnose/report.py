@@ -24,7 +24,7 @@ from diagnose.report_figures import (
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax import __version__
-from drftjax.effects.catalogue import effect_class
+from drftjax.effects.catalogue import effect_class, spoken
 from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file
@@ -120,7 +120,7 @@ def gap_sentences(found: Diagnosis) -> list[str]:
     """On what the gap was measured, and how far it shrinks."""
     if not found.chosen.names:
         return []
-    least = " and ".join(found.chosen.names)
+    least = " and ".join(spoken(found.chosen.names))
     shares = _shrunk_by(found, found.gap)
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]

@@ -103,13 +103,13 @@ def _with_far(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Singles, and in their place those that do better from a strength far from zero."""
     found = {each.names: each for each in singles}
     for variant in bench.variants:
-        for coordinate, values in enumerate(_far(variant.effect)):
+        for coordinate, values in _far(variant.effect).items():
             start = proposed(bench, [variant])
-            afar = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
             bench.case.warm(predict, [start.model])
+            afar = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
             tried = [settled(bench, each, 1) for each in afar]
-            best = max((each for each in tried if each.simulated), key=_score, default=None)
-            if best is None:
+            best = max(tried, key=lambda each: each.score if each.simulated else -np.inf)
+            if not best.simulated:
                 continue
             # The way there was long: what it tells of the columns holds for no small step.
             best = settled(bench, refreshed(bench, best), MORE_TURNS)
@@ -118,10 +118,14 @@ def _with_far(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(found.values())
 
 
-def _far(effect: type[AbstractEffect]) -> list[list[float]]:
-    """By strength, the values far from zero to try, in typical sizes."""
+def _far(effect: type[AbstractEffect]) -> dict[int, list[float]]:
+    """The values far from zero to try [typical sizes], by the strength's place; few have any."""
     about = [numbers(effect)[name] for name in strengths(effect)]
-    return [[value / each["typical"] for value in each["far"]] for each in about]
+    return {
+        place: [value / each["typical"] for value in each["far"]]
+        for place, each in enumerate(about)
+        if each["far"]
+    }
 
 
 def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
@@ -131,10 +135,6 @@ def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, n
     there = change.copy()
     there[coordinate] = value - start.coordinates[coordinate]
     return np.zeros_like(zeta), there
-
-
-def _score(each: Hypothesis) -> float:
-    return each.score
 
 
 def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

@@ -7,12 +7,11 @@ import numpy as np
 
 from diagnose.case import Case
 from diagnose.left_out import conditions
+from diagnose.reachable import can_shrink, gone
 
 DRAWS = 400
 LEVEL = 0.9
 MM = 1e3
-# A gap that exceeds its floor by less than this share of it cannot be said to shrink.
-LEAST_REACHABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -46,10 +45,7 @@ class Gap:
 
 def shrinkage(before: float, after: float, floor: float) -> float:
     """Share of the RMSE above the floor that is gone; zero where there was none."""
-    reachable = before - floor
-    if reachable <= LEAST_REACHABLE * floor:
-        return 0.0
-    return float(np.clip((before - max(after, floor)) / reachable, -1.0, 1.0))
+    return gone(before, after, floor) if can_shrink(before, floor) else 0.0
 
 
 def gaps(

@@ -33,3 +33,12 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("there is no folder ../shared with the reference runs beside the repository")
     return folder
+
+
+@pytest.fixture(scope="session")
+def pool():
+    """Threads that runs of a case are simulated in."""
+    from diagnose.case import threads
+
+    with threads() as executor:
+        yield executor

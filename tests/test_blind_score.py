@@ -9,7 +9,7 @@ import pytest
 from command_line import Drft
 
 from diagnose.blind import commands
-from diagnose.blind.answering import answer_all, answer_sets, runs_of
+from diagnose.blind.answering import answer_sets, runs_of
 from diagnose.blind.answers import SCHEMA, Answer, FreshAnswer, GapAnswer
 from diagnose.blind.score import score
 from diagnose.blind.sealing import HASH, SEALED, open_labels, seal
@@ -187,10 +187,10 @@ def test_answers_see_runs_alone(sets, blind, monkeypatch):
         raise AssertionError("a label was opened")
 
     monkeypatch.setattr("diagnose.blind.sealing.open_labels", opened)
-    with_labels = dict(answer_all(sets))
+    with_labels = dict(answer_sets(runs_of(sets)))
     for name in (SEALED, HASH):
         (sets / name).unlink()
-    assert dict(answer_all(sets)) == with_labels
+    assert dict(answer_sets(runs_of(sets))) == with_labels
     assert blind == [["run_a.h5", "run_b.h5"]] * 4
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.bench import Bench
-from diagnose.case import Case, baseline, threads
+from diagnose.case import Case, baseline
 from diagnose.diagnosis import diagnose, verdict_of
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
@@ -18,31 +18,9 @@ from drftjax.effects.drive import SpeedGain
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import TravelGain
 from drftjax.effects.surface import SurfaceSlope
-from tests.virtual_runs import coarse, recorded, setup_of
+from tests.virtual_cases import case_with
 
 CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
-# Slow and fast, long enough that what grows with travel shows.
-PROFILES = (
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
-)
-
-
-@pytest.fixture(scope="module")
-def pool():
-    with threads() as executor:
-        yield executor
-
-
-def case_with(pool, *effects: dict) -> Case:
-    """Three runs, two of one command, of a rig with these effects."""
-    found = []
-    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
-        setup = setup_of(profile, zeta)
-        setup.effects = list(effects)
-        found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
-    return Case.of(found, pool)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ asked for the two terms alone, so that the answer takes a minute of computing.
 
 import pytest
 
-from diagnose.case import threads
 from diagnose.diagnosis import Diagnosis
 from drftjax.effects.catalogue import effect_class
 from tests.studies.history import TERMS, against_quasi_static, unseen_floors
@@ -15,12 +14,6 @@ EFFECTS = tuple(effect_class(name) for name in TERMS)
 # Top speeds [deg/s], and the time at them [s].
 FAST, SLOW = (120.0, 300.0, 300.0), (15.0, 30.0, 30.0)
 LASTING = 3.0
-
-
-@pytest.fixture(scope="module")
-def pool():
-    with threads() as executor:
-        yield executor
 
 
 @pytest.fixture(scope="module")

@@ -3,33 +3,11 @@
 import numpy as np
 import pytest
 
-from diagnose.case import Case, threads
 from diagnose.diagnosis import diagnose
 from diagnose.search import search
 from drftjax.effects.drive import Backlash, SpeedLag
 from drftjax.effects.terrain import TerrainVariation, TerrainWave
-from tests.virtual_runs import coarse, recorded, setup_of
-
-PROFILES = (
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
-)
-
-
-@pytest.fixture(scope="module")
-def pool():
-    with threads() as executor:
-        yield executor
-
-
-def case_with(pool, effect: dict) -> Case:
-    found = []
-    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
-        setup = setup_of(profile, zeta)
-        setup.effects = [effect]
-        found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
-    return Case.of(found, pool)
+from tests.virtual_cases import case_with
 
 
 def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):

@@ -42,18 +42,13 @@ def answer_one(runs: list[Path]) -> dict | str:
         return str(problem)
 
 
-def answer_all(folder: Path, jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
+def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
     """Every set's name and answer, as it is found, or why there is none.
 
     Args:
-        folder: The sets.
-        jobs: Processes to find them in, each with its share of the cores.
+        sets: The runs of each set, by its name.
+        jobs: Processes to find answers in, each with its share of the cores.
     """
-    yield from answer_sets(runs_of(folder), jobs)
-
-
-def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
-    """As `answer_all`, for the runs of sets by name."""
     if jobs == 1 and len(sets) <= SETS_A_PROCESS:
         for name, runs in sets.items():
             yield name, answer_one(runs)

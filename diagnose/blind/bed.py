@@ -6,7 +6,13 @@ from jaxtyping import Array, Float
 
 from diagnose.blind.curve import Curve, flat
 from diagnose.blind.sand import number
-from drftjax.effects.stage import AbstractStressFactor, AbstractSurface, Memory, Moment
+from drftjax.effects.stage import (
+    AbstractStressFactor,
+    AbstractSurface,
+    Memory,
+    MemorylessSurface,
+    Moment,
+)
 from drftjax.stress import PlateMotion
 
 Number = Float[Array, ""]
@@ -62,17 +68,7 @@ class Cohesion(AbstractStressFactor):
 STRESS = (RateHardening, DepthHardening, RigidFloor, Cohesion)
 
 
-class Still(AbstractSurface):
-    """A surface that the wheel does not change."""
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
-
-class SurfaceProfile(Still):
+class SurfaceProfile(MemorylessSurface):
     """Heights along a curve, each plate over its own."""
 
     amplitude: Number = number()
@@ -82,7 +78,7 @@ class SurfaceProfile(Still):
         return self.amplitude * self.curve(axle + ahead)
 
 
-class SurfaceSlope(Still):
+class SurfaceSlope(MemorylessSurface):
     """An incline that bends a little: `bend` [1/m] of its slope a metre."""
 
     slope: Number = number()

@@ -6,7 +6,13 @@ from jaxtyping import Array, Float
 
 from diagnose.blind.curve import Curve, flat
 from drftjax.arrays import as_real
-from drftjax.effects.stage import AbstractSandLoad, AbstractZetaFactor, Memory, Moment
+from drftjax.effects.stage import (
+    AbstractSandLoad,
+    AbstractZetaFactor,
+    Memory,
+    MemorylessZetaFactor,
+    Moment,
+)
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
@@ -18,16 +24,6 @@ LEAST = 0.15
 def number(default: float = 0.0):
     """A number of the plant, an array so that runs of any value share one program."""
     return eqx.field(converter=as_real, default=default)
-
-
-class Momentary(AbstractZetaFactor):
-    """A factor that depends on the present alone."""
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
 
 class Loosening(AbstractZetaFactor):
@@ -60,7 +56,7 @@ class Loosening(AbstractZetaFactor):
         return jnp.maximum(1 - self.loss * lost, LEAST)
 
 
-class SlipSoftening(Momentary):
+class SlipSoftening(MemorylessZetaFactor):
     """Strength lost as a power of slip speed; `loss` is that at 50 mm/s."""
 
     loss: Number = number()
@@ -71,7 +67,7 @@ class SlipSoftening(Momentary):
         return jnp.maximum(1 - self.loss * (slip / 0.05) ** self.power, LEAST)
 
 
-class TerrainVariation(Momentary):
+class TerrainVariation(MemorylessZetaFactor):
     """Strength by place, along a curve."""
 
     excess: Number = number()

@@ -4,8 +4,9 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from diagnose.blind.answers import Answer, FreshAnswer
+from diagnose.blind.answers import Answer
 from diagnose.blind.share import Share
+from diagnose.reachable import can_shrink, gone
 
 NONE, UNKNOWN = "none", "unknown"
 # What shows by fewer floors than this is faint; of a pair, the weaker one counts.
@@ -17,8 +18,6 @@ PROMISE = 0.10
 
 SINGLE, PAIR = "single", "pair"
 PLAIN, FAINT = "plain", "faint"
-# A gap that is less than half its floor over it cannot be said to shrink; no promise is made of it.
-PROMISED_FLOORS = 1.5
 
 
 @dataclass(frozen=True)
@@ -184,10 +183,10 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
     for case in given:
         for channel, fresh in case.answer.fresh.items():
             promise = case.answer.gap.get(channel)
-            if promise is None or promise.before_mm <= PROMISED_FLOORS * promise.floor_mm:
+            if promise is None or not can_shrink(promise.before_mm, promise.floor_mm):
                 continue
             low, high = promise.shrinkage_interval
-            realised = _realised(fresh, promise.floor_mm)
+            realised = gone(fresh.before_mm, fresh.after_mm, promise.floor_mm)
             found[channel].append(
                 {
                     "set": case.name,
@@ -205,13 +204,6 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
         }
         for channel, rows in sorted(found.items())
     }
-
-
-def _realised(fresh: FreshAnswer, floor: float) -> float:
-    reachable = fresh.before_mm - floor
-    if reachable <= 0:
-        return 0.0
-    return max(-1.0, (fresh.before_mm - max(fresh.after_mm, floor)) / reachable)
 
 
 def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:

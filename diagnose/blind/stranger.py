@@ -3,15 +3,15 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diagnose.blind.sand import LEAST, Momentary, number
+from diagnose.blind.sand import LEAST, number
 from drftjax.effects.load import MemorylessLoad, along_x, along_z
-from drftjax.effects.stage import AbstractZetaFactor, Memory, Moment
+from drftjax.effects.stage import AbstractZetaFactor, Memory, MemorylessZetaFactor, Moment
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-class DamagedGrouser(Momentary):
+class DamagedGrouser(MemorylessZetaFactor):
     """One grouser bears less: strength drops for a short part of every turn."""
 
     loss: Number = number()
@@ -41,7 +41,7 @@ class Healing(AbstractZetaFactor):
         return jnp.maximum(1 - self.loss * memory, LEAST)
 
 
-class Swing(Momentary):
+class Swing(MemorylessZetaFactor):
     """Strength swings with time alone, as with a temperature."""
 
     excess: Number = number()
@@ -72,7 +72,7 @@ class Thixotropy(AbstractZetaFactor):
         return jnp.maximum(1 - self.loss * (1 - memory), LEAST)
 
 
-class RiseAndFall(Momentary):
+class RiseAndFall(MemorylessZetaFactor):
     """Sand that bears otherwise while the wheel rises than while it sinks."""
 
     excess: Number = number()
@@ -82,7 +82,7 @@ class RiseAndFall(Momentary):
         return jnp.maximum(1 + self.excess * jnp.tanh(moment.velocity[1] / self.speed), LEAST)
 
 
-class CriticalSpeed(Momentary):
+class CriticalSpeed(MemorylessZetaFactor):
     """Sand that is weak about one speed of the wheel only."""
 
     loss: Number = number()

@@ -4,6 +4,7 @@ A package adds effects by the entry-point group `drft.effects`: a name, and wher
 """
 
 import dataclasses
+from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import entry_points
@@ -71,6 +72,11 @@ def spoken_of(name: str) -> str:
     """What a diagnosis calls an effect: the one that it is a form of, or itself."""
     effect = catalogue().get(name)
     return name if effect is None else effect.about.form_of or name
+
+
+def spoken(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of effects as a diagnosis tells them, each once."""
+    return tuple(dict.fromkeys(spoken_of(name) for name in names))
 
 
 def numbers(effect: type[AbstractEffect]) -> dict[str, dict]:

@@ -187,6 +187,16 @@ class AbstractStressFactor(AbstractEffect):
         """Factor on each plate's stress [-], one at the null."""
 
 
+class MemorylessZetaFactor(AbstractZetaFactor):
+    """A factor on zeta that depends on the present alone."""
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
+
+
 class AbstractSurface(AbstractEffect):
     """Raises or lowers the sand's surface."""
 
@@ -209,6 +219,16 @@ class AbstractSurface(AbstractEffect):
             ahead: How far ahead of it each plate is [m].
             memory: As `advance` left it.
         """
+
+
+class MemorylessSurface(AbstractSurface):
+    """A surface that no wheel changes."""
+
+    def begin(self) -> Memory:
+        return ()
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        return ()
 
 
 class AbstractLoad(AbstractEffect):

@@ -9,6 +9,7 @@ from drftjax.effects.stage import (
     About,
     AbstractSurface,
     Memory,
+    MemorylessSurface,
     Moment,
     shape,
     strength,
@@ -18,7 +19,7 @@ Number = Float[Array, ""]
 Each = Float[Array, " plates"]
 
 
-class SurfaceProfile(AbstractSurface):
+class SurfaceProfile(MemorylessSurface):
     """Height waves along x; the datum is the height at x = 0.
 
     The theory knows sand with a flat surface, so the wheel is on the plane that touches the wave
@@ -35,12 +36,6 @@ class SurfaceProfile(AbstractSurface):
     sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
     length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
 
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         turn = 2 * jnp.pi / self.length
         across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
@@ -48,17 +43,11 @@ class SurfaceProfile(AbstractSurface):
         return self.cosine * (across - 1) + self.sine * along + slope * ahead
 
 
-class SurfaceSlope(AbstractSurface):
+class SurfaceSlope(MemorylessSurface):
     """The surface is inclined."""
 
     about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the surface is inclined")
     slope: Number = strength("-", 0.01, "rise of the surface along x")
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         return self.slope * (axle + ahead)

@@ -10,6 +10,7 @@ from drftjax.effects.stage import (
     AbstractSandLoad,
     AbstractZetaFactor,
     Memory,
+    MemorylessZetaFactor,
     Moment,
     shape,
     strength,
@@ -41,7 +42,7 @@ class Loosening(AbstractZetaFactor):
         return 1 - self.loss * (1 - jnp.exp(-memory / self.decay))
 
 
-class SlipSoftening(AbstractZetaFactor):
+class SlipSoftening(MemorylessZetaFactor):
     """zeta is lower the faster the rim slips."""
 
     about: ClassVar = About(
@@ -53,18 +54,12 @@ class SlipSoftening(AbstractZetaFactor):
     loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0)
     half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
 
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
     def factor(self, moment: Moment, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip())
         return 1 - self.loss * slip / (slip + self.half)
 
 
-class TerrainVariation(AbstractZetaFactor):
+class TerrainVariation(MemorylessZetaFactor):
     """zeta depends on the place: a soft or hard patch."""
 
     about: ClassVar = About(
@@ -77,18 +72,12 @@ class TerrainVariation(AbstractZetaFactor):
     centre: Number = shape("m", 0.5, tuple(0.1 * k for k in range(1, 16)), "place of the patch")
     width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
 
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
-
     def factor(self, moment: Moment, memory: Memory) -> Number:
         away = (moment.position[0] - self.centre) / self.width
         return 1 + self.excess * jnp.exp(-(away**2) / 2)
 
 
-class TerrainWave(AbstractZetaFactor):
+class TerrainWave(MemorylessZetaFactor):
     """zeta depends on the place: waves along x."""
 
     about: ClassVar = About(
@@ -101,12 +90,6 @@ class TerrainWave(AbstractZetaFactor):
     cosine: Number = strength("-", 0.05, "amplitude in phase with x = 0")
     sine: Number = strength("-", 0.05, "amplitude a quarter wave on")
     length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return ()
 
     def factor(self, moment: Moment, memory: Memory) -> Number:
         turn = 2 * jnp.pi / self.length * moment.position[0]

@@ -27,8 +27,7 @@ def spin(tick: float, seconds: float, work: float) -> tuple[int, np.ndarray, np.
     count = round(seconds / tick)
     late, busy = np.zeros(count), np.zeros(count)
     missed = 0
-    start = time.monotonic() + MARGIN
-    deadline = start
+    deadline = time.monotonic() + MARGIN
     for number in range(count):
         time.sleep(max(deadline - time.monotonic(), 0.0))
         woken = time.monotonic()
