@@ -13,6 +13,7 @@ from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, left_of
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.next_run import next_run
+from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
 from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import stages
@@ -145,7 +146,7 @@ def diagnose(
     chosen = _chosen(found, leading, share, verdict)
     before = found.none.residual
     after = unseen.get(chosen.names, chosen.residual)
-    floors, how = noise_floors(case, before, after)
+    floors, how = noise_floors(case, before, after, own_errors(case, found.none.log_zeta))
     rival = _rival(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))

@@ -8,6 +8,7 @@ import numpy as np
 from diagnose.case import Case
 from diagnose.floor import noise_floors
 from diagnose.model_file import as_model
+from diagnose.plates import own_errors
 from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
@@ -104,7 +105,8 @@ def evaluated(case: Case, effects: Sequence[AbstractEffect]) -> Evaluation:
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, model, coordinates) if effects else before
     residuals = [each.residual for each in before], [each.residual for each in after]
-    floors, how = noise_floors(case, *residuals)
+    own = own_errors(case, np.array([each.log_zeta for each in before]))
+    floors, how = noise_floors(case, *residuals, own)
     return Evaluation(
         case, tuple(effects), before, after, gaps(case, *residuals, floors), floors, how
     )

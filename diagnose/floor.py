@@ -1,6 +1,6 @@
 """The noise floor: what repeated runs differ by, or else what instruments scatter by."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -8,22 +8,23 @@ import numpy as np
 from diagnose.case import Case
 from diagnose.left_out import conditions
 
-# A model's own error, that no repeat shows since both runs share it [m, N, N m].
-OWN_ERROR = {"x": 50e-6, "z": 20e-6, "fx": 0.5, "fz": 0.5, "torque": 0.05}
-
 
 def noise_floors(
-    case: Case, before: Sequence[np.ndarray], after: Sequence[np.ndarray]
+    case: Case,
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    own: Mapping[str, float],
 ) -> tuple[dict[str, float], str]:
     """Noise floor of each channel [m, N, N m], and a sentence on how it was found.
 
     Half the power of the difference between two repeats' residuals, each with its own zeta, is
-    chance; the model's own error comes on top.
+    chance; the simulation's own error comes on top.
 
     Args:
         case: The runs.
         before, after: Residuals of each run by the reference model and by the best one, shape
             (channels, samples): the smaller difference counts, as an effect may differ in strength.
+        own: The simulation's own error in each channel, which no repeat shows since both share it.
     """
     powers: dict[str, list[float]] = {}
     repeats = [group for group in conditions(case.candidates) if len(group) > 1]
@@ -42,7 +43,7 @@ def noise_floors(
     for index, channel in enumerate(case.channels):
         noise = np.mean([_instrument(case, run, index) ** 2 for run in range(len(before))])
         power = np.mean(powers[channel]) if powers.get(channel) else noise
-        floors[channel] = float(np.sqrt(power + OWN_ERROR[channel] ** 2))
+        floors[channel] = float(np.sqrt(power + own[channel] ** 2))
     names = [[case.candidates[r].name for r in group] for group in repeats]
     if names:
         how = "The noise floor is from repeats: " + "; ".join(" and ".join(n) for n in names) + "."

@@ -101,14 +101,9 @@ def _worded(name: str) -> str:
     )
 
 
-def reducible(gap: Gap) -> bool:
-    """Whether there is a gap above the floor that could shrink."""
-    return gap.before > 1.1 * gap.floor
-
-
 def shrunk(found: Diagnosis, gap: Gap) -> str:
     """How far a gap shrinks; with the interval, where there are conditions to draw from."""
-    if not reducible(gap):
+    if not gap.can_shrink:
         return "at the floor"
     if len(conditions_of(found.case)) == 1:
         return f"{gap.shrinkage:.0%}"
@@ -134,16 +129,17 @@ def correction_sentences(found: Diagnosis) -> list[str]:
     if offered is None:
         return []
     effect, on = offered.effect, _measured_on(found, "its curve was")
+    shares = _shrunk_by(found, offered.gap) or "little in any one channel"
     return [
         f"Offered instead: a correction of {effect.stage} over {effect.variable}, fitted to these "
-        "runs. With it the gap above the noise floor shrinks by "
-        f"{_shrunk_by(found, offered.gap)}, {on}; model.toml holds it."
+        f"runs. With it the gap above the noise floor shrinks by {shares}, {on}; model.toml holds "
+        "it."
     ]
 
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap]) -> str:
     return ", ".join(
-        f"{channel} {shrunk(found, gap)}" for channel, gap in gaps.items() if reducible(gap)
+        f"{channel} {shrunk(found, gap)}" for channel, gap in gaps.items() if gap.can_shrink
     )
 
 

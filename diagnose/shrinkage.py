@@ -23,7 +23,7 @@ class Gap:
             out while it was fitted [m, N, N m].
         floor: Noise floor.
         shrinkage: Share of what could be reached above the floor that the effect removes [-].
-        interval: Where it lies with 90 %, from run to run.
+        interval: Where it lies with 90 %, from run to run; of draws in which a gap could shrink.
     """
 
     before: float
@@ -31,6 +31,11 @@ class Gap:
     floor: float
     shrinkage: float
     interval: tuple[float, float]
+
+    @property
+    def can_shrink(self) -> bool:
+        """Whether it lies far enough above the floor to say by how much it shrinks."""
+        return can_shrink(self.before, self.floor)
 
     def document(self) -> dict:
         """Plain values; lengths in mm."""
@@ -44,7 +49,7 @@ class Gap:
 
 
 def shrinkage(before: float, after: float, floor: float) -> float:
-    """Share of the RMSE above the floor that is gone; zero where there was none."""
+    """Share of the RMSE above the floor that is gone; zero where none could go."""
     return gone(before, after, floor) if can_shrink(before, floor) else 0.0
 
 
@@ -77,13 +82,14 @@ def gaps(
                 ]
         floor = floors[channel]
 
-        def of(rows: np.ndarray, floor: float = floor) -> tuple[float, float, float]:
+        def of(rows: np.ndarray) -> tuple[float, float]:
             total = rows.sum(axis=0)
             first, last = np.sqrt(total[:2] / max(total[2], 1))
-            return float(first), float(last), shrinkage(float(first), float(last), floor)
+            return float(first), float(last)
 
-        first, last, share = of(power)
-        drawn = [of(power[draw])[2] for draw in draws]
-        low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        found[channel] = Gap(first, last, floor, share, (float(low), float(high)))
+        first, last = of(power)
+        share = shrinkage(first, last, floor)
+        drawn = [gone(*each, floor) for each in map(of, power[draws]) if can_shrink(each[0], floor)]
+        interval = np.quantile(drawn or [share], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        found[channel] = Gap(first, last, floor, share, (float(interval[0]), float(interval[1])))
     return found

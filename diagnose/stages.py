@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from diagnose.blocks import Splitter
 from diagnose.case import Case
 from diagnose.evidence import FLOOR
-from diagnose.floor import OWN_ERROR
 from diagnose.kick import READINGS, Kick, respond_to, zeta_kick
 from diagnose.latent import INPUTS
 from diagnose.path import FORCES, MOTION, Path
@@ -138,7 +137,7 @@ def described(name: str) -> tuple[str, float, str]:
 
 def floor_of(channel: str) -> float:
     """A model's own error in the slow part of a channel [m, N, N m]."""
-    return FLOOR.get((channel, "slow"), OWN_ERROR[channel])
+    return FLOOR[channel, "slow"]
 
 
 def _stage(case: Case, name: str, columns: Columns) -> Stage:

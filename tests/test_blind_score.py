@@ -116,6 +116,12 @@ def test_nothing_is_promised_of_a_gap_at_its_floor():
     assert score({"set_1": LABELS["set_1"]}, {"set_1": faint})["shrinkage"] == {}
 
 
+def test_no_promise_is_tried_on_fresh_runs_at_the_floor():
+    plain = Answer(["drawbar"], {}, [], {"x": GapAnswer(0.5, 0.1, 0.08, 0.9, (0.8, 1.0))})
+    plain.fresh = {"x": FreshAnswer(0.1, 0.09)}
+    assert score({"set_1": LABELS["set_1"]}, {"set_1": plain})["shrinkage"] == {}
+
+
 def test_interval_of_a_share():
     # Wilson's, worked out for z = 1.6449: 8 of 10.
     assert Share(8, 10).interval() == pytest.approx((0.5408, 0.9314), abs=5e-4)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnose.floor import OWN_ERROR, noise_floors
+from diagnose.floor import noise_floors
 from diagnose.left_out import conditions
 from drftjax.setup import SetUp
 from identify.candidate import Candidate, candidate
@@ -85,6 +85,9 @@ def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
     apart = 1e-3
     residual = [np.zeros((2, len(each.observation.time))) for each in (whole, short)]
     residual[1] += apart
-    floors, how = noise_floors(case, residual, residual)  # pyright: ignore[reportArgumentType]
-    assert floors["z"] == pytest.approx(np.hypot(apart / np.sqrt(2), OWN_ERROR["z"]))
+    own = {"x": 0.0, "z": 3e-4}
+    floors, how = noise_floors(case, residual, residual, own)  # pyright: ignore[reportArgumentType]
+    assert floors == pytest.approx(
+        {"x": apart / np.sqrt(2), "z": np.hypot(apart / np.sqrt(2), 3e-4)}
+    )
     assert "whole and whole" in how

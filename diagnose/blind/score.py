@@ -177,13 +177,17 @@ def calibration(given: list[Case]) -> list[dict]:
 def shrinkage(given: list[Case]) -> dict[str, dict]:
     """Promised against realised shrinkage of the misfit on fresh runs, by channel.
 
-    Both are shares of what lies above the promise's noise floor.
+    Both are shares of what lies above the promise's noise floor, where on both occasions enough
+    does.
     """
     found: dict[str, list[dict]] = defaultdict(list)
     for case in given:
         for channel, fresh in case.answer.fresh.items():
             promise = case.answer.gap.get(channel)
-            if promise is None or not can_shrink(promise.before_mm, promise.floor_mm):
+            if promise is None:
+                continue
+            gaps = promise.before_mm, fresh.before_mm
+            if not all(can_shrink(gap, promise.floor_mm) for gap in gaps):
                 continue
             low, high = promise.shrinkage_interval
             realised = gone(fresh.before_mm, fresh.after_mm, promise.floor_mm)
