@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import types
+from pathlib import Path
 
 import pytest
 from command_line import Drft
@@ -232,14 +233,15 @@ def test_answers_already_in_the_file_are_kept(sets, blind, tmp_path, monkeypatch
 
 
 def _dies(runs):
-    if runs == ["die"]:
+    if runs == [Path("die")]:
         os._exit(1)
-    return {"verdict": runs}
+    return {"verdict": [run.name for run in runs]}
 
 
 def test_processes_are_replaced_and_one_that_dies_spoils_no_more_than_its_own_sets(monkeypatch):
     monkeypatch.setattr("diagnose.blind.answering.answer_one", _dies)
-    sets = {f"set_{each:02}": [f"run_{each}"] for each in range(9)} | {"set_99": ["die"]}
+    sets = {f"set_{each:02}": [Path(f"run_{each}")] for each in range(9)}
+    sets["set_99"] = [Path("die")]
     found = dict(answer_sets(sets, 2))
     assert set(found) == set(sets)
     assert all(found[f"set_{each:02}"] == {"verdict": [f"run_{each}"]} for each in range(8))

@@ -1,0 +1,59 @@
+"""The simulation's own error in a noise floor, and what counts above it."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagnose.case import Case, baseline
+from diagnose.plates import on_finer_plates, own_errors
+from diagnose.promise import followed
+from diagnose.response import Model
+from diagnose.shrinkage import gaps
+from tests.virtual_runs import PLATE, coarse, recorded, setup_of
+
+PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
+# Two ways to the zeta that meets a mean sinkage: a straight line over 1 %, and secant steps to the
+# end. On plates as long as these sinkage bends by a fifth over 2 % of zeta.
+AGREE = 0.15
+
+
+@pytest.fixture(scope="module")
+def run():
+    return coarse("run", recorded(setup_of(PROFILE), rate=100.0, noise=0.0))
+
+
+def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, pool):
+    case = Case.of([run], pool)
+    log_zeta = baseline(case)
+    own = own_errors(case, log_zeta)
+    values = run.observation.values.copy()
+    values[:, case.counts(0)] = case.predicted(Model(), 0, log_zeta[0], np.zeros(0))
+    fine = on_finer_plates(
+        dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
+    )
+    assert fine.setup.wheel.plate_size == PLATE / 2
+    (left,) = followed(Case.of([fine], pool), Model(), np.zeros(0))
+    assert own == pytest.approx(
+        dict(zip(("x", "z"), np.sqrt(np.mean(left.residual**2, axis=1)), strict=True)), rel=AGREE
+    )
+    # These plates are 10 mm: far from nothing, and far from what a wheel travels.
+    assert 1e-5 < own["x"] < 5e-3
+
+
+def test_an_interval_is_of_draws_in_which_something_could_shrink():
+    setup = setup_of(PROFILE)
+    other = setup_of((PROFILE[0], [0.0, 0.0, 0.5, 0.5]))
+    case = SimpleNamespace(
+        candidates=[SimpleNamespace(setup=each) for each in (setup, other)], channels=("x",)
+    )
+    # One command shows a gap of ten floors, half of which goes; the other shows none.
+    before = [np.full((1, 100), 10.0), np.full((1, 100), 1.0)]
+    after = [np.full((1, 100), 5.5), np.full((1, 100), 1.0)]
+    gap = gaps(case, before, after, {"x": 1.0})["x"]  # pyright: ignore[reportArgumentType]
+    assert gap.interval[0] == pytest.approx(0.5, abs=0.03)
+    assert gap.interval[1] == pytest.approx(gap.shrinkage, abs=0.03)
+    nothing = gaps(case, after[1:] * 2, after[1:] * 2, {"x": 1.0})["x"]  # pyright: ignore
+    assert not nothing.can_shrink
+    assert nothing.interval == (0.0, 0.0)
