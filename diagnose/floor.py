@@ -46,11 +46,15 @@ def noise_floors(
         floors[channel] = float(np.sqrt(power + own[channel] ** 2))
     names = [[case.candidates[r].name for r in group] for group in repeats]
     if names:
-        how = "The noise floor is from repeats: " + "; ".join(" and ".join(n) for n in names) + "."
+        how = (
+            "The noise floor is from repeats: "
+            + "; ".join(" and ".join(n) for n in names)
+            + ", and from what plates half as long would change."
+        )
     else:
         how = (
-            "No run was repeated: the noise floor is the instruments' fast scatter and the "
-            "simulation's own error, and says nothing of how runs scatter."
+            "No run was repeated: the noise floor is the instruments' fast scatter and what plates "
+            "half as long would change, and says nothing of how runs scatter."
         )
     return floors, how
 
