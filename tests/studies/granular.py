@@ -143,6 +143,7 @@ def answers(folder: Path, pool: ThreadPoolExecutor, console: Console) -> None:
     two = runs(folder, TWO_PACKINGS)
     say(console, "Two packings, by the whole catalogue", diagnosed(two, everything, pool))
     say(console, "One packing, by the stress laws alone", diagnosed(one, laws, pool))
+    say(console, "Two packings, by the stress laws alone", diagnosed(two, laws, pool))
     depth = PLATE_OFFSET / PLATE_RISE
     hand = tuple(effect_class(name) for name in BY_HAND)
     say(console, "Two packings, by four effects chosen by hand", diagnosed(two, hand, pool))
