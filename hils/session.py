@@ -150,10 +150,9 @@ class Session:
 
     def bye(self) -> None:
         """End the session, and give the rig a moment to take it in."""
+        now = self._clock.now()
         self._link.send(Bye())
-        self._await(
-            lambda each: isinstance(each.frame.message, StateReport), self._clock.now() + GAP
-        )
+        self._await(lambda each: isinstance(each.frame.message, StateReport), now, now + GAP)
         self._armed_by = None
 
     def _require_open(self) -> tuple[Hello, HelloAck]:
@@ -178,7 +177,10 @@ class Session:
         hold: Drive | None = None,
         tick: float = math.inf,
     ) -> Arrival | None:
-        """Say it until something answers it, or all tries are over."""
+        """Say it until something answers it, or all tries are over.
+
+        What had come before it was said is no answer; a measurement of that very instant neither.
+        """
         start = self._clock.now()
         for number in range(1, TRIES + 1):
             self._link.send(message)
@@ -186,19 +188,22 @@ class Session:
             while (now := self._clock.now()) < deadline:
                 if hold is not None:
                     self._link.send(hold)
-                if (answer := self._await(answers, min(deadline, now + tick))) is not None:
+                until = min(deadline, now + tick)
+                if (answer := self._await(answers, start, until)) is not None:
                     return answer
         return None
 
-    def _await(self, answers: Callable[[Arrival], bool], deadline: float) -> Arrival | None:
+    def _await(
+        self, answers: Callable[[Arrival], bool], since: float, deadline: float
+    ) -> Arrival | None:
         while True:
             for each in self._link.reports():
                 if isinstance(each.frame.message, StateReport):
                     self._said = each.frame.message
-                if answers(each):
+                if each.time >= since and answers(each):
                     return each
             newest = self._link.newest()
-            if newest is not None and answers(newest):
+            if newest is not None and newest.time > since and answers(newest):
                 return newest
             if not self._link.wait(deadline):
                 return None

@@ -262,6 +262,16 @@ def test_an_emergency_stop_that_nobody_answers_says_so():
     assert table.clock.now() - before == pytest.approx(TRIES * GAP, abs=ROUNDING)
 
 
+def test_what_was_heard_before_an_emergency_stop_does_not_answer_it():
+    table = Table(OtherRig()).ready()
+    table.rig.state = 3
+    table.rig.report(2)
+    table.rig.measure(0.0, 0)
+    table.clock.sleep_until(table.clock.now() + 0.01)
+    table.rig.say = lambda *_: None
+    assert not table.session.emergency_stop(1)
+
+
 # Rigs that cannot be driven ----------------------------------------------------------------------
 
 
