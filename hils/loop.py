@@ -12,6 +12,7 @@ from hils.events import Event, TickFlag
 from hils.guard import REST, Demand, Reading, Verdict
 from hils.link import AbstractLink, Arrival
 from hils.rows import Rows
+from hils.session import EMERGENCY
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, Given, LoopState, Reaction
 from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
@@ -345,7 +346,7 @@ class TickLoop:
 
     def _look_at_requests(self) -> None:
         if self._stop.emergency:
-            self._link.send(EmergencyStop(1))
+            self._link.send(EmergencyStop(EMERGENCY))
             wish = self._stop.wish
             self._event(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
             raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")

@@ -35,18 +35,17 @@ from hils.loop import LoopReport, Overruns, TickLoop, Zero
 from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
+from hils.rest import Rest
 from hils.rows import Rows
 from hils.scene import Phase
 from hils.session import RigStopped, Session
-from hils.standing import Ended, Settled, Standing, come_to_rest, touch_down
+from hils.standing import Ended, Settled, Standing, touch_down
 from hils.stop_request import StopRequest
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
 from hils.wire import Hello, HelloAck
 
 # What the virtual rig calls itself.
 VIRTUAL_RIG_ID = 0x56495254
-# Reasons of an emergency stop, as the rig is told.
-EMERGENCY, NOT_RESTED = 1, 2
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
@@ -207,6 +206,8 @@ def _run(
         raise
     valid_ms = watchdog_ms(tick_us)
     standing = Standing(session, link, clock, stop, loop.tick, not procedure.free, valid_ms)
+    ramp = loop.commands.omega / loop.ramp
+    rest = Rest(session, link, clock, ack, stop, standing.rest, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
@@ -236,10 +237,10 @@ def _run(
         reason = f"link lost: {lost}"
         log.event(Event.LINK_LOST)
     finally:
-        rested = _to_rest(session, ack, link, clock, log, dialogue, stop)
+        rested = _to_rest(session, rest, log, dialogue)
     return RunReport(
         reason,
-        looped is not None and looped.completed and reason == looped.reason,
+        looped is not None and looped.completed,
         rested,
         settled,
         start,
@@ -266,28 +267,19 @@ def _loop(
     ).run(state, began)
 
 
-def _to_rest(
-    session: Session,
-    ack: HelloAck,
-    link: AbstractLink,
-    clock: AbstractClock,
-    log: _Log,
-    dialogue: AbstractDialogue,
-    stop: StopRequest,
-) -> bool:
-    """Bring the rig to rest and end the session, whatever state either is in."""
-    rested = False
+def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue) -> bool:
+    """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
-        log.event(Event.STOP_SENT)
-        dialogue.enter(Phase.STOPPING)
-        rested = come_to_rest(link, clock, stop, ack.boot_id)
-        if stop.emergency or not rested:
-            rested = session.emergency_stop(EMERGENCY if stop.emergency else NOT_RESTED)
-        session.bye()
-        log.event(Event.DISCONNECTED)
+        try:
+            session.stop()
+            log.event(Event.STOP_SENT)
+            dialogue.enter(Phase.STOPPING)
+        finally:
+            rested = rest.bring()
     except LinkLost:
         dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
         return False
+    log.event(Event.DISCONNECTED)
     if not rested:
         dialogue.tell("The rig has not confirmed that it rests: use its emergency stop.")
     return rested

@@ -28,6 +28,8 @@ GAP = 0.05  # from one try to the next [s]
 LARGEST_SCALE = 1.0  # metres a count
 READY = (RigState.ARMED, RigState.RUNNING)
 STOPPED = (RigState.SAFE, RigState.FAULT)
+# Reasons of an emergency stop, as the rig is told.
+EMERGENCY, NOT_RESTED = 1, 2
 
 
 class RigStopped(InputError):

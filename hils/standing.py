@@ -15,13 +15,7 @@ from hils.link import AbstractLink, Arrival
 from hils.loop import Zero, longest_silence
 from hils.session import Session
 from hils.stop_request import StopRequest
-from hils.wire import (
-    Drive,
-    HelloAck,
-    Measurement,
-    RigState,
-    Stop,
-)
+from hils.wire import Drive, HelloAck, Measurement
 
 # Touch-down is averaged over this time [s], and needs as many readings.
 TOUCH_DOWN_TIME, TOUCH_DOWN_READINGS = 0.5, 8
@@ -34,10 +28,6 @@ LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
 LONGEST_SETTLING = 20.0
 # Between rest and start the wheel creeps by no more than this [m].
 MOST_CREPT = 2e-3
-# After STOP the wheel must stand within this time [s], turning slower than [rad/s].
-LONGEST_STOP, STOPPED = 5.0, 0.02
-# STOP is not answered by every rig, so it is said again until the wheel rests, so far apart [s].
-STOP_INTERVAL = 0.05
 
 
 class Ended(Exception):
@@ -216,42 +206,6 @@ class Standing:
         assert isinstance(measurement, Measurement)
         if measurement.fault:
             raise Ended(f"the rig reports fault {measurement.fault}")
-
-
-def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest, boot_id: int) -> bool:
-    """STOP, until the rig is seen to rest or an emergency stop is asked for.
-
-    Args:
-        link, clock: The rig.
-        stop: Looked at all the while.
-        boot_id: Of the rig when the session was opened; one that was reset does not answer.
-
-    Returns:
-        Whether it was seen to rest.
-
-    Raises:
-        LinkLost: the rig can no longer be reached; its watchdog brings it to rest.
-    """
-    deadline = clock.now() + LONGEST_STOP
-    began = clock.now()
-    said = -math.inf
-    while clock.now() < deadline and not stop.emergency:
-        if clock.now() >= said + STOP_INTERVAL:
-            link.send(Stop())
-            said = clock.now()
-        link.wait(min(deadline, said + STOP_INTERVAL))
-        stranger = link.quality().stranger
-        if stranger is not None and stranger.boot_id != boot_id:
-            return False
-        arrival = link.newest()
-        if arrival is None or arrival.time <= began:
-            continue
-        measurement = arrival.frame.message
-        assert isinstance(measurement, Measurement)
-        turning = abs(measurement.omega) > STOPPED  # False where it is not measured
-        if measurement.state is not RigState.RUNNING and not turning:
-            return True
-    return False
 
 
 def _time_of(arrival: Arrival | None) -> float:

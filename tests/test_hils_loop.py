@@ -19,13 +19,14 @@ from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
 from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport, ZeroAt, run, shared_physics
 from hils.rows import KeptRows
+from hils.scene import Phase
 from hils.simulated import QUICK, SoftRig, soft_rig
 from hils.simulated import shared_physics as rig_physics
 from hils.stop_request import StopRequest, Wish
 from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import Drive, EmergencyStop, RigState, Stop
+from hils.wire import Bye, Drive, EmergencyStop, RigState, Stop
 
 TICK = 0.01
 # Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
@@ -188,7 +189,10 @@ def test_zeta_at_the_start_is_what_statics_tells():
 
 def test_stop_and_farewell_end_the_session():
     made = whole("step")
-    assert [type(m).__name__ for _, m in made.said[-2:]] == ["Stop", "Bye"]
+    stopped = next(n for n, (_, m) in enumerate(made.said) if isinstance(m, Stop))
+    after = [m for _, m in made.said[stopped:]]
+    assert all(isinstance(m, Stop) or (m.omega, m.vx) == (0.0, 0.0) for m in after[:-1])
+    assert after[-1] == Bye()
     assert made.soft.rig.state is RigState.IDLE
 
 
@@ -363,6 +367,21 @@ def test_fault_of_the_program_still_stops_the_rig():
     soft.clock.sleep_until(soft.clock.now() + 1.0)
     assert soft.rig.motion.omega == 0.0
     assert soft.rig.state in (RigState.IDLE, RigState.SAFE)
+
+
+def test_nothing_that_is_told_can_prevent_the_stop():
+    class Speechless(Unattended):
+        def enter(self, phase, lasts=math.nan):
+            if phase is Phase.STOPPING:
+                raise OSError("the terminal is gone")
+
+    setup, clock = VirtualSetUp(physics=QUICK), VirtualClock(START)
+    rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
+    link, given = LoggedLink(rig, clock), Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match="OSError: the terminal is gone"):
+        run(given, link, clock, KeptRows(), Speechless(quiet=True), StopRequest())
+    assert isinstance(link.said[-1][1], Bye)
+    assert rig.state is RigState.IDLE
 
 
 # Deadlines ---------------------------------------------------------------------------------------
