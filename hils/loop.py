@@ -302,6 +302,7 @@ class TickLoop:
     def _heed(self, report: Arrival) -> None:
         message = report.frame.message
         if isinstance(message, EmergencyStop):
+            self._link.send(message)
             self._event(Event.EMERGENCY_STOP, message.reason)
             raise _Over(f"the rig made an emergency stop, reason {message.reason}")
         if isinstance(message, StateReport | HelloAck):

@@ -115,6 +115,8 @@ class Session:
     def check(self) -> list[Arrival]:
         """What the rig reported since the last call; once armed, refuse if it is no longer.
 
+        An emergency stop of the rig's own is answered by one of the same reason.
+
         Raises:
             RigStopped: the rig stopped, left its ready state, failed or was reset.
             LinkLost: the line broke.
@@ -129,6 +131,7 @@ class Session:
             if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:
                 raise RigStopped(f"the rig on {self._link.name} was reset during the run")
             if isinstance(message, EmergencyStop):
+                self._link.send(message)
                 raise RigStopped(
                     f"the rig on {self._link.name} made an emergency stop, reason {message.reason}"
                 )

@@ -13,7 +13,7 @@ from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
 from hils.guard import CommandLimits, Reading
-from hils.link import SoftLink
+from hils.link import Arrival, SoftLink
 from hils.loop import Overruns
 from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
 from hils.operator_dialogue import Unattended
@@ -26,7 +26,7 @@ from hils.stop_request import StopRequest, Wish
 from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import Bye, Drive, EmergencyStop, RigState, Stop
+from hils.wire import Bye, Drive, EmergencyStop, Frame, RigState, Stop
 
 TICK = 0.01
 # Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
@@ -110,20 +110,21 @@ def make(
     at: float = 0.0,
     late: float = 0.0,
     rows: KeptRows | None = None,
+    link: type[LoggedLink] = LoggedLink,
     **procedure,
 ) -> Made:
     """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
     setup = VirtualSetUp(physics=QUICK)
     clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
-    link = LoggedLink(rig, clock)
+    line = link(rig, clock)
     stop, rows = StopRequest(), rows or KeptRows()
     if cue is not None:
-        Cue(clock, START + BEFORE + at, lambda: cue(stop, link))
+        Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
     given = Procedure(loop=loop or loop_setup(), countdown=0.3, **procedure)
-    soft = SoftRig(rig, link, clock)
-    report = run(given, link, clock, rows, Unattended(quiet=True), stop)
-    return Made(report, rows, soft, link.said)
+    soft = SoftRig(rig, line, clock)
+    report = run(given, line, clock, rows, Unattended(quiet=True), stop)
+    return Made(report, rows, soft, line.said)
 
 
 @functools.cache
@@ -293,6 +294,27 @@ def test_rig_that_goes_safe_ends_the_run():
     assert not made.report.completed
     assert made.rows.end_reason == made.report.reason
     assert made.events(Event.RIG_STATE) == [RigState.SAFE]
+    assert resting(made)
+
+
+def test_rigs_own_emergency_stop_is_answered_by_one():
+    def press(stop, link):
+        link.pressed = EmergencyStop(12)
+
+    class Pressed(LoggedLink):
+        pressed = None
+
+        def reports(self):
+            pressed, self.pressed = self.pressed, None
+            found = super().reports()
+            now = self._clock.now()
+            return found if pressed is None else [*found, Arrival(Frame(pressed, 1, 1, 0), now)]
+
+    made = make(cue=press, at=2.0, link=Pressed)
+    assert made.report.reason == "the rig made an emergency stop, reason 12"
+    first = next(m for _, m in made.said if isinstance(m, EmergencyStop | Stop))
+    assert first == EmergencyStop(12)
+    assert made.report.rested
     assert resting(made)
 
 
