@@ -10,7 +10,7 @@ the reason why the run ended.
 import enum
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from uuid import uuid4
@@ -40,7 +40,7 @@ from hils.rows import Rows
 from hils.scene import Phase
 from hils.session import RigStopped, Session
 from hils.standing import Ended, Settled, Standing, touch_down
-from hils.stop_request import StopRequest
+from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
 from hils.wire import Hello, HelloAck
 
@@ -99,6 +99,8 @@ class RunReport:
         start: Sinkage at the start and zeta(0); None likewise.
         loop: How the loop went; None where it was not started.
         quality: What went over the link, from beginning to end.
+        wish: Who asked for an end meanwhile, be it too late for the profile; None where nobody did.
+        unfinished: Why the file could not be finished, and where its rows are; empty where it was.
     """
 
     reason: str
@@ -108,6 +110,8 @@ class RunReport:
     start: Start | None
     loop: LoopReport | None
     quality: LinkQuality
+    wish: Wish | None = None
+    unfinished: str = ""
 
 
 class _Log:
@@ -151,13 +155,13 @@ def run(
         before_motion: Called once when all is ready, before ARM.
 
     Raises:
-        InputError: the run could not be begun; nothing moved, or the rig was told to rest.
+        InputError: the run could not be begun; nothing moved, or the rig was told to rest. A file
+            that could not be finished is in the report.
     """
-    reason = "not begun"
+    reason, report = "not begun", None
     try:
         report = _run(procedure, link, clock, rows, dialogue, stop, before_motion)
         reason = report.reason
-        return report
     except InputError as error:
         reason = str(error)
         raise
@@ -168,8 +172,22 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
+        unfinished = _close(rows, reason, stop)
+        if unfinished and report is None:
+            dialogue.tell(unfinished)
+    assert report is not None  # or else it was raised
+    return replace(report, wish=stop.wish, unfinished=unfinished)
+
+
+def _close(rows: Rows, reason: str, stop: StopRequest) -> str:
+    """End the recording; why it could not be finished, empty where it was."""
+    try:
         rows.close(reason)
+    except InputError as error:
+        return str(error)
+    finally:
         stop.moving = False
+    return ""
 
 
 def _run(
