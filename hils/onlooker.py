@@ -222,6 +222,9 @@ class _SeenRows:
     def reason(self) -> str | None:
         return self._rows.reason
 
+    def require_room(self, head: Head) -> None:
+        self._rows.require_room(head)
+
     def begin(self, head: Head) -> None:
         self._rows.begin(head)
 

@@ -25,7 +25,6 @@ from drftjax.errors import InputError
 from drftjax.runlog.head import Head, OnlineHead
 from drftjax.saved import believed
 from drftjax.setup import SetUp
-from drftjax.simulator import Simulator
 from drftjax.statics import zeta_from_sinkage
 from hils.clock import AbstractClock
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
@@ -205,11 +204,12 @@ def _run(
     log.event(Event.CONNECTED, ack.boot_id)
     try:
         loop = _within(procedure.loop, ack, procedure.free)
-        simulator = loop.setup.trial().simulator
+        expected = Start(loop.setup.start.sinkage, 1.0)
+        rows.require_room(_head(procedure, loop, expected, ack))
         statics = _statics(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
-            conduct.warm(Start(loop.setup.start.sinkage, 1.0))
+            conduct.warm(expected)
         if procedure.zero is ZeroAt.HELD:
             dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
         zero = touch_down(link, clock, ack)
@@ -236,7 +236,7 @@ def _run(
         dialogue.tell("Armed. The wheel settles.")
         settled = standing.settle(zero)
         log.event(Event.SETTLED, settled.sinkage)
-        start = _start(procedure, simulator, statics, settled)
+        start = _start(procedure, -loop.readings.lowest, statics, settled)
         dialogue.tell(
             f"At rest {start.sinkage * 1e3:.2f} mm deep, zeta(0) {start.zeta:.4f}; "
             f"start in {procedure.countdown:g} s"
@@ -358,11 +358,10 @@ def _statics(setup: bytes) -> Callable[[float], float]:
 
 def _start(
     procedure: Procedure,
-    simulator: Simulator,
+    deepest: float,
     statics: Callable[[float], float],
     settled: Settled,
 ) -> Start:
-    deepest = float(simulator.wheel.cut().sinkage_limit)
     least = LEAST_SINKAGE if procedure.zeta is None else -MOST_OVER
     if not least <= settled.sinkage <= deepest:
         raise InputError(

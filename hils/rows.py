@@ -26,6 +26,14 @@ class Rows(Protocol):
         """Why it is lost, in a sentence without its subject."""
         ...
 
+    def require_room(self, head: Head) -> None:
+        """Refuse a head as long as this one where it could not be taken; nothing has moved yet.
+
+        Raises:
+            InputError: where it could not.
+        """
+        ...
+
     def begin(self, head: Head) -> None:
         """What is known of the run before its first row; called once, before any row."""
         ...
@@ -89,6 +97,9 @@ class KeptRows:
     @property
     def reason(self) -> str | None:
         return None
+
+    def require_room(self, head: Head) -> None:
+        pass
 
     def begin(self, head: Head) -> None:
         self.head = head
