@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 
 from drftjax import __version__
+from drftjax.arrays import require_between
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head, OnlineHead
 from drftjax.saved import believed
@@ -49,6 +50,7 @@ VIRTUAL_RIG_ID = 0x56495254
 PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
 LEAST_ZETA, MOST_ZETA = 0.05, 10.0
+LONGEST_COUNTDOWN = 60.0  # [s]
 # A wheel that stands less deep was not let down, or was zeroed too low [m].
 LEAST_SINKAGE = 5e-4
 # With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
@@ -75,6 +77,9 @@ class Procedure:
         overruns: What follows a missed deadline.
         countdown: From the wheel's rest to the start [s].
         title: Of the run log.
+
+    Raises:
+        InputError: zeta or countdown is a number that cannot be.
     """
 
     loop: LoopSetUp
@@ -84,6 +89,11 @@ class Procedure:
     overruns: Overruns = Overruns.SKIP
     countdown: float = 3.0
     title: str = ""
+
+    def __post_init__(self):
+        require_between("countdown", self.countdown, 0.0, LONGEST_COUNTDOWN, " s")
+        if self.zeta is not None:
+            require_between("zeta0", self.zeta, LEAST_ZETA, MOST_ZETA)
 
 
 @dataclass(frozen=True)
@@ -370,7 +380,9 @@ def _start(
             "or give --zero power-up where the scale was zeroed there before, or --zeta0 where "
             "no sinkage at rest can be told"
         )
-    zeta = statics(settled.sinkage) if procedure.zeta is None else procedure.zeta
+    if procedure.zeta is not None:
+        return Start(settled.sinkage, procedure.zeta)
+    zeta = statics(settled.sinkage)
     if not LEAST_ZETA <= zeta <= MOST_ZETA:
         raise InputError(
             f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "

@@ -121,7 +121,7 @@ def make(
     stop, rows = StopRequest(), rows or KeptRows()
     if cue is not None:
         Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
-    given = Procedure(loop=loop or loop_setup(), countdown=0.3, **procedure)
+    given = Procedure(loop=loop or loop_setup(), **{"countdown": 0.3} | procedure)
     soft = SoftRig(rig, line, clock)
     report = run(given, line, clock, rows, Unattended(quiet=True), stop)
     return Made(report, rows, soft, line.said)
@@ -464,7 +464,8 @@ def test_profile_that_the_rig_does_not_allow_is_refused_before_arm():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"zeta": 50.0}, r"tells zeta\(0\) 50"),
+        ({"zeta": 50.0}, "zeta0 is 50, must lie between"),
+        ({"countdown": math.nan}, "countdown is nan, must lie between"),
         ({"loop": loop_setup(ramp=100.0)}, "ramp is 100, must lie between"),
         ({"loop": msgspec.structs.replace(loop_setup(), tick=1e-5)}, "tick is 1e-05, must lie"),
     ],

@@ -7,6 +7,9 @@ import typer
 
 from drftjax.errors import InputError
 
+# Ports whose line has no baud rate.
+WITHOUT_BAUD = ("socket://", "loop://")
+
 EXAMPLES = """
 Examples:
 
@@ -120,7 +123,7 @@ def run(
     # What can be refused is refused before anything is opened.
     loop.tuner.build(tick)
     profile_of(loop, 1)
-    if "://" not in port:
+    if not port.lower().startswith(WITHOUT_BAUD):
         require_baud(baud, tick)
     procedure = Procedure(
         loop=loop,
