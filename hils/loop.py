@@ -15,7 +15,7 @@ from hils.rows import Rows
 from hils.session import EMERGENCY
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, Given, LoopState, Reaction
-from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
+from hils.wire import READY, Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
 
 # A rig that says nothing for so long [s], and for so many ticks, is not followed any further.
 SILENCE, SILENT_TICKS = 0.25, 5
@@ -29,7 +29,6 @@ FRESH, REFUSED, STUCK, LATE, SKIPPED, LIMITED, RAMPING, DRIVE_OFF = (
     int(TickFlag[name])
     for name in ["FRESH", "REFUSED", "STUCK", "LATE", "SKIPPED", "LIMITED", "RAMPING", "DRIVE_OFF"]
 )
-OBEYING = (RigState.ARMED, RigState.RUNNING)
 
 
 class Overruns(enum.Enum):
@@ -73,7 +72,6 @@ class LoopReport(NamedTuple):
     Attributes:
         reason: Why it ended, "completed" where the profile was run to its end.
         completed: Whether that is so.
-        obeying: Whether the rig still follows, so that it can be brought to rest by a STOP.
         ticks: Ticks made.
         overruns: Deadlines missed, skipped ticks included.
         skipped: Ticks that passed unused.
@@ -87,7 +85,6 @@ class LoopReport(NamedTuple):
 
     reason: str
     completed: bool
-    obeying: bool
     ticks: int
     overruns: int
     skipped: int
@@ -167,7 +164,7 @@ class TickLoop:
         self._clock.sleep_until(start + state.number * self._tick)
         reason = "completed" if self._wish is None else self._wish.reason
         self._event(Event.PROFILE_ENDED if self._wish is None else Event.RAMPED_DOWN)
-        return self._report(state, reason, True)
+        return self._report(state, reason, self._wish is None)
 
     # One tick -----------------------------------------------------------------------------------
 
@@ -311,7 +308,7 @@ class TickLoop:
             self._require_obeying(message.state)
 
     def _require_obeying(self, state: RigState) -> None:
-        if state not in OBEYING:
+        if state not in READY:
             self._event(Event.RIG_STATE, state)
             raise _Over(f"the rig went {state.name}")
 
@@ -393,15 +390,14 @@ class TickLoop:
     def _event(self, code: int, arg: float = 0.0) -> None:
         self._rows.event(max(0.0, self._clock.now() - self._start), code, arg)
 
-    def _report(self, state: LoopState, reason: str, obeying: bool) -> LoopReport:
+    def _report(self, state: LoopState, reason: str, completed: bool) -> LoopReport:
         dropped = self._link.quality().dropped - self._drops
         if dropped:
             self._event(Event.FRAMES_DROPPED, dropped)
         ticks = min(self._ticks, len(self._busy))
         return LoopReport(
             reason,
-            obeying and self._wish is None,
-            obeying,
+            completed,
             self._ticks,
             self._missed,
             self._skipped,

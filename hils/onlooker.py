@@ -132,7 +132,7 @@ class Onlooker:
 
     def ticked(self, zeta: float, z_sim: float, late: float, age: float, flags: int) -> None:
         """The loop has made a tick."""
-        self._online = _Online(zeta, -z_sim, late, age)
+        self._online = _Online(zeta, -z_sim, age)
         if late > self._latest:
             self._latest = late
         if flags & REFUSED:
@@ -169,7 +169,6 @@ class Onlooker:
                 slip=known(self._slip()),
                 omega=known(self._omega),
                 vx=known(self._vx),
-                late=known(online.late),
                 latest=self._latest,
                 age=known(online.age),
                 missed=self._missed,
@@ -204,7 +203,6 @@ class _Online(NamedTuple):
 
     zeta: float = math.nan
     sinkage: float = math.nan
-    late: float = math.nan
     age: float = math.nan
 
 

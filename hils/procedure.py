@@ -42,10 +42,8 @@ from hils.session import RigStopped, Session
 from hils.standing import Ended, Settled, Standing, touch_down
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
-from hils.wire import Hello, HelloAck
+from hils.wire import VIRTUAL_RIG, Hello, HelloAck
 
-# What the virtual rig calls itself.
-VIRTUAL_RIG_ID = 0x56495254
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
@@ -402,7 +400,7 @@ def _head(procedure: Procedure, loop: LoopSetUp, start: Start, ack: HelloAck) ->
     )
     return Head(
         setup=believed(loop.setup, start.sinkage, start.zeta),
-        source="virtual rig" if ack.rig_id == VIRTUAL_RIG_ID else "measured",
+        source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=procedure.title or loop.setup.title,
         channels=("x", "z"),
         driven=not procedure.free,

@@ -9,6 +9,7 @@ from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival, LinkQuality
 from hils.pace import watchdog_s
 from hils.wire import (
+    READY,
     SCHEMA,
     Arm,
     Bye,
@@ -26,7 +27,6 @@ from hils.wire import (
 TRIES = 5
 GAP = 0.05  # from one try to the next [s]
 LARGEST_SCALE = 1.0  # metres a count
-READY = (RigState.ARMED, RigState.RUNNING)
 STOPPED = (RigState.SAFE, RigState.FAULT)
 # Reasons of an emergency stop, as the rig is told.
 EMERGENCY, NOT_RESTED = 1, 2
