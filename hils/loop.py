@@ -11,6 +11,7 @@ from hils.clock import AbstractClock
 from hils.events import Event, TickFlag
 from hils.guard import REST, Demand, Reading, Verdict
 from hils.link import AbstractLink, Arrival
+from hils.row_stream import OnlineRow
 from hils.rows import Rows
 from hils.session import EMERGENCY
 from hils.stop_request import StopRequest, Wish
@@ -228,26 +229,28 @@ class TickLoop:
         refused = reading is not None and said.verdict is not Verdict.USED
         before = said.before
         rows.online(
-            time,
-            said.after.zeta,
-            before.x,
-            before.z,
-            before.vx,
-            before.fx,
-            int(said.tuned),
-            late,
-            max(0.0, woken - self._start - self._reading_time),
-            FRESH * (reading is not None)
-            | REFUSED * refused
-            | STUCK * self._stuck
-            | LATE * (late > 0)
-            | SKIPPED * (skipped > 0)
-            | LIMITED * said.limited
-            | RAMPING * ramping
-            | DRIVE_OFF * self._drive_off,
-            seq,
-            0 if arrival is None else arrival.frame.seq,
-            (self._rig_us or 0) * 1e-6,
+            OnlineRow(
+                time,
+                said.after.zeta,
+                before.x,
+                before.z,
+                before.vx,
+                before.fx,
+                int(said.tuned),
+                late,
+                max(0.0, woken - self._start - self._reading_time),
+                FRESH * (reading is not None)
+                | REFUSED * refused
+                | STUCK * self._stuck
+                | LATE * (late > 0)
+                | SKIPPED * (skipped > 0)
+                | LIMITED * said.limited
+                | RAMPING * ramping
+                | DRIVE_OFF * self._drive_off,
+                seq,
+                0 if arrival is None else arrival.frame.seq,
+                (self._rig_us or 0) * 1e-6,
+            )
         )
         if not math.isnan(said.after.error) and self._compared < len(self._error):
             self._error[self._compared] = said.after.error

@@ -14,6 +14,7 @@ from hils.clock import AbstractClock
 from hils.events import Event, TickFlag
 from hils.link import LinkQuality
 from hils.operator_dialogue import AbstractDialogue
+from hils.row_stream import OnlineRow
 from hils.rows import Rows
 from hils.scene import INTERVAL, Phase, Scene, Words, known, plain
 from hils.stop_request import StopRequest
@@ -73,7 +74,7 @@ class Onlooker:
         self._received: float | None = None
         self._missed = self._refused = 0
         self._omega = self._vx = self._real = math.nan
-        self._online = _Online()
+        self._online: OnlineRow | None = None
         self._latest = 0.0
 
     def rows(self, rows: Rows) -> Rows:
@@ -130,14 +131,13 @@ class Onlooker:
         """A reading came."""
         self._real = -z
 
-    def ticked(self, zeta: float, z_sim: float, late: float, age: float, flags: int) -> None:
+    def ticked(self, row: OnlineRow) -> None:
         """The loop has made a tick."""
-        self._online = _Online(zeta, -z_sim, age)
-        if late > self._latest:
-            self._latest = late
-        if flags & REFUSED:
+        self._online = row
+        self._latest = max(self._latest, row.late)
+        if row.flags & REFUSED:
             self._refused += 1
-        if flags & RAMPING and self._phase is Phase.RUNNING:
+        if row.flags & RAMPING and self._phase is Phase.RUNNING:
             self._phase = Phase.RAMPING
 
     def happened(self, code: int, arg: float) -> None:
@@ -164,13 +164,13 @@ class Onlooker:
                 duration=run.duration,
                 **self._named,
                 real=known(self._real),
-                simulated=known(online.sinkage),
-                zeta=known(online.zeta),
+                simulated=None if online is None else known(-online.z_sim),
+                zeta=None if online is None else known(online.zeta),
                 slip=known(self._slip()),
                 omega=known(self._omega),
                 vx=known(self._vx),
                 latest=self._latest,
-                age=known(online.age),
+                age=None if online is None else known(online.age),
                 missed=self._missed,
                 refused=self._refused,
                 sent=sent,
@@ -196,14 +196,6 @@ class Onlooker:
         if span >= COUNTED or self._counted is None:
             self._counted = quality
         return self._sent, self._received, quality.dropped
-
-
-class _Online(NamedTuple):
-    """Of the last tick."""
-
-    zeta: float = math.nan
-    sinkage: float = math.nan
-    age: float = math.nan
 
 
 class _SeenRows:
@@ -234,25 +226,9 @@ class _SeenRows:
         self._rows.measured(time, *values)
         self._onlooker.measured(values[1])
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
-        simulated = time, zeta, x_sim, z_sim, vx_sim, fx_sim
-        self._rows.online(*simulated, tuned, late, age, flags, seq_sent, seq_received, rig_time)
-        self._onlooker.ticked(zeta, z_sim, late, age, flags)
+    def online(self, row: OnlineRow) -> None:
+        self._rows.online(row)
+        self._onlooker.ticked(row)
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         self._rows.event(time, code, arg)

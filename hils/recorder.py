@@ -24,7 +24,7 @@ import msgspec
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
 from drftjax.runlog.recording_lock import part_path
-from hils.row_stream import Kind, pack_end, pack_head, row_packer
+from hils.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
 PIPE_BYTES: Final = 2**20
 """What the pipe holds, where the system allows it: 4 s of a run at 1 kHz. A recorder that took
@@ -150,41 +150,9 @@ class Recorder:
         """A reading: its time [s] and the head's channels in their order, x and z as a rule [m]."""
         self._put(self._measured.pack(Kind.MEASURED, time, *values))
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
-        """One tick, as `drftjax.runlog.record.Online` says; flags as `hils.events.TickFlag`."""
-        self._put(
-            self._online.pack(
-                Kind.ONLINE,
-                time,
-                zeta,
-                x_sim,
-                z_sim,
-                vx_sim,
-                fx_sim,
-                tuned,
-                late,
-                age,
-                flags,
-                seq_sent,
-                seq_received,
-                rig_time,
-            )
-        )
+    def online(self, row: OnlineRow) -> None:
+        """One tick."""
+        self._put(self._online.pack(Kind.ONLINE, *row))
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         """Something beside the ticks: a `hils.events.Event` and the number that goes with it."""

@@ -370,10 +370,10 @@ def test_dead_recorder_brings_the_rig_to_rest():
 
 def test_fault_of_the_program_still_stops_the_rig():
     class Breaks(KeptRows):
-        def online(self, time, *rest):
-            if time > 2.0:
+        def online(self, row):
+            if row.time > 2.0:
                 raise ZeroDivisionError("of a bug")
-            super().online(time, *rest)
+            super().online(row)
 
     rows, soft = Breaks(), soft_rig()
     with pytest.raises(InputError, match="fault of this program, ZeroDivisionError: of a bug"):
