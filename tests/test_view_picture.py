@@ -21,10 +21,11 @@ from hils.run_figure import plot_hils, sinkage_error
 from hils.scene import INTERVAL, WHOLE, Phase, Scene, Scenes
 from hils.simulated import QUICK, soft_rig
 from hils.stop_request import EMERGENCY_SIGNAL, StopRequest
+from hils.under_way import UnderWay
 from hils.view_picture import Picture, Point, plot
 from hils.view_process import StopKey
 from hils.virtual_setup import VirtualSetUp
-from hils.watched import unwatched
+from hils.watched import unwatched, watched
 
 RADIUS = 0.150
 PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.0], [0, 0, 30, 30, 0], omega_unit="deg/s")
@@ -140,6 +141,24 @@ def test_questions_come_before_the_view_and_what_is_told_meanwhile_is_told_later
     later = onlooker.end()
     assert later[0].startswith("Armed")
     assert scenes[-1][1].words == later[-3:]
+
+
+def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkeypatch, tmp_path):
+    scenes: list[Scene] = []
+
+    class Shown:
+        def __init__(self, run):
+            self.show, self.close = scenes.append, lambda: None
+
+    monkeypatch.setattr("hils.watched.LiveView", Shown)
+    setup = SetUp(command=CommandSetUp([2.0, 3.0, 5.0], [0.0, 0.5, 0.0]))
+    procedure = Procedure(loop=LoopSetUp(setup=setup, commands=CommandLimits(2.0, 0.3)))
+    soft, whole = soft_rig(), UnderWay(1, "", "/dev/rig", "run-01.h5 to run-09.h5")
+    given = procedure, soft.link, soft.clock, KeptRows(), Told(), StopRequest()
+    with watched(whole, tmp_path / "run-03.h5", *given) as seen:
+        seen.begin()
+    assert scenes[0].duration == 3.0
+    assert scenes[0].output.endswith("run-03.h5")
 
 
 def test_without_a_view_rows_and_words_go_where_they_went():
