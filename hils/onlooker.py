@@ -69,6 +69,7 @@ class Onlooker:
         self._due = -math.inf
         self._words, self._later = Words(), list[str]()
         self._phase, self._time = Phase.CHECKING, math.nan
+        self._start = math.nan
         self._counted: LinkQuality | None = None
         self._sent: float | None = None
         self._received: float | None = None
@@ -110,7 +111,8 @@ class Onlooker:
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         """The run has come to this phase."""
         self._phase = phase
-        self._time = -lasts if phase is Phase.COUNTDOWN else self._time
+        if phase is Phase.COUNTDOWN:
+            self._start, self._time = self._clock.now() + lasts, -lasts
         self._tell()
 
     def told(self, text: str) -> None:
@@ -122,10 +124,14 @@ class Onlooker:
     def commanded(self, time: float, omega: float, vx: float | None) -> None:
         """The loop has asked this of the rig; the one thing that comes on each tick."""
         self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
-        now = self._clock.now()
-        if now >= self._due:
-            self._due = now + INTERVAL
-            self._tell()
+        self._tell_in_time(self._clock.now())
+
+    def settles(self, sinkage: float) -> None:
+        """The wheel is measured so deep before the loop begins."""
+        self._real, now = sinkage, self._clock.now()
+        if self._phase is Phase.COUNTDOWN:
+            self._time = now - self._start
+        self._tell_in_time(now)
 
     def measured(self, z: float) -> None:
         """A reading came."""
@@ -151,6 +157,11 @@ class Onlooker:
             self._missed += max(int(arg) - 1, 0)
 
     # What is told -------------------------------------------------------------------------------
+
+    def _tell_in_time(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + INTERVAL
+            self._tell()
 
     def _tell(self) -> None:
         if not self._on:
@@ -256,3 +267,6 @@ class _SeenDialogue(AbstractDialogue):
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         self._onlooker.enter(phase, lasts)
+
+    def show(self, sinkage: float) -> None:
+        self._onlooker.settles(sinkage)

@@ -231,7 +231,8 @@ def _run(
             session.bye()
         raise
     valid_ms = watchdog_ms(tick_us)
-    standing = Standing(session, link, clock, stop, loop.tick, not procedure.free, valid_ms)
+    driven = not procedure.free
+    standing = Standing(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
     ramp = loop.commands.omega / loop.ramp
     rest = Rest(session, link, clock, ack, stop, standing.rest, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"

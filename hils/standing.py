@@ -4,7 +4,7 @@ From ARM on a command to stand goes out on each tick, because the rig's watchdog
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +94,7 @@ class Standing:
         tick: Time from one command to the next [s].
         driven: Whether the carriage is held; else it is free.
         valid_ms: How long the rig may hold a command [ms].
+        show: Takes each sinkage measured [m], without waiting.
 
     Attributes:
         rest: The command to stand.
@@ -108,9 +109,10 @@ class Standing:
         tick: float,
         driven: bool,
         valid_ms: int,
+        show: Callable[[float], None],
     ):
         self._link, self._clock, self._stop = link, clock, stop
-        self._session, self._tick = session, tick
+        self._session, self._tick, self._show = session, tick, show
         self.rest = Drive(0.0, 0.0, driven, valid_ms)
         self._due = self._heard = clock.now()
 
@@ -127,10 +129,8 @@ class Standing:
         for arrival in self._beats(began + LONGEST_SETTLING):
             if arrival is None:
                 continue
-            measurement = arrival.frame.message
-            assert isinstance(measurement, Measurement)
             times.append(arrival.time)
-            heights.append(zero.reading(measurement, arrival.time).z)
+            heights.append(self._height(arrival, zero))
             if arrival.time - began < LEAST_SETTLING:
                 continue
             time, height = np.array(times), np.array(heights)
@@ -160,10 +160,11 @@ class Standing:
         """
         heights = []
         for arrival in self._beats(until):
-            if arrival is not None and arrival.time > until - SETTLING_WINDOW:
-                measurement = arrival.frame.message
-                assert isinstance(measurement, Measurement)
-                heights.append(zero.reading(measurement, arrival.time).z)
+            if arrival is None:
+                continue
+            height = self._height(arrival, zero)
+            if arrival.time > until - SETTLING_WINDOW:
+                heights.append(height)
         sinkage = -float(np.median(heights)) if heights else settled.sinkage
         sunk = sinkage - settled.sinkage
         if not abs(sunk) <= MOST_CREPT:
@@ -200,6 +201,13 @@ class Standing:
             if silent > longest_silence(self._tick):
                 raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
+
+    def _height(self, arrival: Arrival, zero: Zero) -> float:
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        height = zero.reading(measurement, arrival.time).z
+        self._show(-height)
+        return height
 
     def _look_at(self, arrival: Arrival) -> None:
         measurement = arrival.frame.message

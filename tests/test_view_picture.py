@@ -47,6 +47,9 @@ class Told(AbstractDialogue):
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
+    def show(self, sinkage: float) -> None:
+        pass
+
 
 @functools.cache
 def looked_on(free: bool = False):
@@ -126,6 +129,18 @@ def test_slip_is_of_the_commands_and_unknown_at_rest():
     for scene in turning:
         assert scene.slip == pytest.approx(1 - scene.vx / (RADIUS * scene.omega))
     assert 0 < turning[-1].slip < 1
+
+
+def test_measured_sinkage_is_shown_while_the_wheel_settles_and_the_countdown_goes_on():
+    scenes = looked_on()[1]
+    settling = [scene for _, scene in scenes if scene.phase is Phase.SETTLING]
+    assert len(settling) > 15
+    assert settling[-1].real == pytest.approx(0.0165, abs=1e-3)
+    counting = [(when, scene) for when, scene in scenes if scene.phase is Phase.COUNTDOWN]
+    assert counting[-1][1].real == pytest.approx(0.0165, abs=1e-3)
+    first = counting[0][0]
+    for when, scene in counting:
+        assert scene.time == pytest.approx(when - first - 0.4)
 
 
 def test_free_run_shows_the_measured_sinkage_alone():
