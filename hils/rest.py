@@ -9,7 +9,7 @@ carriage stands, and that it is not RUNNING.
 import math
 
 from hils.clock import AbstractClock
-from hils.link import AbstractLink, Arrival
+from hils.link import AbstractLink
 from hils.loop import longest_silence
 from hils.session import EMERGENCY, NOT_RESTED, Session
 from hils.stop_request import StopRequest
@@ -76,7 +76,7 @@ class Rest:
     def _by_stop(self) -> bool:
         began = stop_at = command_at = self._clock.now()
         deadline = began + max(LONGEST_STOP, 2 * self._ramp)
-        motion, stands = self._motion_since(began), False
+        watch = self._watch_from(began)
         while (now := self._clock.now()) < deadline and not self._stop.emergency:
             if now >= stop_at:
                 self._session.stop()
@@ -84,36 +84,30 @@ class Rest:
             if now >= command_at:
                 # Commands keep the watchdog quiet while a rig that is heard ramps down. A firmware
                 # may be RUNNING by any command, so none goes to a wheel that stands.
-                if not stands and self._heard_lately(now):
+                if not watch.stands and self._heard_lately(now):
                     self._link.send(self._hold)
                 command_at = now + self._tick
             self._link.wait(min(deadline, stop_at, command_at))
             if self._stopped_by_itself():
                 return False
-            arrival = self._link.newest()
-            if arrival is not None and arrival.time > began:
-                stands = motion.over(arrival)
-                if stands and _measured(arrival).state is not RigState.RUNNING:
-                    return True
+            if watch.rests():
+                return True
         return False
 
     def _by_emergency_stop(self) -> bool:
         began = self._clock.now()
-        motion = self._motion_since(began)
+        watch = self._watch_from(began)
         if not self._session.emergency_stop(EMERGENCY if self._stop.emergency else NOT_RESTED):
             return False
         deadline = began + self._ramp + LONGEST_EMERGENCY_STOP
         while self._clock.now() < deadline:
-            arrival = self._link.newest()
-            if arrival is not None and arrival.time > began:
-                stands = motion.over(arrival)
-                if stands and _measured(arrival).state is not RigState.RUNNING:
-                    return True
+            if watch.rests():
+                return True
             self._link.wait(deadline)
         return False
 
-    def _motion_since(self, began: float) -> "_Motion":
-        return _Motion(began + self._ramp, abs(self._ack.x_scale))
+    def _watch_from(self, began: float) -> "_Watch":
+        return _Watch(self._link, began, self._ramp, abs(self._ack.x_scale))
 
     def _heard_lately(self, now: float) -> bool:
         arrival = self._link.newest()
@@ -128,29 +122,35 @@ class Rest:
         return any(isinstance(each.frame.message, EmergencyStop) for each in reports)
 
 
-class _Motion:
+class _Watch:
     """What the rig's measurements say of its motion.
 
     Args:
-        ramped: When the wheel has ramped down, which counts where its turning is not measured [s].
+        link: To the rig.
+        began: Only newer measurements count [s].
+        ramp: Time in which the wheel has ramped down, where its turning is not measured [s].
         scale: Of x, 0 where that is not measured [m a count].
+
+    Attributes:
+        stands: Whether wheel and carriage stood at the last look.
     """
 
-    def __init__(self, ramped: float, scale: float):
-        self._ramped, self._scale = ramped, scale
+    def __init__(self, link: AbstractLink, began: float, ramp: float, scale: float):
+        self._link, self._began, self._ramped, self._scale = link, began, began + ramp, scale
         self._place, self._since = math.nan, math.inf
+        self.stands = False
 
-    def over(self, arrival: Arrival) -> bool:
-        """Whether nothing moves any more, by a measurement no older than the last."""
-        measurement = _measured(arrival)
+    def rests(self) -> bool:
+        """Whether the newest measurement shows a rig at rest."""
+        arrival = self._link.newest()
+        if arrival is None or arrival.time <= self._began:
+            return False
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
         if not abs(measurement.x - self._place) * self._scale <= STANDING:
             self._place, self._since = measurement.x, arrival.time
-        rests = abs(measurement.omega) <= RESTING
+        turns_not = abs(measurement.omega) <= RESTING
         if math.isnan(measurement.omega):
-            rests = arrival.time >= self._ramped
-        return rests and arrival.time - self._since >= STANDING_TIME
-
-
-def _measured(arrival: Arrival) -> Measurement:
-    assert isinstance(arrival.frame.message, Measurement)
-    return arrival.frame.message
+            turns_not = arrival.time >= self._ramped
+        self.stands = turns_not and arrival.time - self._since >= STANDING_TIME
+        return self.stands and measurement.state is not RigState.RUNNING
