@@ -11,10 +11,12 @@ from hils.clock import AbstractClock
 from hils.events import Event, TickFlag
 from hils.guard import REST, Demand, Reading, Verdict
 from hils.link import AbstractLink, Arrival
+from hils.row_stream import OnlineRow
 from hils.rows import Rows
+from hils.session import EMERGENCY
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, Given, LoopState, Reaction
-from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
+from hils.wire import READY, Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
 
 # A rig that says nothing for so long [s], and for so many ticks, is not followed any further.
 SILENCE, SILENT_TICKS = 0.25, 5
@@ -28,7 +30,6 @@ FRESH, REFUSED, STUCK, LATE, SKIPPED, LIMITED, RAMPING, DRIVE_OFF = (
     int(TickFlag[name])
     for name in ["FRESH", "REFUSED", "STUCK", "LATE", "SKIPPED", "LIMITED", "RAMPING", "DRIVE_OFF"]
 )
-OBEYING = (RigState.ARMED, RigState.RUNNING)
 
 
 class Overruns(enum.Enum):
@@ -72,7 +73,6 @@ class LoopReport(NamedTuple):
     Attributes:
         reason: Why it ended, "completed" where the profile was run to its end.
         completed: Whether that is so.
-        obeying: Whether the rig still follows, so that it can be brought to rest by a STOP.
         ticks: Ticks made.
         overruns: Deadlines missed, skipped ticks included.
         skipped: Ticks that passed unused.
@@ -86,7 +86,6 @@ class LoopReport(NamedTuple):
 
     reason: str
     completed: bool
-    obeying: bool
     ticks: int
     overruns: int
     skipped: int
@@ -166,7 +165,7 @@ class TickLoop:
         self._clock.sleep_until(start + state.number * self._tick)
         reason = "completed" if self._wish is None else self._wish.reason
         self._event(Event.PROFILE_ENDED if self._wish is None else Event.RAMPED_DOWN)
-        return self._report(state, reason, True)
+        return self._report(state, reason, self._wish is None)
 
     # One tick -----------------------------------------------------------------------------------
 
@@ -230,26 +229,28 @@ class TickLoop:
         refused = reading is not None and said.verdict is not Verdict.USED
         before = said.before
         rows.online(
-            time,
-            said.after.zeta,
-            before.x,
-            before.z,
-            before.vx,
-            before.fx,
-            int(said.tuned),
-            late,
-            max(0.0, woken - self._start - self._reading_time),
-            FRESH * (reading is not None)
-            | REFUSED * refused
-            | STUCK * self._stuck
-            | LATE * (late > 0)
-            | SKIPPED * (skipped > 0)
-            | LIMITED * said.limited
-            | RAMPING * ramping
-            | DRIVE_OFF * self._drive_off,
-            seq,
-            0 if arrival is None else arrival.frame.seq,
-            (self._rig_us or 0) * 1e-6,
+            OnlineRow(
+                time,
+                said.after.zeta,
+                before.x,
+                before.z,
+                before.vx,
+                before.fx,
+                int(said.tuned),
+                late,
+                max(0.0, woken - self._start - self._reading_time),
+                FRESH * (reading is not None)
+                | REFUSED * refused
+                | STUCK * self._stuck
+                | LATE * (late > 0)
+                | SKIPPED * (skipped > 0)
+                | LIMITED * said.limited
+                | RAMPING * ramping
+                | DRIVE_OFF * self._drive_off,
+                seq,
+                0 if arrival is None else arrival.frame.seq,
+                (self._rig_us or 0) * 1e-6,
+            )
         )
         if not math.isnan(said.after.error) and self._compared < len(self._error):
             self._error[self._compared] = said.after.error
@@ -301,6 +302,7 @@ class TickLoop:
     def _heed(self, report: Arrival) -> None:
         message = report.frame.message
         if isinstance(message, EmergencyStop):
+            self._link.send(message)
             self._event(Event.EMERGENCY_STOP, message.reason)
             raise _Over(f"the rig made an emergency stop, reason {message.reason}")
         if isinstance(message, StateReport | HelloAck):
@@ -309,7 +311,7 @@ class TickLoop:
             self._require_obeying(message.state)
 
     def _require_obeying(self, state: RigState) -> None:
-        if state not in OBEYING:
+        if state not in READY:
             self._event(Event.RIG_STATE, state)
             raise _Over(f"the rig went {state.name}")
 
@@ -345,7 +347,7 @@ class TickLoop:
 
     def _look_at_requests(self) -> None:
         if self._stop.emergency:
-            self._link.send(EmergencyStop(1))
+            self._link.send(EmergencyStop(EMERGENCY))
             wish = self._stop.wish
             self._event(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
             raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
@@ -391,15 +393,14 @@ class TickLoop:
     def _event(self, code: int, arg: float = 0.0) -> None:
         self._rows.event(max(0.0, self._clock.now() - self._start), code, arg)
 
-    def _report(self, state: LoopState, reason: str, obeying: bool) -> LoopReport:
+    def _report(self, state: LoopState, reason: str, completed: bool) -> LoopReport:
         dropped = self._link.quality().dropped - self._drops
         if dropped:
             self._event(Event.FRAMES_DROPPED, dropped)
         ticks = min(self._ticks, len(self._busy))
         return LoopReport(
             reason,
-            obeying and self._wish is None,
-            obeying,
+            completed,
             self._ticks,
             self._missed,
             self._skipped,

@@ -26,6 +26,8 @@ TUNERS: dict[str, Callable[..., AbstractTuner]] = {
 }
 SHORTEST_TICK, LONGEST_TICK = 5e-4, 0.1
 MOST_TICKS = 2e6
+# No single-wheel rig is faster [rad/s], [m/s].
+FASTEST_WHEEL, FASTEST_CARRIAGE = 100.0, 10.0
 
 
 class TunerSetUp(msgspec.Struct, frozen=True):
@@ -160,6 +162,8 @@ def profile(loop: LoopSetUp, substeps: int) -> NDArray[np.float64]:
         InputError: a number of the loop that cannot be, or a profile that cannot be commanded.
     """
     require_between("tick", loop.tick, SHORTEST_TICK, LONGEST_TICK, " s")
+    require_between("omega-max", loop.commands.omega, 0.0, FASTEST_WHEEL, " rad/s")
+    require_between("vx-max", loop.commands.vx, 0.0, FASTEST_CARRIAGE, " m/s")
     require_between("tuning-ticks", loop.tuning_ticks, 1, 1e6)
     require_between("ramp", loop.ramp, 1e-3, loop.commands.omega_slew, " rad/s2, the slew limit")
     setup = loop.setup

@@ -14,6 +14,7 @@ from hils.clock import AbstractClock
 from hils.events import Event, TickFlag
 from hils.link import LinkQuality
 from hils.operator_dialogue import AbstractDialogue
+from hils.row_stream import OnlineRow
 from hils.rows import Rows
 from hils.scene import INTERVAL, Phase, Scene, Words, known, plain
 from hils.stop_request import StopRequest
@@ -68,12 +69,13 @@ class Onlooker:
         self._due = -math.inf
         self._words, self._later = Words(), list[str]()
         self._phase, self._time = Phase.CHECKING, math.nan
+        self._start = math.nan
         self._counted: LinkQuality | None = None
         self._sent: float | None = None
         self._received: float | None = None
         self._missed = self._refused = 0
         self._omega = self._vx = self._real = math.nan
-        self._online = _Online()
+        self._online: OnlineRow | None = None
         self._latest = 0.0
 
     def rows(self, rows: Rows) -> Rows:
@@ -109,7 +111,8 @@ class Onlooker:
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         """The run has come to this phase."""
         self._phase = phase
-        self._time = -lasts if phase is Phase.COUNTDOWN else self._time
+        if phase is Phase.COUNTDOWN:
+            self._start, self._time = self._clock.now() + lasts, -lasts
         self._tell()
 
     def told(self, text: str) -> None:
@@ -121,23 +124,26 @@ class Onlooker:
     def commanded(self, time: float, omega: float, vx: float | None) -> None:
         """The loop has asked this of the rig; the one thing that comes on each tick."""
         self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
-        now = self._clock.now()
-        if now >= self._due:
-            self._due = now + INTERVAL
-            self._tell()
+        self._tell_in_time(self._clock.now())
+
+    def settles(self, sinkage: float) -> None:
+        """The wheel is measured so deep before the loop begins."""
+        self._real, now = sinkage, self._clock.now()
+        if self._phase is Phase.COUNTDOWN:
+            self._time = now - self._start
+        self._tell_in_time(now)
 
     def measured(self, z: float) -> None:
         """A reading came."""
         self._real = -z
 
-    def ticked(self, zeta: float, z_sim: float, late: float, age: float, flags: int) -> None:
+    def ticked(self, row: OnlineRow) -> None:
         """The loop has made a tick."""
-        self._online = _Online(zeta, -z_sim, late, age)
-        if late > self._latest:
-            self._latest = late
-        if flags & REFUSED:
+        self._online = row
+        self._latest = max(self._latest, row.late)
+        if row.flags & REFUSED:
             self._refused += 1
-        if flags & RAMPING and self._phase is Phase.RUNNING:
+        if row.flags & RAMPING and self._phase is Phase.RUNNING:
             self._phase = Phase.RAMPING
 
     def happened(self, code: int, arg: float) -> None:
@@ -152,6 +158,11 @@ class Onlooker:
 
     # What is told -------------------------------------------------------------------------------
 
+    def _tell_in_time(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + INTERVAL
+            self._tell()
+
     def _tell(self) -> None:
         if not self._on:
             return
@@ -164,14 +175,13 @@ class Onlooker:
                 duration=run.duration,
                 **self._named,
                 real=known(self._real),
-                simulated=known(online.sinkage),
-                zeta=known(online.zeta),
+                simulated=None if online is None else known(-online.z_sim),
+                zeta=None if online is None else known(online.zeta),
                 slip=known(self._slip()),
                 omega=known(self._omega),
                 vx=known(self._vx),
-                late=known(online.late),
                 latest=self._latest,
-                age=known(online.age),
+                age=None if online is None else known(online.age),
                 missed=self._missed,
                 refused=self._refused,
                 sent=sent,
@@ -199,15 +209,6 @@ class Onlooker:
         return self._sent, self._received, quality.dropped
 
 
-class _Online(NamedTuple):
-    """Of the last tick."""
-
-    zeta: float = math.nan
-    sinkage: float = math.nan
-    late: float = math.nan
-    age: float = math.nan
-
-
 class _SeenRows:
     """Rows that an onlooker sees."""
 
@@ -222,6 +223,9 @@ class _SeenRows:
     def reason(self) -> str | None:
         return self._rows.reason
 
+    def require_room(self, head: Head) -> None:
+        self._rows.require_room(head)
+
     def begin(self, head: Head) -> None:
         self._rows.begin(head)
 
@@ -233,25 +237,9 @@ class _SeenRows:
         self._rows.measured(time, *values)
         self._onlooker.measured(values[1])
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
-        simulated = time, zeta, x_sim, z_sim, vx_sim, fx_sim
-        self._rows.online(*simulated, tuned, late, age, flags, seq_sent, seq_received, rig_time)
-        self._onlooker.ticked(zeta, z_sim, late, age, flags)
+    def online(self, row: OnlineRow) -> None:
+        self._rows.online(row)
+        self._onlooker.ticked(row)
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         self._rows.event(time, code, arg)
@@ -279,3 +267,6 @@ class _SeenDialogue(AbstractDialogue):
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         self._onlooker.enter(phase, lasts)
+
+    def show(self, sinkage: float) -> None:
+        self._onlooker.settles(sinkage)

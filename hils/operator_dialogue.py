@@ -26,6 +26,10 @@ class AbstractDialogue(abc.ABC):
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         """The run comes to this phase, which lasts so long where that is known [s]."""
 
+    @abc.abstractmethod
+    def show(self, sinkage: float) -> None:
+        """The wheel that stands is measured so deep [m]; called often, and must not wait."""
+
 
 class Terminal(AbstractDialogue):
     """A person at the terminal, who presses Enter."""
@@ -44,6 +48,9 @@ class Terminal(AbstractDialogue):
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
+    def show(self, sinkage: float) -> None:
+        pass
+
 
 class Unattended(AbstractDialogue):
     """Nobody is asked: a virtual rig, or one that prepares itself."""
@@ -59,4 +66,7 @@ class Unattended(AbstractDialogue):
         self.tell(f"{text}: taken as done")
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        pass
+
+    def show(self, sinkage: float) -> None:
         pass

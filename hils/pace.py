@@ -3,6 +3,8 @@
 from drftjax.errors import InputError
 from hils.wire import BITS_PER_BYTE, Drive, Measurement, wire_bytes
 
+# Where none is given [bit/s]: it carries ticks of 1 ms, and every usual USB adapter has it.
+USUAL_BAUD = 921_600
 LEAST_WATCHDOG = 0.02  # [s]
 WATCHDOG_TICKS = 5
 # The watchdog's field on the wire holds 65.5 s.

@@ -11,7 +11,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,7 +128,6 @@ class SerialPort(AbstractPort):
 
         self._device, self._name = device, name
         self._descriptor = device.fileno()
-        self._waker = Waker()
         self._full = False
         with _one_error(name):
             attributes = termios.tcgetattr(self._descriptor)
@@ -139,6 +138,7 @@ class SerialPort(AbstractPort):
             termios.tcsetattr(self._descriptor, termios.TCSANOW, attributes)
         with suppress(Exception):  # what FTDI's latency timer needs; not every driver knows it
             device.set_low_latency_mode(True)
+        self._waker = Waker()  # last: what fails before it leaves no descriptor open
 
     @property
     def name(self) -> str:
@@ -198,12 +198,12 @@ class SocketPort(AbstractPort):
 
     def __init__(self, connected: socket.socket, name: str = "the socket"):
         self._socket, self._name = connected, name
-        self._waker = Waker()
         with _one_error(name):
             connected.setblocking(False)
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             if connected.family in (socket.AF_INET, socket.AF_INET6):
                 connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._waker = Waker()
 
     @property
     def name(self) -> str:
@@ -289,12 +289,12 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
         exclusive: Refuse a device that another program holds, and hold it against others.
 
     Raises:
-        InputError: the name or rate cannot be.
+        InputError: the rate cannot be, or socket:// does not name a host and a port.
         LinkLost: the port cannot be opened.
     """
     require_baud_rate(baud)
     if name.lower().startswith("socket://"):
-        return SocketPort(_connected(name), name)
+        return _closed_on_failure(_connected(name), name, SocketPort)
     import serial
 
     # A write must have a deadline; without waiting at all, pyserial loses what does not fit.
@@ -305,17 +305,22 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
         device = serial.serial_for_url(name, baudrate=baud, **options)
     except serial.SerialException as error:
         raise LinkLost(f"{name} cannot be opened: {_refusal(error, name)}") from error
-    except OSError as error:
+    except Exception as error:
+        # A URL that cannot be ends in whatever its handler stumbles over: KeyError, re.error.
         raise LinkLost(f"{name} cannot be opened: {_cause(error)}") from error
-    except (ValueError, TypeError) as error:
-        raise InputError(f"{name} cannot be opened: {_cause(error)}") from error
     if os.name == "posix" and isinstance(device, serial.Serial):
-        try:
-            return SerialPort(device, name)
-        except BaseException:
-            device.close()
-            raise
+        return _closed_on_failure(device, name, SerialPort)
     return UrlPort(device, name)
+
+
+def _closed_on_failure(
+    opened: Any, name: str, kind: Callable[[Any, str], AbstractPort]
+) -> AbstractPort:
+    try:
+        return kind(opened, name)
+    except BaseException:
+        opened.close()
+        raise
 
 
 def _refusal(error: Any, name: str) -> str:
@@ -338,7 +343,7 @@ def _connected(url: str) -> socket.socket:
         raise InputError(f"{url} cannot be opened: it must be socket://host:port")
     try:
         return socket.create_connection((host, port), CONNECT_TIMEOUT)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise LinkLost(f"{url} cannot be opened: {_cause(error)}") from error
 
 

@@ -23,7 +23,8 @@ def first_number(time_of_day: float) -> int:
     """Sequence number of a link's first frame, at this time [s].
 
     It grows faster than commands do, so a rig that counts on over sessions takes a restarted host's
-    frame as newer; and it stays below 2^31, so a rig that starts from zero does too.
+    frame as newer; and it stays below 2^31, so a rig that starts from zero does too. Each 12.4 days
+    it starts again from 1: a rig that counts on since before that must be switched off and on.
     """
     return int(time_of_day * NUMBERS_PER_SECOND) % (1 << 31) or 1
 

@@ -10,7 +10,7 @@ the reason why the run ended.
 import enum
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from uuid import uuid4
@@ -21,11 +21,11 @@ import msgspec
 import numpy as np
 
 from drftjax import __version__
+from drftjax.arrays import require_between
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head, OnlineHead
 from drftjax.saved import believed
 from drftjax.setup import SetUp
-from drftjax.simulator import Simulator
 from drftjax.statics import zeta_from_sinkage
 from hils.clock import AbstractClock
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
@@ -35,22 +35,20 @@ from hils.loop import LoopReport, Overruns, TickLoop, Zero
 from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
+from hils.rest import Rest
 from hils.rows import Rows
 from hils.scene import Phase
 from hils.session import RigStopped, Session
-from hils.standing import Ended, Settled, Standing, come_to_rest, touch_down
-from hils.stop_request import StopRequest
+from hils.standing import Ended, Settled, Standing, touch_down
+from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
-from hils.wire import Hello, HelloAck
+from hils.wire import VIRTUAL_RIG, Hello, HelloAck
 
-# What the virtual rig calls itself.
-VIRTUAL_RIG_ID = 0x56495254
-# Reasons of an emergency stop, as the rig is told.
-EMERGENCY, NOT_RESTED = 1, 2
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
 # zeta(0) outside of this says that something was measured or typed wrongly.
 LEAST_ZETA, MOST_ZETA = 0.05, 10.0
+LONGEST_COUNTDOWN = 60.0  # [s]
 # A wheel that stands less deep was not let down, or was zeroed too low [m].
 LEAST_SINKAGE = 5e-4
 # With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
@@ -77,6 +75,9 @@ class Procedure:
         overruns: What follows a missed deadline.
         countdown: From the wheel's rest to the start [s].
         title: Of the run log.
+
+    Raises:
+        InputError: zeta or countdown is a number that cannot be.
     """
 
     loop: LoopSetUp
@@ -86,6 +87,11 @@ class Procedure:
     overruns: Overruns = Overruns.SKIP
     countdown: float = 3.0
     title: str = ""
+
+    def __post_init__(self):
+        require_between("countdown", self.countdown, 0.0, LONGEST_COUNTDOWN, " s")
+        if self.zeta is not None:
+            require_between("zeta0", self.zeta, LEAST_ZETA, MOST_ZETA)
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,8 @@ class RunReport:
         start: Sinkage at the start and zeta(0); None likewise.
         loop: How the loop went; None where it was not started.
         quality: What went over the link, from beginning to end.
+        wish: Who asked for an end meanwhile, be it too late for the profile; None where nobody did.
+        unfinished: Why the file could not be finished, and where its rows are; empty where it was.
     """
 
     reason: str
@@ -109,6 +117,8 @@ class RunReport:
     start: Start | None
     loop: LoopReport | None
     quality: LinkQuality
+    wish: Wish | None = None
+    unfinished: str = ""
 
 
 class _Log:
@@ -152,13 +162,13 @@ def run(
         before_motion: Called once when all is ready, before ARM.
 
     Raises:
-        InputError: the run could not be begun; nothing moved, or the rig was told to rest.
+        InputError: the run could not be begun; nothing moved, or the rig was told to rest. A file
+            that could not be finished is in the report.
     """
-    reason = "not begun"
+    reason, report = "not begun", None
     try:
         report = _run(procedure, link, clock, rows, dialogue, stop, before_motion)
         reason = report.reason
-        return report
     except InputError as error:
         reason = str(error)
         raise
@@ -169,8 +179,22 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
+        unfinished = _close(rows, reason, stop)
+        if unfinished and report is None:
+            dialogue.tell(unfinished)
+    assert report is not None  # or else it was raised
+    return replace(report, wish=stop.wish, unfinished=unfinished)
+
+
+def _close(rows: Rows, reason: str, stop: StopRequest) -> str:
+    """End the recording; why it could not be finished, empty where it was."""
+    try:
         rows.close(reason)
+    except InputError as error:
+        return str(error)
+    finally:
         stop.moving = False
+    return ""
 
 
 def _run(
@@ -188,11 +212,12 @@ def _run(
     log.event(Event.CONNECTED, ack.boot_id)
     try:
         loop = _within(procedure.loop, ack, procedure.free)
-        simulator = loop.setup.trial().simulator
+        expected = Start(loop.setup.start.sinkage, 1.0)
+        rows.require_room(_head(procedure, loop, expected, ack))
         statics = _statics(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
-            conduct.warm(Start(loop.setup.start.sinkage, 1.0))
+            conduct.warm(expected)
         if procedure.zero is ZeroAt.HELD:
             dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
         zero = touch_down(link, clock, ack)
@@ -206,7 +231,10 @@ def _run(
             session.bye()
         raise
     valid_ms = watchdog_ms(tick_us)
-    standing = Standing(session, link, clock, stop, loop.tick, not procedure.free, valid_ms)
+    driven = not procedure.free
+    standing = Standing(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
+    ramp = loop.commands.omega / loop.ramp
+    rest = Rest(session, link, clock, ack, stop, standing.rest, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
@@ -217,7 +245,7 @@ def _run(
         dialogue.tell("Armed. The wheel settles.")
         settled = standing.settle(zero)
         log.event(Event.SETTLED, settled.sinkage)
-        start = _start(procedure, simulator, statics, settled)
+        start = _start(procedure, -loop.readings.lowest, statics, settled)
         dialogue.tell(
             f"At rest {start.sinkage * 1e3:.2f} mm deep, zeta(0) {start.zeta:.4f}; "
             f"start in {procedure.countdown:g} s"
@@ -236,10 +264,10 @@ def _run(
         reason = f"link lost: {lost}"
         log.event(Event.LINK_LOST)
     finally:
-        rested = _to_rest(session, ack, link, clock, log, dialogue, stop)
+        rested = _to_rest(session, rest, log, dialogue)
     return RunReport(
         reason,
-        looped is not None and looped.completed and reason == looped.reason,
+        looped is not None and looped.completed,
         rested,
         settled,
         start,
@@ -266,28 +294,19 @@ def _loop(
     ).run(state, began)
 
 
-def _to_rest(
-    session: Session,
-    ack: HelloAck,
-    link: AbstractLink,
-    clock: AbstractClock,
-    log: _Log,
-    dialogue: AbstractDialogue,
-    stop: StopRequest,
-) -> bool:
-    """Bring the rig to rest and end the session, whatever state either is in."""
-    rested = False
+def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue) -> bool:
+    """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
-        log.event(Event.STOP_SENT)
-        dialogue.enter(Phase.STOPPING)
-        rested = come_to_rest(link, clock, stop, ack.boot_id)
-        if stop.emergency or not rested:
-            rested = session.emergency_stop(EMERGENCY if stop.emergency else NOT_RESTED)
-        session.bye()
-        log.event(Event.DISCONNECTED)
+        try:
+            session.stop()
+            log.event(Event.STOP_SENT)
+            dialogue.enter(Phase.STOPPING)
+        finally:
+            rested = rest.bring()
     except LinkLost:
         dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
         return False
+    log.event(Event.DISCONNECTED)
     if not rested:
         dialogue.tell("The rig has not confirmed that it rests: use its emergency stop.")
     return rested
@@ -348,11 +367,10 @@ def _statics(setup: bytes) -> Callable[[float], float]:
 
 def _start(
     procedure: Procedure,
-    simulator: Simulator,
+    deepest: float,
     statics: Callable[[float], float],
     settled: Settled,
 ) -> Start:
-    deepest = float(simulator.wheel.cut().sinkage_limit)
     least = LEAST_SINKAGE if procedure.zeta is None else -MOST_OVER
     if not least <= settled.sinkage <= deepest:
         raise InputError(
@@ -361,7 +379,9 @@ def _start(
             "or give --zero power-up where the scale was zeroed there before, or --zeta0 where "
             "no sinkage at rest can be told"
         )
-    zeta = statics(settled.sinkage) if procedure.zeta is None else procedure.zeta
+    if procedure.zeta is not None:
+        return Start(settled.sinkage, procedure.zeta)
+    zeta = statics(settled.sinkage)
     if not LEAST_ZETA <= zeta <= MOST_ZETA:
         raise InputError(
             f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
@@ -381,7 +401,7 @@ def _head(procedure: Procedure, loop: LoopSetUp, start: Start, ack: HelloAck) ->
     )
     return Head(
         setup=believed(loop.setup, start.sinkage, start.zeta),
-        source="virtual rig" if ack.rig_id == VIRTUAL_RIG_ID else "measured",
+        source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=procedure.title or loop.setup.title,
         channels=("x", "z"),
         driven=not procedure.free,

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-MCL_CURRENT, MCL_FUTURE = 1, 2
+MCL_CURRENT = 1
 # Priorities from 1 to 99; the middle leaves room for the kernel's own threads above.
 FIFO_PRIORITY = 50
+# A child does not inherit a priority: a recorder at this one would fight the loop.
+RESET_ON_FORK = getattr(os, "SCHED_RESET_ON_FORK", 0)
 # How long one thread may keep Python to itself while another waits [s].
 SWITCH_INTERVAL = 1e-4
 # Timers of a thread are rounded up by this much [ns], by default 50000.
@@ -98,9 +100,7 @@ def _first_in(undo: ExitStack) -> bool:
         with suppress(OSError):
             before = os.sched_getscheduler(thread), os.sched_getparam(thread)
             param = os.sched_param(FIFO_PRIORITY)
-            # A child does not inherit it: a recorder at this priority would fight the loop.
-            kind = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
-            os.sched_setscheduler(thread, kind, param)
+            os.sched_setscheduler(thread, os.SCHED_FIFO | RESET_ON_FORK, param)
             undo.callback(_restore, thread, *before)
             done = True
     return done
@@ -108,7 +108,8 @@ def _first_in(undo: ExitStack) -> bool:
 
 def _restore(thread: int, kind: int, param: os.sched_param) -> None:
     with suppress(OSError):  # the thread may have ended
-        os.sched_setscheduler(thread, kind, param)
+        # Who has no privileges may not take RESET_ON_FORK away again.
+        os.sched_setscheduler(thread, kind | RESET_ON_FORK, param)
 
 
 def _threads() -> list[int]:

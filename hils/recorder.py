@@ -24,11 +24,13 @@ import msgspec
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
 from drftjax.runlog.recording_lock import part_path
-from hils.row_stream import Kind, pack_end, pack_head, row_packer
+from hils.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
 PIPE_BYTES: Final = 2**20
 """What the pipe holds, where the system allows it: 4 s of a run at 1 kHz. A recorder that took
 nothing for so long counts as lost."""
+HEAD_RESERVE: Final = 2**12
+"""Of the pipe, for what the head's numbers may be longer in the end, and the first rows [bytes]."""
 START_LIMIT: Final = 30.0
 """Time in which the recorder must have made its file [s]."""
 CLOSE_LIMIT: Final = 120.0
@@ -60,7 +62,7 @@ class Recorder:
         """
         self.path = Path(path)
         self._lost: str | None = None
-        self._full = self._closed = False
+        self._begun = self._full = self._closed = False
         self._answers = b""
         self._command: Struct
         self._measured: Struct
@@ -94,6 +96,23 @@ class Recorder:
             self._let_go()
             raise
 
+    def require_room(self, head: Head) -> None:
+        """Refuse a head that the pipe cannot take at once, before anything moves.
+
+        Raises:
+            InputError: how large it is, and how large it may be.
+        """
+        try:
+            most = fcntl.fcntl(self._pipe, fcntl.F_GETPIPE_SZ) - HEAD_RESERVE
+        except (OSError, AttributeError):  # not every system tells
+            return
+        size = len(pack_head(head))
+        if size > most:
+            raise InputError(
+                f"set-up and profile make {size} bytes of the run log's head, the pipe to the "
+                f"recorder takes {most}: give a profile of fewer knots"
+            )
+
     def begin(self, head: Head) -> None:
         """Have the file made, without waiting for it; once, before the first row.
 
@@ -102,6 +121,7 @@ class Recorder:
         self._command, self._measured, self._online, self._event = (
             row_packer(kind, head) for kind in Kind
         )
+        self._begun = True
         self._put(pack_head(head))
 
     @property
@@ -130,41 +150,9 @@ class Recorder:
         """A reading: its time [s] and the head's channels in their order, x and z as a rule [m]."""
         self._put(self._measured.pack(Kind.MEASURED, time, *values))
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
-        """One tick, as `drftjax.runlog.record.Online` says; flags as `hils.events.TickFlag`."""
-        self._put(
-            self._online.pack(
-                Kind.ONLINE,
-                time,
-                zeta,
-                x_sim,
-                z_sim,
-                vx_sim,
-                fx_sim,
-                tuned,
-                late,
-                age,
-                flags,
-                seq_sent,
-                seq_received,
-                rig_time,
-            )
-        )
+    def online(self, row: OnlineRow) -> None:
+        """One tick."""
+        self._put(self._online.pack(Kind.ONLINE, *row))
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         """Something beside the ticks: a `hils.events.Event` and the number that goes with it."""
@@ -187,7 +175,8 @@ class Recorder:
             return self.path if self.path.exists() else None
         self._closed = True
         try:
-            if self._lost is None or self._full:
+            # An end before the head would be taken for the head's length.
+            if self._begun and (self._lost is None or self._full):
                 self._deliver(pack_end(end_reason), CLOSE_LIMIT)
             self._let_go_of_pipe()
             self._await("closed", CLOSE_LIMIT)
@@ -201,7 +190,8 @@ class Recorder:
         if self._lost is not None or self._closed:
             return
         try:
-            os.write(self._pipe, row)
+            if os.write(self._pipe, row) < len(row):  # only a head is longer than PIPE_BUF
+                self._lost = f"was given a head of {len(row)} bytes, more than its pipe could take"
         except BlockingIOError:
             self._full = True
             self._lost = "took no rows for so long that the pipe to it is full"

@@ -59,7 +59,7 @@ class RecorderProcess:
             reason = f"stopped: {_sentence(error)}"
             self._say("failed", reason)
             os.close(self._rows)
-            with contextlib.suppress(InputError):
+            with contextlib.suppress(InputError, OSError):
                 self._finish(reason)
             return
         try:
@@ -85,11 +85,13 @@ class RecorderProcess:
                     commit_at = now + COMMIT_EVERY
                     # In a thread, because a slow disk may take seconds.
                     if now >= sync_at and (sync is None or sync.done()):
+                        _require_synced(sync)
                         sync = syncing.submit(self._recording.sync)
                         sync_at = now + SYNC_EVERY
                 if not going:
                     break
                 time.sleep(PAUSE)
+        _require_synced(sync)
         return HOST_GONE if self._stream.end_reason is None else self._stream.end_reason
 
     def _take(self) -> bool:
@@ -136,6 +138,16 @@ class RecorderProcess:
     def _say(self, word: str, reason: str) -> None:
         with contextlib.suppress(OSError):  # the host may be gone
             os.write(self._answers, json.dumps([word, reason]).encode() + b"\n")
+
+
+def _require_synced(sync: Future[None] | None) -> None:
+    """Raise what became of rows on their way to the disk, once that is known."""
+    if sync is not None:
+        try:
+            sync.result()
+        except OSError as error:
+            cause = error.strerror or str(error)
+            raise InputError(f"the disk did not take what was written: {cause}") from error
 
 
 def _sentence(error: Exception) -> str:

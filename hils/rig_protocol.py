@@ -17,6 +17,7 @@ from hils.pace import LEAST_WATCHDOG, watchdog_ms, watchdog_s
 from hils.receiver import Splitter
 from hils.wire import (
     FROM_HOST,
+    READY,
     SCHEMA,
     U16,
     U32,
@@ -41,7 +42,6 @@ from hils.wire import (
 
 SILENCE = 0.02  # without a command, a measurement goes out this often [s]
 REPEATS, REPEAT_AFTER = 5, 0.05  # of an emergency stop, until the host answers [s]
-MOVING = (RigState.ARMED, RigState.RUNNING)
 
 
 class Reason(enum.IntEnum):
@@ -135,14 +135,6 @@ class RigProtocol:
         out, self._out = self._out, b""
         return out
 
-    def receive(self, data: bytes, now: float) -> bytes:
-        """`advance`, where bytes have come."""
-        return self.advance(now, data)
-
-    def poll(self, now: float) -> bytes:
-        """`advance`, where none have."""
-        return self.advance(now, b"")
-
     @property
     def drops(self) -> dict[Drop, int]:
         """What was received and did not count, by cause."""
@@ -165,7 +157,7 @@ class RigProtocol:
 
     def _live(self, now: float) -> None:
         now = max(now, self._now)
-        while self.state in MOVING:
+        while self.state in READY:
             starved = self._commanded + self._watchdog
             if min(starved, self._lapses) > now:
                 break
@@ -233,7 +225,7 @@ class RigProtocol:
                 self._bid_farewell()
 
     def _open(self, frame: Frame, hello: Hello) -> None:
-        if self.state in MOVING:
+        if self.state in READY:
             self._go_safe(Reason.HELLO_WHILE_ARMED)
         understood = hello.schema == SCHEMA
         possible = hello.tick_us > 0 and watchdog_ms(hello.tick_us) <= U16
@@ -267,7 +259,7 @@ class RigProtocol:
 
     def _command(self, command: Drive, seq: int) -> None:
         self._ack_seq = seq
-        if self.state in MOVING:
+        if self.state in READY:
             # Written so that NaN fails both.
             if abs(command.omega) <= self._omega_max and abs(command.vx) <= self._vx_max:
                 self._target = Demand(
@@ -283,7 +275,7 @@ class RigProtocol:
         self._tell_measurement(self._now)
 
     def _bid_farewell(self) -> None:
-        if self.state in MOVING:
+        if self.state in READY:
             self._target = self._rest()
             self._turn(RigState.IDLE, Reason.BYE)
         self._greeted = False
@@ -293,7 +285,7 @@ class RigProtocol:
 
     def _hear_stranger(self, frame: Frame) -> None:
         self._drop(Drop.SESSION)
-        if self.state in MOVING:
+        if self.state in READY:
             self._go_safe(Reason.ANOTHER_SESSION, isinstance(frame.message, EmergencyStop))
             self._answered = -math.inf
         # Told which boot this is, a host sees that the rig was reset under it.

@@ -8,7 +8,8 @@ goes the other way is not held.
 import heapq
 from dataclasses import dataclass
 
-BITS_A_BYTE = 10  # a start bit, eight of data, a stop bit
+from hils.wire import BITS_PER_BYTE
+
 # What an FTDI adapter's packet holds besides two status bytes.
 ADAPTER_PACKET = 62
 # What waits to be sent at most; a firmware's buffer is smaller still.
@@ -41,7 +42,7 @@ class Line:
     """
 
     def __init__(self, baud: float = 0, latency: float = 0.0):
-        self._byte_time = BITS_A_BYTE / baud if baud else 0.0
+        self._byte_time = BITS_PER_BYTE / baud if baud else 0.0
         self._latency = latency
         self._waiting: list[tuple[float, int, bytes]] = []
         self._backlog = 0

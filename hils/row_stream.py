@@ -10,7 +10,7 @@ Whole numbers up to 2^53 pass through a float64 unchanged.
 
 import struct
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -21,7 +21,6 @@ from drftjax.runlog.head import Head
 END: Final = 255
 LONGEST_REASON: Final = 2000
 """Bytes of an end's reason that are kept."""
-ONLINE_COLUMNS: Final = 13
 _LENGTH: Final = struct.Struct("<I")
 _END: Final = struct.Struct("<BH")
 
@@ -35,12 +34,42 @@ class Kind(IntEnum):
     EVENTS = 4
 
 
+class OnlineRow(NamedTuple):
+    """A tick of the loop: what `drftjax.runlog.record.Online` has one row of, in that order.
+
+    Attributes:
+        time: Of the tick, from the run's start [s].
+        zeta: In use [-].
+        x_sim, z_sim, vx_sim, fx_sim: Of the simulation [m, m, m/s, N].
+        tuned: 1 where zeta was changed.
+        late: Time over the deadline, 0 where it was met [s].
+        age: Of the reading in use [s].
+        flags: As `hils.events.TickFlag`.
+        seq_sent, seq_received: Sequence numbers on the wire.
+        rig_time: The rig's own clock [s].
+    """
+
+    time: float
+    zeta: float
+    x_sim: float
+    z_sim: float
+    vx_sim: float
+    fx_sim: float
+    tuned: int
+    late: float
+    age: float
+    flags: int
+    seq_sent: int
+    seq_received: int
+    rig_time: float
+
+
 def columns(head: Head) -> dict[Kind, int]:
     """How many numbers a row of each kind has, its time included."""
     return {
         Kind.COMMAND: 3 if head.driven else 2,
         Kind.MEASURED: 1 + len(head.channels),
-        Kind.ONLINE: ONLINE_COLUMNS,
+        Kind.ONLINE: len(OnlineRow._fields),
         Kind.EVENTS: 3,
     }
 

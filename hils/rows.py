@@ -8,6 +8,7 @@ from drftjax.errors import InputError
 from drftjax.runlog import record
 from drftjax.runlog.head import Head
 from drftjax.runlog.layout import ONLINE_NUMBERS, UNITS
+from hils.row_stream import OnlineRow
 
 
 class Rows(Protocol):
@@ -26,6 +27,14 @@ class Rows(Protocol):
         """Why it is lost, in a sentence without its subject."""
         ...
 
+    def require_room(self, head: Head) -> None:
+        """Refuse a head as long as this one where it could not be taken; nothing has moved yet.
+
+        Raises:
+            InputError: where it could not.
+        """
+        ...
+
     def begin(self, head: Head) -> None:
         """What is known of the run before its first row; called once, before any row."""
         ...
@@ -38,22 +47,7 @@ class Rows(Protocol):
         """A reading."""
         ...
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
+    def online(self, row: OnlineRow) -> None:
         """One tick."""
         ...
 
@@ -79,7 +73,7 @@ class KeptRows:
         self.end_reason: str | None = None
         self.commands: list[tuple[float, ...]] = []
         self.readings: list[tuple[float, ...]] = []
-        self.ticks: list[tuple[float, ...]] = []
+        self.ticks: list[OnlineRow] = []
         self.events: list[tuple[float, int, float]] = []
 
     @property
@@ -90,6 +84,9 @@ class KeptRows:
     def reason(self) -> str | None:
         return None
 
+    def require_room(self, head: Head) -> None:
+        pass
+
     def begin(self, head: Head) -> None:
         self.head = head
 
@@ -99,24 +96,8 @@ class KeptRows:
     def measured(self, time: float, *values: float) -> None:
         self.readings.append((time, *values))
 
-    def online(
-        self,
-        time: float,
-        zeta: float,
-        x_sim: float,
-        z_sim: float,
-        vx_sim: float,
-        fx_sim: float,
-        tuned: int,
-        late: float,
-        age: float,
-        flags: int,
-        seq_sent: int,
-        seq_received: int,
-        rig_time: float,
-    ) -> None:
-        simulated = (time, zeta, x_sim, z_sim, vx_sim, fx_sim)
-        self.ticks.append((*simulated, tuned, late, age, flags, seq_sent, seq_received, rig_time))
+    def online(self, row: OnlineRow) -> None:
+        self.ticks.append(row)
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         self.events.append((time, int(code), arg))

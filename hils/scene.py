@@ -45,7 +45,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
         zeta: In use [-].
         slip: By the commands [-].
         omega, vx: Commanded [rad/s, m/s].
-        late, latest: Over the last deadline, and the most so far [s].
+        latest: The most over a deadline so far [s].
         age: Of the reading in use [s].
         missed, refused: Deadlines and readings so far.
         sent, received: Frames a second.
@@ -66,7 +66,6 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
     slip: float | None = None
     omega: float | None = None
     vx: float | None = None
-    late: float | None = None
     latest: float = 0.0
     age: float | None = None
     missed: int = 0

@@ -1,6 +1,7 @@
 """A series of runs on one rig: a file each, and the sand prepared between them."""
 
 import os
+import signal
 import subprocess
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,7 +19,7 @@ from hils.procedure import Procedure, RunReport, run
 from hils.realtime import timely
 from hils.recorder import Recorder
 from hils.stop_request import StopRequest
-from hils.under_way import announced
+from hils.under_way import UnderWay, announced
 from hils.watched import unwatched, watched
 
 ENDED_EARLY = 1
@@ -68,37 +69,46 @@ def file_names(output: Path, runs: int) -> list[Path]:
 
 
 def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue) -> int:
-    """Make the runs, one after the other; the first that does not complete ends them.
+    """Make the runs, one after the other; the first that does not complete ends them, and so does
+    whoever asks for an end, between two runs as well.
 
     Returns:
-        The exit code: 0 where all were completed.
+        The exit code: 0 where all were completed and nobody asked for an end.
 
     Raises:
         InputError: a run could not be begun, or its file not be finished.
     """
-    for number, path in enumerate(series.files):
-        if number:
-            _prepare(series, number, dialogue)
-        if len(series.files) > 1:
-            dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
-        report = one_run(procedure, series, path, dialogue)
-        for line in told(report, path):
-            dialogue.tell(line)
-        if series.plot and path.exists():
-            dialogue.tell(_drawn(path))
-        if not report.completed:
-            return INTERRUPTED if "Ctrl-C" in report.reason else ENDED_EARLY
+    stop = StopRequest()
+    with announced(series.port, series.files) as under_way, stop.on_signals():
+        for number, path in enumerate(series.files):
+            if number:
+                _prepare(series, number, dialogue)
+            if len(series.files) > 1:
+                dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
+            report = one_run(procedure, series, path, dialogue, stop, under_way)
+            for line in told(report, path):
+                dialogue.tell(line)
+            if series.plot and path.exists():
+                dialogue.tell(_drawn(path))
+            if report.unfinished:
+                raise InputError(report.unfinished)
+            if report.wish is not None:
+                return INTERRUPTED if report.wish.arg == signal.SIGINT else ENDED_EARLY
+            if not report.completed:
+                return ENDED_EARLY
     return 0
 
 
 def one_run(
-    procedure: Procedure, series: Series, path: Path, dialogue: AbstractDialogue
+    procedure: Procedure,
+    series: Series,
+    path: Path,
+    dialogue: AbstractDialogue,
+    stop: StopRequest,
+    under_way: UnderWay,
 ) -> RunReport:
     """Open the port, make a run, close everything."""
-    stop = StopRequest()
     with ExitStack() as opened:
-        under_way = opened.enter_context(announced(series.port, path))
-        opened.enter_context(stop.on_signals())
         # Before the port and before any priority: it must outlive the one and not have the other.
         recorder = Recorder(path)
         opened.callback(recorder.close, "not begun")
@@ -108,7 +118,7 @@ def one_run(
         seen = unwatched(recorder, dialogue)
         if series.view:
             seen = opened.enter_context(
-                watched(under_way, procedure, link, clock, recorder, dialogue, stop)
+                watched(under_way, path, procedure, link, clock, recorder, dialogue, stop)
             )
 
         def before_motion() -> None:
@@ -155,6 +165,8 @@ def _drawn(path: Path) -> str:
 def told(report: RunReport, path: Path) -> list[str]:
     """A run's report in a few lines."""
     lines = [f"{'Completed' if report.completed else 'Ended early'}: {report.reason}."]
+    if report.completed and report.wish is not None:
+        lines.append(f"No further run: {report.wish.reason}.")
     if not report.rested:
         lines.append("The rig was not seen to rest: make sure that it does.")
     loop, start = report.loop, report.start

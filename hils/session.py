@@ -9,6 +9,7 @@ from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival, LinkQuality
 from hils.pace import watchdog_s
 from hils.wire import (
+    READY,
     SCHEMA,
     Arm,
     Bye,
@@ -26,8 +27,9 @@ from hils.wire import (
 TRIES = 5
 GAP = 0.05  # from one try to the next [s]
 LARGEST_SCALE = 1.0  # metres a count
-READY = (RigState.ARMED, RigState.RUNNING)
 STOPPED = (RigState.SAFE, RigState.FAULT)
+# Reasons of an emergency stop, as the rig is told.
+EMERGENCY, NOT_RESTED = 1, 2
 
 
 class RigStopped(InputError):
@@ -113,6 +115,8 @@ class Session:
     def check(self) -> list[Arrival]:
         """What the rig reported since the last call; once armed, refuse if it is no longer.
 
+        An emergency stop of the rig's own is answered by one of the same reason.
+
         Raises:
             RigStopped: the rig stopped, left its ready state, failed or was reset.
             LinkLost: the line broke.
@@ -127,6 +131,7 @@ class Session:
             if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:
                 raise RigStopped(f"the rig on {self._link.name} was reset during the run")
             if isinstance(message, EmergencyStop):
+                self._link.send(message)
                 raise RigStopped(
                     f"the rig on {self._link.name} made an emergency stop, reason {message.reason}"
                 )
@@ -150,10 +155,9 @@ class Session:
 
     def bye(self) -> None:
         """End the session, and give the rig a moment to take it in."""
+        now = self._clock.now()
         self._link.send(Bye())
-        self._await(
-            lambda each: isinstance(each.frame.message, StateReport), self._clock.now() + GAP
-        )
+        self._await(lambda each: isinstance(each.frame.message, StateReport), now, now + GAP)
         self._armed_by = None
 
     def _require_open(self) -> tuple[Hello, HelloAck]:
@@ -178,7 +182,10 @@ class Session:
         hold: Drive | None = None,
         tick: float = math.inf,
     ) -> Arrival | None:
-        """Say it until something answers it, or all tries are over."""
+        """Say it until something answers it, or all tries are over.
+
+        What had come before it was said is no answer; a measurement of that very instant neither.
+        """
         start = self._clock.now()
         for number in range(1, TRIES + 1):
             self._link.send(message)
@@ -186,19 +193,22 @@ class Session:
             while (now := self._clock.now()) < deadline:
                 if hold is not None:
                     self._link.send(hold)
-                if (answer := self._await(answers, min(deadline, now + tick))) is not None:
+                until = min(deadline, now + tick)
+                if (answer := self._await(answers, start, until)) is not None:
                     return answer
         return None
 
-    def _await(self, answers: Callable[[Arrival], bool], deadline: float) -> Arrival | None:
+    def _await(
+        self, answers: Callable[[Arrival], bool], since: float, deadline: float
+    ) -> Arrival | None:
         while True:
             for each in self._link.reports():
                 if isinstance(each.frame.message, StateReport):
                     self._said = each.frame.message
-                if answers(each):
+                if each.time >= since and answers(each):
                     return each
             newest = self._link.newest()
-            if newest is not None and answers(newest):
+            if newest is not None and newest.time > since and answers(newest):
                 return newest
             if not self._link.wait(deadline):
                 return None

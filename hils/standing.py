@@ -4,7 +4,7 @@ From ARM on a command to stand goes out on each tick, because the rig's watchdog
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,13 +15,7 @@ from hils.link import AbstractLink, Arrival
 from hils.loop import Zero, longest_silence
 from hils.session import Session
 from hils.stop_request import StopRequest
-from hils.wire import (
-    Drive,
-    HelloAck,
-    Measurement,
-    RigState,
-    Stop,
-)
+from hils.wire import Drive, HelloAck, Measurement
 
 # Touch-down is averaged over this time [s], and needs as many readings.
 TOUCH_DOWN_TIME, TOUCH_DOWN_READINGS = 0.5, 8
@@ -34,10 +28,6 @@ LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
 LONGEST_SETTLING = 20.0
 # Between rest and start the wheel creeps by no more than this [m].
 MOST_CREPT = 2e-3
-# After STOP the wheel must stand within this time [s], turning slower than [rad/s].
-LONGEST_STOP, STOPPED = 5.0, 0.02
-# STOP is not answered by every rig, so it is said again until the wheel rests, so far apart [s].
-STOP_INTERVAL = 0.05
 
 
 class Ended(Exception):
@@ -104,6 +94,7 @@ class Standing:
         tick: Time from one command to the next [s].
         driven: Whether the carriage is held; else it is free.
         valid_ms: How long the rig may hold a command [ms].
+        show: Takes each sinkage measured [m], without waiting.
 
     Attributes:
         rest: The command to stand.
@@ -118,9 +109,10 @@ class Standing:
         tick: float,
         driven: bool,
         valid_ms: int,
+        show: Callable[[float], None],
     ):
         self._link, self._clock, self._stop = link, clock, stop
-        self._session, self._tick = session, tick
+        self._session, self._tick, self._show = session, tick, show
         self.rest = Drive(0.0, 0.0, driven, valid_ms)
         self._due = self._heard = clock.now()
 
@@ -137,10 +129,8 @@ class Standing:
         for arrival in self._beats(began + LONGEST_SETTLING):
             if arrival is None:
                 continue
-            measurement = arrival.frame.message
-            assert isinstance(measurement, Measurement)
             times.append(arrival.time)
-            heights.append(zero.reading(measurement, arrival.time).z)
+            heights.append(self._height(arrival, zero))
             if arrival.time - began < LEAST_SETTLING:
                 continue
             time, height = np.array(times), np.array(heights)
@@ -170,10 +160,11 @@ class Standing:
         """
         heights = []
         for arrival in self._beats(until):
-            if arrival is not None and arrival.time > until - SETTLING_WINDOW:
-                measurement = arrival.frame.message
-                assert isinstance(measurement, Measurement)
-                heights.append(zero.reading(measurement, arrival.time).z)
+            if arrival is None:
+                continue
+            height = self._height(arrival, zero)
+            if arrival.time > until - SETTLING_WINDOW:
+                heights.append(height)
         sinkage = -float(np.median(heights)) if heights else settled.sinkage
         sunk = sinkage - settled.sinkage
         if not abs(sunk) <= MOST_CREPT:
@@ -211,47 +202,18 @@ class Standing:
                 raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 
+    def _height(self, arrival: Arrival, zero: Zero) -> float:
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        height = zero.reading(measurement, arrival.time).z
+        self._show(-height)
+        return height
+
     def _look_at(self, arrival: Arrival) -> None:
         measurement = arrival.frame.message
         assert isinstance(measurement, Measurement)
         if measurement.fault:
             raise Ended(f"the rig reports fault {measurement.fault}")
-
-
-def come_to_rest(link: AbstractLink, clock: AbstractClock, stop: StopRequest, boot_id: int) -> bool:
-    """STOP, until the rig is seen to rest or an emergency stop is asked for.
-
-    Args:
-        link, clock: The rig.
-        stop: Looked at all the while.
-        boot_id: Of the rig when the session was opened; one that was reset does not answer.
-
-    Returns:
-        Whether it was seen to rest.
-
-    Raises:
-        LinkLost: the rig can no longer be reached; its watchdog brings it to rest.
-    """
-    deadline = clock.now() + LONGEST_STOP
-    began = clock.now()
-    said = -math.inf
-    while clock.now() < deadline and not stop.emergency:
-        if clock.now() >= said + STOP_INTERVAL:
-            link.send(Stop())
-            said = clock.now()
-        link.wait(min(deadline, said + STOP_INTERVAL))
-        stranger = link.quality().stranger
-        if stranger is not None and stranger.boot_id != boot_id:
-            return False
-        arrival = link.newest()
-        if arrival is None or arrival.time <= began:
-            continue
-        measurement = arrival.frame.message
-        assert isinstance(measurement, Measurement)
-        turning = abs(measurement.omega) > STOPPED  # False where it is not measured
-        if measurement.state is not RigState.RUNNING and not turning:
-            return True
-    return False
 
 
 def _time_of(arrival: Arrival | None) -> float:

@@ -2,15 +2,18 @@
 
 import os
 import signal
-import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from stat import S_ISDIR
 
 import msgspec
 
 from drftjax.errors import InputError
+
+# The same for every terminal of this user's, whatever its environment says.
+BASE = Path("/tmp")
 
 
 class UnderWay(msgspec.Struct, frozen=True):
@@ -21,7 +24,7 @@ class UnderWay(msgspec.Struct, frozen=True):
         born: When that process started, as the system counts; another one that was given the same
             number later was born later.
         port: The rig's port.
-        output: Its run log.
+        output: Its run log, or the first and the last of several.
     """
 
     pid: int
@@ -31,11 +34,12 @@ class UnderWay(msgspec.Struct, frozen=True):
 
 
 @contextmanager
-def announced(port: str, output: Path) -> Iterator[UnderWay]:
-    """Within this, the run can be found and stopped from another terminal."""
+def announced(port: str, outputs: Sequence[Path]) -> Iterator[UnderWay]:
+    """Within this, the runs of these logs can be found and stopped from another terminal."""
     pid = os.getpid()
     entry = _folder() / f"{pid}.json"
-    run = UnderWay(pid, _born(pid), port, str(output.absolute()))
+    ends = dict.fromkeys([outputs[0], outputs[-1]])
+    run = UnderWay(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
     entry.write_bytes(msgspec.json.encode(run))
     try:
         yield run
@@ -82,13 +86,16 @@ def ended(run: UnderWay, within: float) -> bool:
 
 
 def _folder() -> Path:
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base) if base else Path(tempfile.gettempdir())
-    folder = folder / f"drft-hils-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    # A folder that someone else made could name any process of ours.
-    if folder.is_symlink() or folder.stat().st_uid != os.getuid():
-        raise InputError(f"{folder} belongs to someone else; runs are announced there: remove it")
+    folder = BASE / f"drft-hils-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    # A folder that someone else made, or may write to, could name any process of ours.
+    facts = folder.lstat()
+    if not S_ISDIR(facts.st_mode) or facts.st_uid != os.getuid() or facts.st_mode & 0o022:
+        raise InputError(
+            f"{folder} must be a folder that only its owner, this user, may write to: runs are "
+            "announced there; remove it"
+        )
     return folder
 
 

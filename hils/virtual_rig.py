@@ -21,19 +21,16 @@ from hils.faults import FaultScript, split_frames
 from hils.instruments import Noise, Stream
 from hils.link import LinkLost
 from hils.rig_physics import LOWERING_TIME, REST, Motion, RigPhysics
-from hils.rig_protocol import MOVING, SILENCE, Demand, Reason, RigIdentity, RigProtocol
-from hils.rig_wire import Line, Packet
+from hils.rig_protocol import SILENCE, Demand, Reason, RigIdentity, RigProtocol
+from hils.rig_wire import INSTANT, Line, Packet
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import U32, HelloAck, RigState, wire_bytes
+from hils.wire import READY, U32, VIRTUAL_RIG, HelloAck, RigState, wire_bytes
 
-RIG_ID = int.from_bytes(b"VIRT", "big")  # so that a host can tell it from a real one
 # The firmware looks at its clock at least this often [s].
 LOOK = 0.002
 # Fragments longer than any frame pass as they are.
 LONGEST_FRAGMENT = 256
 MOST_CHANGES = 1000
-# Whole steps end a rounding before or after the time they were counted for [s].
-INSTANT = 1e-9
 
 
 class RigFault(enum.IntEnum):
@@ -200,7 +197,7 @@ class VirtualRig:
         frames, _ = split_frames(b"", out)
         if any(len(frame) == wire_bytes(HelloAck) for frame in frames):
             self._faults.mark("hello", now)
-            if protocol.state not in MOVING and protocol.demand.omega == 0:
+            if protocol.state not in READY and protocol.demand.omega == 0:
                 self._prepare()
         if not self._faults.unplugged(now):
             self._outward.send(self._faults.packets(frames, "host", now))
@@ -214,7 +211,7 @@ class VirtualRig:
         self.changes.append(Change(now, protocol.state, protocol.reason, now - self._heard))
         if before is RigState.RUNNING:
             self._faults.mark("stop", now)
-        if protocol.state in MOVING:
+        if protocol.state in READY:
             self._faults.mark("arm", now)
             if self._released is None:
                 self._released = self._synced = now
@@ -228,7 +225,7 @@ class VirtualRig:
         limits, scales = self._setup.limits, self._setup.instruments
         identity = RigIdentity(
             boot_id=int(random.integers(1, U32)),
-            rig_id=RIG_ID,
+            rig_id=VIRTUAL_RIG,
             z_scale=scales.z_scale,
             x_scale=scales.x_scale,
             omega_max=limits.omega_max,
@@ -266,7 +263,7 @@ class VirtualRig:
         while self._synced < now:
             # The damper lets go between two blocks.
             lowered = self._released + LOWERING_TIME
-            lowering = self._synced < lowered - INSTANT
+            lowering = self._synced < lowered - INSTANT  # whole steps end a rounding beside it
             end = min(now, lowered) if lowering else now
             steps = math.floor((end - self._synced) / self._physics.step + 1e-6)
             if steps < 1 and lowering and end < now:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 from hils.clock import AbstractClock
@@ -36,6 +37,7 @@ def unwatched(rows: Rows, dialogue: AbstractDialogue) -> Watched:
 @contextmanager
 def watched(
     under_way: UnderWay,
+    output: Path,
     procedure: Procedure,
     link: AbstractLink,
     clock: AbstractClock,
@@ -48,11 +50,12 @@ def watched(
     What is told while the view has the terminal is told to the dialogue at the end.
     """
     setup = procedure.loop.setup
+    command = setup.command.build()
     seen = Seen(
         procedure.title or setup.title,
         under_way.port,
-        under_way.output,
-        float(setup.command.build().time[-1]),
+        str(output.absolute()),
+        float(command.time[-1] - command.time[0]),
         setup.wheel.radius,
     )
     view = LiveView(under_way)

@@ -31,6 +31,10 @@ _CHECKSUM = struct.Struct("<I")
 _FRAMING = _HEADER.size + _CHECKSUM.size + 1 + 2
 
 
+# rig_id of the virtual rig, so that a host can tell it from a real one: "VIRT".
+VIRTUAL_RIG = 0x56495254
+
+
 class RigState(enum.IntEnum):
     """What the rig is ready for; SAFE is latched."""
 
@@ -39,6 +43,10 @@ class RigState(enum.IntEnum):
     RUNNING = 2
     SAFE = 3
     FAULT = 4
+
+
+READY = (RigState.ARMED, RigState.RUNNING)
+"""States in which a rig follows commands."""
 
 
 class Drop(enum.Enum):

@@ -26,6 +26,7 @@ from drftjax.runlog.recording_lock import is_held, part_path
 from drftjax.runlog.repair import repair
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
 from hils.recorder import Recorder
+from hils.row_stream import OnlineRow
 
 DEADLINE = 60.0
 """In which an outcome must come, however busy the machine [s]."""
@@ -57,19 +58,21 @@ def hand_over(recorder: Recorder, number: int) -> None:
     recorder.command(time, 0.5 + wave, wave / 3)
     recorder.measured(time + 0.0003, number / 7, -0.02 + wave / 1000)
     recorder.online(
-        time,
-        0.78 + wave / 9,
-        number / 3,
-        wave,
-        wave / 7,
-        wave * 11,
-        number % 2,
-        abs(wave) * 1e-4,
-        0.01 + wave / 500,
-        number % 256 | TickFlag.FRESH,
-        2**32 - 1 - number,
-        number,
-        number * 0.00101,
+        OnlineRow(
+            time,
+            0.78 + wave / 9,
+            number / 3,
+            wave,
+            wave / 7,
+            wave * 11,
+            number % 2,
+            abs(wave) * 1e-4,
+            0.01 + wave / 500,
+            number % 256 | TickFlag.FRESH,
+            2**32 - 1 - number,
+            number,
+            number * 0.00101,
+        )
     )
 
 

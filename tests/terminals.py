@@ -39,7 +39,7 @@ class PseudoTerminal:
         self._shell = subprocess.Popen(
             [sys.executable, "-c", SHELL, str(self._slave), *command],
             pass_fds=[self._slave],
-            env={**os.environ, "TERM": "xterm-256color", "XDG_RUNTIME_DIR": str(folder)},
+            env={**os.environ, "TERM": "xterm-256color"},
             cwd=folder,
         )
         threading.Thread(target=self._listen, daemon=True).start()

@@ -13,19 +13,20 @@ from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
 from hils.guard import CommandLimits, Reading
-from hils.link import SoftLink
+from hils.link import Arrival, SoftLink
 from hils.loop import Overruns
 from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
 from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport, ZeroAt, run, shared_physics
 from hils.rows import KeptRows
+from hils.scene import Phase
 from hils.simulated import QUICK, SoftRig, soft_rig
 from hils.simulated import shared_physics as rig_physics
 from hils.stop_request import StopRequest, Wish
 from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import Drive, EmergencyStop, RigState, Stop
+from hils.wire import Bye, Drive, EmergencyStop, Frame, RigState, Stop
 
 TICK = 0.01
 # Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
@@ -109,20 +110,21 @@ def make(
     at: float = 0.0,
     late: float = 0.0,
     rows: KeptRows | None = None,
+    link: type[LoggedLink] = LoggedLink,
     **procedure,
 ) -> Made:
     """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
     setup = VirtualSetUp(physics=QUICK)
     clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
-    link = LoggedLink(rig, clock)
+    line = link(rig, clock)
     stop, rows = StopRequest(), rows or KeptRows()
     if cue is not None:
-        Cue(clock, START + BEFORE + at, lambda: cue(stop, link))
-    given = Procedure(loop=loop or loop_setup(), countdown=0.3, **procedure)
-    soft = SoftRig(rig, link, clock)
-    report = run(given, link, clock, rows, Unattended(quiet=True), stop)
-    return Made(report, rows, soft, link.said)
+        Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
+    given = Procedure(loop=loop or loop_setup(), **{"countdown": 0.3} | procedure)
+    soft = SoftRig(rig, line, clock)
+    report = run(given, line, clock, rows, Unattended(quiet=True), stop)
+    return Made(report, rows, soft, line.said)
 
 
 @functools.cache
@@ -188,7 +190,10 @@ def test_zeta_at_the_start_is_what_statics_tells():
 
 def test_stop_and_farewell_end_the_session():
     made = whole("step")
-    assert [type(m).__name__ for _, m in made.said[-2:]] == ["Stop", "Bye"]
+    stopped = next(n for n, (_, m) in enumerate(made.said) if isinstance(m, Stop))
+    after = [m for _, m in made.said[stopped:]]
+    assert all(isinstance(m, Stop) or (m.omega, m.vx) == (0.0, 0.0) for m in after[:-1])
+    assert after[-1] == Bye()
     assert made.soft.rig.state is RigState.IDLE
 
 
@@ -292,6 +297,27 @@ def test_rig_that_goes_safe_ends_the_run():
     assert resting(made)
 
 
+def test_rigs_own_emergency_stop_is_answered_by_one():
+    def press(stop, link):
+        link.pressed = EmergencyStop(12)
+
+    class Pressed(LoggedLink):
+        pressed = None
+
+        def reports(self):
+            pressed, self.pressed = self.pressed, None
+            found = super().reports()
+            now = self._clock.now()
+            return found if pressed is None else [*found, Arrival(Frame(pressed, 1, 1, 0), now)]
+
+    made = make(cue=press, at=2.0, link=Pressed)
+    assert made.report.reason == "the rig made an emergency stop, reason 12"
+    first = next(m for _, m in made.said if isinstance(m, EmergencyStop | Stop))
+    assert first == EmergencyStop(12)
+    assert made.report.rested
+    assert resting(made)
+
+
 def test_lost_link_closes_the_file_and_says_so():
     class Torn(KeptRows):
         """Lets the link break in the middle of the profile."""
@@ -344,10 +370,10 @@ def test_dead_recorder_brings_the_rig_to_rest():
 
 def test_fault_of_the_program_still_stops_the_rig():
     class Breaks(KeptRows):
-        def online(self, time, *rest):
-            if time > 2.0:
+        def online(self, row):
+            if row.time > 2.0:
                 raise ZeroDivisionError("of a bug")
-            super().online(time, *rest)
+            super().online(row)
 
     rows, soft = Breaks(), soft_rig()
     with pytest.raises(InputError, match="fault of this program, ZeroDivisionError: of a bug"):
@@ -363,6 +389,21 @@ def test_fault_of_the_program_still_stops_the_rig():
     soft.clock.sleep_until(soft.clock.now() + 1.0)
     assert soft.rig.motion.omega == 0.0
     assert soft.rig.state in (RigState.IDLE, RigState.SAFE)
+
+
+def test_nothing_that_is_told_can_prevent_the_stop():
+    class Speechless(Unattended):
+        def enter(self, phase, lasts=math.nan):
+            if phase is Phase.STOPPING:
+                raise OSError("the terminal is gone")
+
+    setup, clock = VirtualSetUp(physics=QUICK), VirtualClock(START)
+    rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
+    link, given = LoggedLink(rig, clock), Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match="OSError: the terminal is gone"):
+        run(given, link, clock, KeptRows(), Speechless(quiet=True), StopRequest())
+    assert isinstance(link.said[-1][1], Bye)
+    assert rig.state is RigState.IDLE
 
 
 # Deadlines ---------------------------------------------------------------------------------------
@@ -423,7 +464,8 @@ def test_profile_that_the_rig_does_not_allow_is_refused_before_arm():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"zeta": 50.0}, r"tells zeta\(0\) 50"),
+        ({"zeta": 50.0}, "zeta0 is 50, must lie between"),
+        ({"countdown": math.nan}, "countdown is nan, must lie between"),
         ({"loop": loop_setup(ramp=100.0)}, "ramp is 100, must lie between"),
         ({"loop": msgspec.structs.replace(loop_setup(), tick=1e-5)}, "tick is 1e-05, must lie"),
     ],

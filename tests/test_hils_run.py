@@ -5,6 +5,7 @@ The control period is long: a busy machine lets processes wait, which is no case
 Signals, faults and ends of every other kind are `tests/test_hils_loop.py`'s, in virtual time.
 """
 
+import os
 import re
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, survey_run
 from drftjax.runlog.record import RunLog
 from hils.under_way import UnderWay, alive, announced, runs_under_way
@@ -190,6 +192,11 @@ def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
         (["--tick", "0"], "tick is 0"),
         (["--tuner", "pi", "--zeta-step", "0.1"], "the tuner 'pi' has no number 'zeta_step'"),
         (["--number", "noise"], "--number is 'noise', must be NAME=VALUE"),
+        (["--port", "rfc2217://h:1", "--baud", "115200", "--tick", "0.001"], "is too short for"),
+        (["--omega-max", "nan"], "omega-max is nan, must lie between"),
+        (["--vx-max", "nan"], "vx-max is nan, must lie between"),
+        (["--zeta0", "nan"], "zeta0 is nan, must lie between 0.05 and 10"),
+        (["--zeta0", "0"], "zeta0 is 0, must lie between 0.05 and 10"),
         (["--omega-max", "0.1"], "the loop allows 0.1 rad/s at most"),
         (["-o", "run.csv"], "a run log's name must end in .h5"),
     ],
@@ -222,14 +229,23 @@ def test_run_log_that_is_already_there_is_not_written_over(drft, tmp_path):
 # Who is under way ------------------------------------------------------------------------------
 
 
-def test_stop_without_a_run_says_so(drft, monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+@pytest.fixture
+def base(monkeypatch, tmp_path) -> Path:
+    """Where nobody else announces runs."""
+    monkeypatch.setattr("hils.under_way.BASE", tmp_path)
+    return tmp_path
+
+
+def test_stop_without_a_run_says_so(drft, base):
     assert "no run of this user's is under way" in drft("hils", "stop").refusal
 
 
-def test_runs_are_found_while_they_last_and_not_after(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with announced("/dev/ttyUSB0", tmp_path / "run.h5"):
+def test_runs_are_found_while_they_last_and_not_after(monkeypatch, base):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/of/this/terminal")
+    monkeypatch.setenv("TMPDIR", "/of/this/terminal")
+    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", "/of/another")
+        monkeypatch.delenv("TMPDIR")
         (found,) = runs_under_way()
         assert found.port == "/dev/ttyUSB0"
         assert alive(found)
@@ -238,10 +254,18 @@ def test_runs_are_found_while_they_last_and_not_after(monkeypatch, tmp_path):
     assert runs_under_way() == []
 
 
-def test_what_a_killed_run_left_is_removed(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with announced("/dev/ttyUSB0", tmp_path / "run.h5"):
-        (entry,) = (tmp_path / next(tmp_path.glob("drft-hils-*")).name).glob("*.json")
+@pytest.mark.parametrize("mode", [0o770, 0o707])
+def test_folder_that_others_may_write_to_names_no_runs(base, mode):
+    folder = base / f"drft-hils-{os.getuid()}"
+    folder.mkdir()
+    folder.chmod(mode)
+    with pytest.raises(InputError, match="only its owner"):
+        runs_under_way()
+
+
+def test_what_a_killed_run_left_is_removed(base):
+    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+        (entry,) = base.glob("drft-hils-*/*.json")
         entry.write_text(entry.read_text().replace('"born":"', '"born":"9'))
         assert runs_under_way() == []
         assert not entry.exists()

@@ -26,7 +26,7 @@ from hils.under_way import announced
 said = open("said", "w", buffering=1)
 stop = StopRequest()
 stop.moving = True
-with announced("/dev/rig", Path("run.h5")) as run, stop.on_signals():
+with announced("/dev/rig", [Path("run.h5")]) as run, stop.on_signals():
     view = LiveView(run)
     print("host", os.getpid(), file=said)
     print("view", view.pid, file=said)

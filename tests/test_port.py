@@ -6,8 +6,10 @@ may be busy; nothing is asserted to be quick but what would otherwise never retu
 
 import os
 import socket
+import termios
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from link_ends import (
@@ -166,6 +168,9 @@ def test_a_loop_gives_the_host_back_its_own_words():
         ("socket://nowhere", "must be socket://host:port"),
         ("socket://h:99999999", "must be socket://host:port"),
         ("hwgrep://no such adapter at all", "cannot be opened"),
+        ("hwgrep://(", "cannot be opened: .*unterminated"),
+        ("loop://?foo=1", "cannot be opened"),
+        ("socket://a..b:80", "cannot be opened"),
         ("", "cannot be opened"),
     ],
 )
@@ -173,6 +178,47 @@ def test_a_port_that_cannot_be_is_refused_in_a_sentence(name, said):
     with pytest.raises(InputError, match=said) as error:
         open_port(name, BAUD)
     assert "\n" not in str(error.value)
+
+
+def descriptors() -> set[Path]:
+    """What this process holds open."""
+    return {each for each in Path("/proc/self/fd").iterdir() if each.is_symlink()}
+
+
+# pyserial's own set-up ends with the first, what is set after it begins with the second.
+@pytest.mark.parametrize("failing", ["tcsetattr", "tcgetattr"])
+def test_a_terminal_that_cannot_be_set_up_is_one_sentence(ends, monkeypatch, failing):
+    def refuse(*given):
+        raise termios.error(5, "Input/output error")
+
+    before = descriptors()
+    monkeypatch.setattr(termios, failing, refuse)
+    with pytest.raises(LinkLost, match="Input/output error"):
+        open_port(ends.name, BAUD)
+    assert descriptors() == before
+
+
+def test_a_device_that_is_no_terminal_leaves_nothing_open_but_itself():
+    device = SlowDriver(os.open(os.devnull, os.O_RDWR))
+    before = descriptors()
+    with pytest.raises(LinkLost, match="Inappropriate ioctl"):
+        SerialPort(device, "no terminal")
+    assert descriptors() == before
+    device.close()
+
+
+def test_a_socket_that_cannot_be_set_up_leaves_nothing_open(monkeypatch):
+    class Stubborn(socket.socket):
+        def setsockopt(self, *given):
+            raise OSError(92, "Protocol not available")
+
+    monkeypatch.setattr("hils.port._connected", lambda url: made.append(Stubborn()) or made[-1])
+    made: list[socket.socket] = []
+    before = descriptors()
+    with pytest.raises(LinkLost, match="Protocol not available"):
+        open_port("socket://h:1", BAUD)
+    assert made[0].fileno() == -1
+    assert descriptors() == before
 
 
 @pytest.mark.parametrize("baud", [0, -1, 10**9])

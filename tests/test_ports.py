@@ -1,5 +1,6 @@
 """`drft hils ports`: what is listed, what answers, and one sentence for each port that does not."""
 
+import inspect
 import os
 import pty
 import socket
@@ -11,6 +12,8 @@ import pytest
 from command_line import Drft
 
 from hils import port as port_module
+from hils.commands.run import run
+from hils.link import LinkLost
 from hils.port import Listed, latency_timer, open_port
 from hils.rig_protocol import RigIdentity, RigProtocol
 
@@ -80,6 +83,18 @@ def test_each_port_has_its_own_sentence(drft, terminal):
     assert (first, second) == (terminal, "/dev/there-is-none")
     assert told.startswith(f"  no rig on {terminal} answers HELLO")
     assert refused.startswith("  /dev/there-is-none cannot be opened: there is no such port")
+
+
+def test_ports_are_asked_at_the_rate_that_a_run_takes(drft, monkeypatch):
+    asked = []
+
+    def opened(name, baud):
+        asked.append(baud)
+        raise LinkLost("for this test")
+
+    monkeypatch.setattr(port_module, "open_port", opened)
+    drft("hils", "ports", "/dev/ttyX9")
+    assert asked == [inspect.signature(run).parameters["baud"].default]
 
 
 def test_a_port_in_use_is_left_alone(drft, terminal):

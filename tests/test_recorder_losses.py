@@ -30,6 +30,7 @@ from drftjax.runlog.check import read_run_guarded
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.recording_lock import part_path
 from drftjax.runlog.repair import CUT_OFF, repair
+from hils import recorder as recorder_module
 from hils.recorder import Recorder
 
 # Kills at random times of each kind; tests/benchmarks/kills.py makes 200.
@@ -70,6 +71,8 @@ FORKING_HOST = """
 import os, sys, time
 sys.path[:0] = sys.argv[2:]
 from recording_host import example_head, hand_over
+from hils import recorder as recorder_module
+from hils import recorder as recorder_module
 from hils.recorder import Recorder
 recorder = Recorder(sys.argv[1], example_head())
 for number in range(50):
@@ -128,6 +131,19 @@ def test_a_recorder_that_hangs_never_holds_the_loop_up(path):
     assert run.end_reason == "the recorder was lost"
 
 
+def test_a_head_longer_than_the_pipe_is_refused_beforehand_and_told_as_such(path, monkeypatch):
+    monkeypatch.setattr("hils.recorder.PIPE_BYTES", 2**16)
+    recorder, head = Recorder(path), example_head(notes="a profile of many knots" * 10_000)
+    recorder.require_room(example_head())
+    with pytest.raises(InputError, match="give a profile of fewer knots"):
+        recorder.require_room(head)
+    recorder.begin(head)
+    assert recorder.reason.startswith("was given a head of 23")
+    with pytest.raises(InputError, match="more than its pipe could take"):
+        recorder.close("completed")
+    assert list(path.parent.iterdir()) == []
+
+
 def test_ctrl_c_and_sigterm_do_not_end_the_recorder(path):
     recorder = recorded(path, 5)
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -156,6 +172,28 @@ def test_a_chunk_torn_by_a_kill_still_gives_its_committed_rows(path):
     run = read_run(path)
     assert run.online.time.size == rows
     assert wrong_rows(run) == 0
+
+
+# As the recorder starts, on a disk that fails where it is synced.
+BAD_DISK = """
+import errno
+from drftjax.runlog.hdf5.recording import Recording
+def fail(recording):
+    raise OSError(errno.EIO, "Input/output error")
+Recording.sync = fail
+"""
+
+
+def test_a_disk_that_fails_behind_the_recorder_stops_the_recording(path, monkeypatch):
+    start = recorder_module._START.replace("from hils", f"exec({BAD_DISK!r}); from hils")
+    monkeypatch.setattr(recorder_module, "_START", start)
+    recorder = Recorder(path, example_head())
+    fill(recorder)
+    said = "stopped: the disk did not take what was written: Input/output error"
+    assert recorder.reason == said
+    with pytest.raises(InputError, match=f"{said}; the rows until then are in {path}"):
+        recorder.close("stopped")
+    assert wrong_rows(read_run(path)) == 0
 
 
 # Repair ------------------------------------------------------------------------------------------

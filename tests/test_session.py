@@ -15,7 +15,7 @@ from hils.clock import VirtualClock
 from hils.link import LinkLost, SoftLink
 from hils.rig_protocol import Reason, RigIdentity, RigProtocol
 from hils.session import GAP, TRIES, RigStopped, Session, new_session
-from hils.wire import Drive, Frame, Hello, RigState, StateReport, encode
+from hils.wire import Drive, EmergencyStop, Frame, Hello, RigState, StateReport, encode
 
 HELLO = Hello(10_000, 50)
 HOLD = Drive(0.0, 0.0, False, 50)
@@ -262,6 +262,16 @@ def test_an_emergency_stop_that_nobody_answers_says_so():
     assert table.clock.now() - before == pytest.approx(TRIES * GAP, abs=ROUNDING)
 
 
+def test_what_was_heard_before_an_emergency_stop_does_not_answer_it():
+    table = Table(OtherRig()).ready()
+    table.rig.state = 3
+    table.rig.report(2)
+    table.rig.measure(0.0, 0)
+    table.clock.sleep_until(table.clock.now() + 0.01)
+    table.rig.say = lambda *_: None
+    assert not table.session.emergency_stop(1)
+
+
 # Rigs that cannot be driven ----------------------------------------------------------------------
 
 
@@ -319,12 +329,15 @@ class Buttons:
         self.protocol = RigProtocol(RigIdentity(boot_id=2), now)
 
 
-def test_a_rigs_emergency_stop_is_told():
+def test_a_rigs_emergency_stop_is_told_and_answered():
     table = Table(Buttons()).ready()
     table.drive(0.1)
     table.rig.press(12, table.clock.now())
+    said, send = [], table.link.send
+    table.link.send = lambda message: (said.append(message), send(message))[1]
     with pytest.raises(RigStopped, match="emergency stop, reason 12"):
         table.drive(0.5)
+    assert said[-1] == EmergencyStop(12)
 
 
 def test_a_rig_that_went_safe_is_told():

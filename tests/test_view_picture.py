@@ -21,10 +21,11 @@ from hils.run_figure import plot_hils, sinkage_error
 from hils.scene import INTERVAL, WHOLE, Phase, Scene, Scenes
 from hils.simulated import QUICK, soft_rig
 from hils.stop_request import EMERGENCY_SIGNAL, StopRequest
+from hils.under_way import UnderWay
 from hils.view_picture import Picture, Point, plot
 from hils.view_process import StopKey
 from hils.virtual_setup import VirtualSetUp
-from hils.watched import unwatched
+from hils.watched import unwatched, watched
 
 RADIUS = 0.150
 PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.0], [0, 0, 30, 30, 0], omega_unit="deg/s")
@@ -44,6 +45,9 @@ class Told(AbstractDialogue):
         self.lines.append(text)
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        pass
+
+    def show(self, sinkage: float) -> None:
         pass
 
 
@@ -127,6 +131,18 @@ def test_slip_is_of_the_commands_and_unknown_at_rest():
     assert 0 < turning[-1].slip < 1
 
 
+def test_measured_sinkage_is_shown_while_the_wheel_settles_and_the_countdown_goes_on():
+    scenes = looked_on()[1]
+    settling = [scene for _, scene in scenes if scene.phase is Phase.SETTLING]
+    assert len(settling) > 15
+    assert settling[-1].real == pytest.approx(0.0165, abs=1e-3)
+    counting = [(when, scene) for when, scene in scenes if scene.phase is Phase.COUNTDOWN]
+    assert counting[-1][1].real == pytest.approx(0.0165, abs=1e-3)
+    first = counting[0][0]
+    for when, scene in counting:
+        assert scene.time == pytest.approx(when - first - 0.4)
+
+
 def test_free_run_shows_the_measured_sinkage_alone():
     kept, scenes, _, _ = looked_on(free=True)
     scenes = [scene for _, scene in scenes if scene.phase is Phase.RUNNING]
@@ -140,6 +156,24 @@ def test_questions_come_before_the_view_and_what_is_told_meanwhile_is_told_later
     later = onlooker.end()
     assert later[0].startswith("Armed")
     assert scenes[-1][1].words == later[-3:]
+
+
+def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkeypatch, tmp_path):
+    scenes: list[Scene] = []
+
+    class Shown:
+        def __init__(self, run):
+            self.show, self.close = scenes.append, lambda: None
+
+    monkeypatch.setattr("hils.watched.LiveView", Shown)
+    setup = SetUp(command=CommandSetUp([2.0, 3.0, 5.0], [0.0, 0.5, 0.0]))
+    procedure = Procedure(loop=LoopSetUp(setup=setup, commands=CommandLimits(2.0, 0.3)))
+    soft, whole = soft_rig(), UnderWay(1, "", "/dev/rig", "run-01.h5 to run-09.h5")
+    given = procedure, soft.link, soft.clock, KeptRows(), Told(), StopRequest()
+    with watched(whole, tmp_path / "run-03.h5", *given) as seen:
+        seen.begin()
+    assert scenes[0].duration == 3.0
+    assert scenes[0].output.endswith("run-03.h5")
 
 
 def test_without_a_view_rows_and_words_go_where_they_went():

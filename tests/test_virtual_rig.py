@@ -33,9 +33,9 @@ from hils.link import LinkLost
 from hils.rig_physics import LOWERING_TIME, REST, Demand
 from hils.rig_protocol import Reason
 from hils.simulated import QUICK, SoftRig, shared_physics, soft_rig
-from hils.virtual_rig import RIG_ID, RigFault
+from hils.virtual_rig import RigFault
 from hils.virtual_setup import BedSetUp, VirtualSetUp, read_virtual_setup
-from hils.wire import Arm, Bye, Drive, Hello, HelloAck, Measurement, RigState, Stop
+from hils.wire import VIRTUAL_RIG, Arm, Bye, Drive, Hello, HelloAck, Measurement, RigState, Stop
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 TICK = 0.01
@@ -240,7 +240,7 @@ def test_rig_clock_runs_on_its_own_and_wraps():
 def test_boot_numbers_and_identity():
     ack = opened().link.reports()[0].frame.message
     assert isinstance(ack, HelloAck)
-    assert (ack.rig_id, ack.z_scale) == (RIG_ID, pytest.approx(SCALE.z_scale))
+    assert (ack.rig_id, ack.z_scale) == (VIRTUAL_RIG, pytest.approx(SCALE.z_scale))
     other = opened(seed=1).link.reports()[0].frame.message
     assert isinstance(other, HelloAck)
     assert ack.boot_id != other.boot_id

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from drftjax.errors import InputError
+from hils.pace import USUAL_BAUD, watchdog_ms
 
 ASKED_TICK = 10_000  # [us]; any that every rig can take
 
@@ -32,7 +33,7 @@ def ports(
         list[str] | None,
         typer.Argument(metavar="PORT", help="Devices or URLs; all serial ports where none."),
     ] = None,
-    baud: Annotated[int, typer.Option(help="Baud rate to ask at.")] = 115_200,
+    baud: Annotated[int, typer.Option(help="Baud rate to ask at.")] = USUAL_BAUD,
     hello: Annotated[
         bool, typer.Option("--hello/--no-hello", help="Ask each port whether a rig is there.")
     ] = True,
@@ -60,7 +61,6 @@ def ports(
 def _asked(name: str, baud: int, patience: float) -> str:
     """What a port answers to HELLO."""
     from hils.clock import MonotonicClock
-    from hils.pace import watchdog_ms
     from hils.port import open_port
     from hils.port_link import PortLink
     from hils.session import Session

@@ -6,6 +6,10 @@ from typing import Annotated, Literal
 import typer
 
 from drftjax.errors import InputError
+from hils.pace import USUAL_BAUD, require_baud
+
+# Ports whose line has no baud rate.
+WITHOUT_BAUD = ("socket://", "loop://")
 
 EXAMPLES = """
 Examples:
@@ -29,7 +33,7 @@ def run(
     port: Annotated[str, typer.Option(help="Serial port, or a URL such as socket://HOST:PORT.")],
     profile: Annotated[Path, typer.Option(help="A set-up file with the profile (TOML or JSON).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The run log to record (.h5).")],
-    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = 921600,
+    baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = USUAL_BAUD,
     tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
     tuner: Annotated[
         Literal["step", "pi", "kalman"],
@@ -102,7 +106,6 @@ def run(
     from hils.loop_setup import LoopSetUp, TunerSetUp
     from hils.loop_setup import profile as profile_of
     from hils.operator_dialogue import Terminal, Unattended
-    from hils.pace import require_baud
     from hils.procedure import Procedure, ZeroAt
     from hils.screen import viewable
     from hils.series import Series, file_names, make_series
@@ -120,7 +123,7 @@ def run(
     # What can be refused is refused before anything is opened.
     loop.tuner.build(tick)
     profile_of(loop, 1)
-    if "://" not in port:
+    if not port.lower().startswith(WITHOUT_BAUD):
         require_baud(baud, tick)
     procedure = Procedure(
         loop=loop,

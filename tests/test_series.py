@@ -1,0 +1,112 @@
+"""A series of runs: who asks for an end ends all of it, whatever is being done at that moment."""
+
+import dataclasses
+import signal
+
+import pytest
+
+from drftjax.errors import InputError
+from hils import series as series_module
+from hils.events import Event
+from hils.operator_dialogue import Unattended
+from hils.procedure import Procedure, RunReport
+from hils.rows import KeptRows
+from hils.series import ENDED_EARLY, INTERRUPTED, Series, make_series, told
+from hils.stop_request import Wish
+from hils.under_way import runs_under_way
+from tests.test_hils_loop import loop_setup, make
+
+CTRL_C = Wish("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
+TERMINATED = Wish("asked to stop (SIGTERM)", Event.INTERRUPTED, signal.SIGTERM)
+
+
+class AtTheEnd(KeptRows):
+    """Does something while the file is being closed."""
+
+    stop = None
+
+    def __init__(self, act):
+        super().__init__()
+        self._act = act
+
+    def close(self, end_reason):
+        super().close(end_reason)
+        self._act(self)
+
+
+def closed_with(act) -> tuple[RunReport, AtTheEnd]:
+    rows = AtTheEnd(act)
+    report = make(cue=lambda stop, link: setattr(rows, "stop", stop), rows=rows).report
+    assert report is not None
+    return report, rows
+
+
+def test_stop_that_comes_while_the_file_is_closed_is_in_the_report(tmp_path):
+    report, _ = closed_with(lambda rows: rows.stop.ask(TERMINATED))
+    assert report.completed
+    assert report.wish == TERMINATED
+    assert "No further run: asked to stop (SIGTERM)." in told(report, tmp_path / "run.h5")
+
+
+def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
+    def fail(rows):
+        raise InputError("run.h5: the recorder could not finish")
+
+    report, rows = closed_with(fail)
+    assert report.completed
+    assert report.rested
+    assert report.unfinished == "run.h5: the recorder could not finish"
+    assert not rows.stop.moving
+
+
+@pytest.fixture
+def runs(monkeypatch, tmp_path):
+    """Makes a series of three whose runs end as they are told to; how many were made."""
+    monkeypatch.setattr("hils.under_way.BASE", tmp_path)
+    whole = make().report
+    assert whole is not None
+
+    def these(between=None, **changes) -> tuple[int, int]:
+        made = []
+
+        def one_run(*given):
+            made.append(given)
+            return dataclasses.replace(whole, **changes)
+
+        monkeypatch.setattr(series_module, "one_run", one_run)
+        monkeypatch.setattr(series_module, "_prepare", between or (lambda *_: None))
+        files = [tmp_path / f"run-{number}.h5" for number in range(3)]
+        given = Series("/dev/rig", 115_200, files, None, fifo=False)
+        code = make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True))
+        return code, len(made)
+
+    return these
+
+
+def test_series_goes_on_while_runs_are_completed(runs):
+    assert runs() == (0, 3)
+
+
+@pytest.mark.parametrize(("wish", "code"), [(CTRL_C, INTERRUPTED), (TERMINATED, ENDED_EARLY)])
+def test_series_ends_where_an_end_was_asked_for_though_the_run_was_completed(runs, wish, code):
+    assert runs(wish=wish) == (code, 1)
+
+
+def test_file_that_could_not_be_finished_ends_the_series_with_its_sentence(runs):
+    with pytest.raises(InputError, match="the disk is full"):
+        runs(unfinished="the disk is full")
+
+
+def test_series_can_be_found_and_stopped_between_its_runs(runs, tmp_path):
+    found = []
+
+    def between(*given):
+        found.extend(runs_under_way())
+        signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt):
+        runs(between=between)
+    (each,) = found
+    assert each.port == "/dev/rig"
+    assert each.output == f"{tmp_path}/run-0.h5 to {tmp_path}/run-2.h5"
+    assert runs_under_way() == []
