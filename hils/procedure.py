@@ -247,8 +247,9 @@ def _run(
         log.event(Event.SETTLED, settled.sinkage)
         start = _start(procedure, -loop.readings.lowest, statics, settled)
         dialogue.tell(
-            f"At rest {start.sinkage * 1e3:.2f} mm deep, zeta(0) {start.zeta:.4f}; "
-            f"start in {procedure.countdown:g} s"
+            f"At rest {start.sinkage * 1e3:.2f} mm deep"
+            + ("" if procedure.free else f", zeta(0) {start.zeta:.4f}")
+            + f"; start in {procedure.countdown:g} s"
         )
         dialogue.enter(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)

@@ -164,7 +164,7 @@ def _drawn(path: Path) -> str:
 
 def told(report: RunReport, path: Path) -> list[str]:
     """A run's report in a few lines."""
-    lines = [f"{'Completed' if report.completed else 'Ended early'}: {report.reason}."]
+    lines = ["Completed." if report.completed else f"Ended early: {report.reason}."]
     if report.completed and report.wish is not None:
         lines.append(f"No further run: {report.wish.reason}.")
     if not report.rested:

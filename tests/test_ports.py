@@ -78,7 +78,7 @@ def test_a_rig_that_answers_is_told_with_its_limits(drft, rig_port):
 
 def test_each_port_has_its_own_sentence(drft, terminal):
     answer = drft("hils", "ports", terminal, "/dev/there-is-none")
-    assert answer.code == 0
+    assert answer.code == 2
     first, told, second, refused = answer.out.splitlines()
     assert (first, second) == (terminal, "/dev/there-is-none")
     assert told.startswith(f"  no rig on {terminal} answers HELLO")
@@ -120,6 +120,7 @@ def test_no_port_at_all_is_said(drft, monkeypatch):
 
 def test_a_baud_rate_that_cannot_be_is_refused(drft):
     assert drft("hils", "ports", "--baud", 0).refusal.startswith("baud rate is 0")
+    assert drft("hils", "ports", "--patience", "nan").refusal.startswith("patience is nan")
 
 
 def test_help_names_the_latency_timer(drft):

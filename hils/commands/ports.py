@@ -7,6 +7,7 @@ import typer
 from drftjax.errors import InputError
 from hils.pace import USUAL_BAUD, watchdog_ms
 
+LONGEST_PATIENCE = 60.0  # [s]
 ASKED_TICK = 10_000  # [us]; any that every rig can take
 
 EXAMPLES = """
@@ -38,28 +39,41 @@ def ports(
         bool, typer.Option("--hello/--no-hello", help="Ask each port whether a rig is there.")
     ] = True,
     patience: Annotated[
-        float, typer.Option(help="Go on asking each port for so long [s].", min=0.0, max=60.0)
+        float, typer.Option(help="Go on asking each port for so long [s], 60 at most.")
     ] = 0.0,
 ) -> None:
     """List serial ports, and which of them answer HELLO."""
+    from drftjax.arrays import require_between
     from hils.port import Listed, latency_timer, require_baud_rate
     from hils.port import ports as listed
 
     require_baud_rate(baud)
+    require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")
     found = [Listed(name, "") for name in names] if names else listed()
     if not found:
         typer.echo("there is no serial port")
+    answered = not hello
     for port in found:
         typer.echo(": ".join(filter(None, port)))
         delay = latency_timer(port.name)
         if delay is not None and delay > 1:
             typer.echo(f"  its adapter waits {delay} ms with what it received; see --help")
         if hello:
-            typer.echo(f"  {_asked(port.name, baud, patience)}")
+            try:
+                typer.echo(f"  {_asked(port.name, baud, patience)}")
+                answered = True
+            except InputError as error:
+                typer.echo(f"  {error}")
+    if names and not answered:
+        raise typer.Exit(2)
 
 
 def _asked(name: str, baud: int, patience: float) -> str:
-    """What a port answers to HELLO."""
+    """What a port answers to HELLO.
+
+    Raises:
+        InputError: it cannot be opened, or no rig answers.
+    """
     from hils.clock import MonotonicClock
     from hils.port import open_port
     from hils.port_link import PortLink
@@ -67,16 +81,13 @@ def _asked(name: str, baud: int, patience: float) -> str:
     from hils.wire import Hello
 
     clock = MonotonicClock()
+    link = PortLink(open_port(name, baud), clock)
     try:
-        link = PortLink(open_port(name, baud), clock)
-        try:
-            session = Session(link, clock)
-            ack = session.connect(Hello(ASKED_TICK, watchdog_ms(ASKED_TICK)), patience)
-            session.bye()
-        finally:
-            link.close()
-    except InputError as error:
-        return str(error)
+        session = Session(link, clock)
+        ack = session.connect(Hello(ASKED_TICK, watchdog_ms(ASKED_TICK)), patience)
+        session.bye()
+    finally:
+        link.close()
     return (
         f"rig {ack.rig_id}, {ack.state.name}, boot {ack.boot_id:08x}: "
         f"omega up to {ack.omega_max:.4g} rad/s, vx up to {ack.vx_max:.4g} m/s, "
