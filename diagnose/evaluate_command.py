@@ -65,7 +65,7 @@ def evaluate(
     from diagnose.runs import gather
     from diagnose.tuned import moves
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.runlog.replace import replace_file, require_places
     from drftjax.tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
@@ -73,7 +73,7 @@ def evaluate(
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the file of --json must end in .json")
-        make_folder(output.parent)
+        require_places([output], [model, *runs])
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:

@@ -176,8 +176,9 @@ def _summary(result: "FitResult") -> list[str]:
 def _write(result: "FitResult", stem: Path) -> list[Path]:
     from drftjax.figures import save_figure
     from identify.figure import plot_fit
+    from identify.result import result_files
 
-    picture = stem.with_name(stem.name + ".png")
+    picture = result_files(stem)[2]
     written = result.write(stem)
     save_figure(plot_fit(result), picture)
     return [*written, picture]

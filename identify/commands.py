@@ -98,9 +98,11 @@ def fit(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax(devices=os.cpu_count())
+    from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.content import printable
     from drftjax.runlog.guard import GuardedReader
     from drftjax.runlog.layout import run_from
+    from drftjax.runlog.replace import require_places
     from drftjax.setup import INTEGRATORS
     from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
@@ -113,6 +115,7 @@ def fit(
     from identify.phases import zeta_phases
     from identify.profile import require_fitted
     from identify.reach import with_reach
+    from identify.result import result_files
 
     if method not in INTEGRATORS:
         raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
@@ -139,6 +142,10 @@ def fit(
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
+    if stem is not None:
+        _, binary, _ = files = result_files(stem)
+        require_places(files, runs)
+        require_no_recording(binary)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster
         from identify.lone_fit import Settings, terms
@@ -210,7 +217,7 @@ def fit(
         from identify.figure import plot_fit
 
         written = result.write(stem)
-        picture = stem.with_name(stem.name + ".png")
+        picture = result_files(stem)[2]
         save_figure(plot_fit(result), picture)
         say(f"written: {', '.join(str(each) for each in [*written, picture])}")
 

@@ -53,12 +53,15 @@ def crosscheck(
     import dataclasses
 
     from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.replace import require_places
     from drftjax.tuner import StepTuner
     from identify.candidate import candidate, names_of
     from identify.crosscheck import Setting
     from identify.crosscheck import crosscheck as check
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
+    if output is not None:
+        require_places(result_files(output), runs)
     console = Console()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     failures: dict[str, str] = {}
@@ -95,6 +98,11 @@ def crosscheck(
         console.print(f"written: {', '.join(str(each) for each in written)}")
 
 
+def result_files(stem: Path) -> tuple[Path, Path]:
+    """`stem`.json and `stem`.png: the numbers and the figure."""
+    return stem.with_suffix(".json"), stem.with_suffix(".png")
+
+
 def write(result: "CrossCheck", stem: Path) -> list[Path]:
     """Write `stem`.json and `stem`.png.
 
@@ -106,7 +114,7 @@ def write(result: "CrossCheck", stem: Path) -> list[Path]:
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
 
-    text, picture = stem.with_suffix(".json"), stem.with_suffix(".png")
+    text, picture = result_files(stem)
     make_folder(stem.parent)
     replace_file(
         text, msgspec.json.format(msgspec.json.encode(result.document()), indent=1) + b"\n"

@@ -52,9 +52,9 @@ def simulate(
     configure_jax()
     from drftjax import saved
     from drftjax import setup as setups
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.check import read_run_guarded, require_no_recording
     from drftjax.runlog.hdf5 import write_run
-    from drftjax.runlog.replace import make_folder
+    from drftjax.runlog.replace import require_places
 
     given = [each for each in (setup, like, source) if each is not None]
     if len(given) != 1:
@@ -72,6 +72,9 @@ def simulate(
         from drftjax.figures import check_figure_name
 
         check_figure_name(plot)
+    require_places([each for each in (output, plot) if each is not None], given)
+    if output is not None:
+        require_no_recording(output)
     sampled = None
     if setup is not None:
         chosen = setups.read_setup(setup)
@@ -92,7 +95,6 @@ def simulate(
 
     typer.echo(saved.summary(log))
     if output is not None:
-        make_folder(output.parent)
         write_run(output, log)
         typer.echo(f"run log written to {output}")
     if plot is not None:

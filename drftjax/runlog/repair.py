@@ -9,6 +9,7 @@ from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.layout import run_from
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.recording_lock import PART
+from drftjax.runlog.replace import require_places
 
 CUT_OFF = "cut off; the committed rows were kept"
 """The end_reason of a repaired run."""
@@ -34,6 +35,7 @@ def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple
         output = part.with_name(part.name.removesuffix(PART))
     if output.exists() and not force:
         raise InputError(f"{output} is already there; give --force to replace it")
+    require_places([output], [part])
     with GuardedReader(TIME_LIMIT) as reader:
         run = replace(run_from(*reader.survey(part, cut_off=True)), end_reason=CUT_OFF)
     write_run(output, run)
