@@ -66,9 +66,7 @@ def diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs)
-        for why in gathered.left_out.values():
-            say(f"left out: {why}", "yellow")
+        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
 
         def report(stage: str) -> None:
             bar.update(task, description=stage)

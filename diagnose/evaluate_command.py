@@ -73,7 +73,7 @@ def evaluate(
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the file of --json must end in .json")
-        require_places([output], [model, *runs])
+        require_places([output], [model])
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:
@@ -84,9 +84,7 @@ def evaluate(
     moved: list[tuple[Moves, Moves]] = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs)
-        for why in gathered.left_out.values():
-            say(f"left out: {why}", "yellow")
+        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
         with threads() as pool:
             found = evaluated(Case.of(gathered.candidates, pool), effects)

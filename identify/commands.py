@@ -36,7 +36,9 @@ NAME` simulates a fitted run again.
 
 @app.command(epilog=EXAMPLES)
 def fit(
-    runs: Annotated[list[Path], typer.Argument(help="Run logs.", show_default=False)],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
     ] = None,
@@ -91,6 +93,7 @@ def fit(
 ) -> None:
     """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
     import os
+    from functools import partial
 
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -100,13 +103,13 @@ def fit(
     configure_jax(devices=os.cpu_count())
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.content import printable
-    from drftjax.runlog.guard import GuardedReader
-    from drftjax.runlog.layout import run_from
+    from drftjax.runlog.files import each_once, run_files
     from drftjax.runlog.replace import require_places
     from drftjax.setup import INTEGRATORS
     from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
+    from identify.gathering import gather
     from identify.multistart import require_starts
     from identify.noise import Autoregressive, White
     from identify.parameter import parameter, require_once
@@ -141,10 +144,11 @@ def fit(
         fitted = [each for each in fitted if each.quantity.name != "terrain.zeta"]
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
+    files = run_files(runs)
     stem = None if output is None else _stem(output)
     if stem is not None:
-        _, binary, _ = files = result_files(stem)
-        require_places(files, runs)
+        _, binary, _ = places = result_files(stem)
+        require_places(places, files)
         require_no_recording(binary)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster
@@ -156,7 +160,9 @@ def fit(
                 "and --bootstrap out"
             )
         alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
-        fit_on_cluster(cluster, dict(zip(names_of(runs), runs, strict=True)), alone, stem)
+        kept, left_out = each_once(files)
+        named = dict(zip(names_of(kept), kept, strict=True))
+        fit_on_cluster(cluster, named, alone, stem, left_out)
         return
 
     console = Console()
@@ -166,27 +172,11 @@ def fit(
         console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    failures: dict[str, str] = {}
-    with Progress(*columns, console=console, transient=True) as bar, GuardedReader() as reader:
-        task = bar.add_task(f"reading {len(runs)} runs", total=None)
-        candidates = []
-        for name, path, surveyed in zip(names_of(runs), runs, reader.surveys(runs), strict=True):
-            try:
-                run = run_from(*surveyed)
-                candidates.append(
-                    candidate(
-                        name, run, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest
-                    )
-                )
-            except InputError as problem:
-                why = str(problem).removeprefix(f"{name}: ")
-                failures[name] = why if str(path) in why else f"{path}: {why}"
-        if not candidates and len(runs) == 1:
-            raise InputError(*failures.values())
-        for why in failures.values():
-            say(f"left out: {why}", "yellow")
-        if not candidates:
-            raise InputError(f"none of the {len(runs)} files can be fitted")
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("reading runs", total=None)
+        ready = partial(candidate, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest)
+        gathered = gather(runs, ready, tell=lambda left_out: say(left_out, "yellow"))
+        candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
@@ -211,7 +201,7 @@ def fit(
         console.print(told.table())
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
-    result = result.with_failures(failures)
+    result = result.with_failures(gathered.left_out)
     if stem is not None:
         from drftjax.figures import save_figure
         from identify.figure import plot_fit

@@ -224,7 +224,7 @@ def test_single_bad_file_is_refused_by_its_reason(drft, folder, name):
 def test_all_bad_files_are_listed_and_refused(drft, folder, tmp_path):
     bad = [folder / f"{name}.h5" for name in BAD]
     answer = drft("fit", *bad, "-o", tmp_path / "fit")
-    assert answer.refusal == f"none of the {len(bad)} files can be fitted"
+    assert answer.refusal == f"none of the {len(bad)} files can be used"
     assert answer.out.count("left out: ") == len(bad)
     assert not list(tmp_path.iterdir())
 
