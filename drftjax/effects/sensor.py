@@ -84,7 +84,7 @@ class MeasurementDelay(AbstractSensor):
     about: ClassVar = About(
         "measurement_delay", "sensor", "read(t) = true(t - delay)", "the readings are late"
     )
-    delay: Number = strength("s", 0.1, "how late", least=0.0)
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=(KEPT - 1) * KEPT_EVERY)
 
     def begin(self, output: "Output") -> Memory:
         value = _channels(output)
