@@ -173,7 +173,10 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
         if self.vx is not None:
             require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
-        command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+        try:
+            command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+        except InputError as problem:
+            raise InputError(f"command.{problem}") from None
         if len(command.time) < 2:
             raise InputError("the command has one knot in time, needs two or more")
         return command

@@ -105,6 +105,7 @@ def fit(
     from drftjax.runlog.content import printable
     from drftjax.runlog.files import each_once, run_files
     from drftjax.runlog.replace import require_places
+    from drftjax.scaling import LARGEST_ZETA
     from drftjax.setup import INTEGRATORS
     from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
@@ -130,6 +131,10 @@ def fit(
             "--profile and --bootstrap out"
         )
     require_starts(starts)
+    if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
+        raise InputError(
+            f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"
+        )
     if bootstrap is not None:
         require_draws(bootstrap)
     shared_names = share if share is not None else ([] if own or cluster else ["lambda"])
