@@ -273,7 +273,7 @@ def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
 def test_without_dask_the_extra_is_named(drft, folder, tmp_path, monkeypatch):
     monkeypatch.setattr(clusters.importlib.util, "find_spec", lambda name: None)
     answer = drft("fit", folder / "run00.h5", "--cluster", "local", "-o", tmp_path / "fit")
-    assert "pip install 'drftjax[cluster]'" in answer.refusal
+    assert "pip install '.[cluster]'" in answer.refusal
 
 
 def test_what_has_no_meaning_on_a_cluster_is_refused(drft, folder, tmp_path):

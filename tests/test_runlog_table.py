@@ -395,3 +395,17 @@ def test_the_mapping_in_the_documentation_reads_a_table(tmp_path):
     np.testing.assert_allclose(run.command.omega, [1.0, 1.0], rtol=ROUNDING)
     np.testing.assert_allclose(run.measured.z, [-0.010, -0.011], rtol=ROUNDING)
     assert run.setup.mass_z == pytest.approx(2.0, rel=ROUNDING)
+
+
+def test_the_example_of_the_readme_is_a_run(tmp_path):
+    lines = (Path(__file__).parents[1] / "README.md").read_text().split("## Bring your own runs")[1]
+
+    def block(first: str, last: str) -> str:
+        text = lines[lines.index(f"    {first}") : lines.index(last)]
+        return "\n".join(line[4:] for line in text.splitlines())
+
+    (tmp_path / "table.csv").write_text(block("t,speed", "\nit is"))
+    (tmp_path / "map.toml").write_text(block('rows = "samples"', "\nThe page on the"))
+    (run,) = import_table(tmp_path / "table.csv", tmp_path / "map.toml")
+    assert run.title == "table"
+    np.testing.assert_allclose(run.measured.sinkage, [0.0171, 0.0171])
