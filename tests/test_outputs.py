@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 from command_line import Drft
 
-from drftjax.runlog.hdf5 import read_run, write_run
+from drftjax.errors import InputError
+from drftjax.runlog.check import require_no_recording
+from drftjax.runlog.hdf5 import read_run, write_result, write_run
+from drftjax.saved import FIT_SCHEMA
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER, RUN = DATA / "paper.toml", DATA / "runs" / "fast.h5"
@@ -50,6 +53,14 @@ def test_an_earlier_simulation_is_replaced(drft, tmp_path):
     log = tmp_path / "log.h5"
     assert drft("simulate", short, "-o", log).code == 0
     assert drft("simulate", short, "-o", log).code == 0
+
+
+def test_an_earlier_fit_is_replaced(tmp_path):
+    path = tmp_path / "fit.h5"
+    write_result(path, FIT_SCHEMA, {"status": "converged"}, {})
+    require_no_recording(path)
+    with pytest.raises(InputError, match="source 'virtual rig'"):
+        require_no_recording(RUN)
 
 
 def test_a_fit_never_replaces_a_run(drft, recording):
