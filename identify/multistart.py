@@ -52,7 +52,7 @@ def require_starts(count: int) -> None:
     """Refuse a number of starting points that makes no sense."""
     if not 1 <= count <= MOST_STARTS:
         raise InputError(
-            f"the number of starts (--starts) is {count}, must lie between 1 and {MOST_STARTS}"
+            f"the number of starts is {count}, must lie between 1 and {MOST_STARTS} (--starts)"
         )
 
 
