@@ -153,7 +153,7 @@ def fit(
     stem = None if output is None else _stem(output)
     if stem is not None:
         _, binary, _ = places = result_files(stem)
-        require_places(places, files)
+        require_places(places, runs)
         require_no_recording(binary)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster

@@ -53,7 +53,6 @@ def crosscheck(
     import dataclasses
 
     from drftjax.runlog.content import printable
-    from drftjax.runlog.files import run_files
     from drftjax.runlog.record import RunLog
     from drftjax.runlog.replace import require_places
     from drftjax.tuner import StepTuner
@@ -64,7 +63,7 @@ def crosscheck(
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     if output is not None:
-        require_places(result_files(output), run_files(runs))
+        require_places(result_files(output), runs)
     console = Console()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     online = {}

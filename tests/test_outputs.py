@@ -10,6 +10,7 @@ from command_line import Drft
 from drftjax.errors import InputError
 from drftjax.runlog.check import require_no_recording
 from drftjax.runlog.hdf5 import read_run, write_result, write_run
+from drftjax.runlog.replace import require_places
 from drftjax.saved import FIT_SCHEMA
 
 DATA = Path(__file__).parents[1] / "data"
@@ -68,6 +69,14 @@ def test_a_fit_never_replaces_a_run(drft, recording):
     assert "is read here" in drft("fit", recording, "-o", recording).refusal
     assert "source 'measured'" in drft("fit", RUN, "-o", recording.with_suffix("")).refusal
     assert recording.read_bytes() == before
+
+
+def test_an_earlier_fit_in_the_folder_of_runs_is_replaced(tmp_path):
+    """It is no run, so that `drft fit runs -o runs/fit` may be called again."""
+    write_result(tmp_path / "fit.h5", FIT_SCHEMA, {"status": "converged"}, {})
+    require_places([tmp_path / "fit.h5"], [tmp_path])
+    with pytest.raises(InputError, match="is read here"):
+        require_places([tmp_path / "fit.h5"], [tmp_path / "fit.h5"])
 
 
 def test_a_design_never_replaces_its_set_up(drft, tmp_path):
