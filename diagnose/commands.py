@@ -1,6 +1,5 @@
 """`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,6 +52,7 @@ def diagnose(
     from diagnose.report import gap_table, paragraphs, verdict, write
     from diagnose.runs import gather
     from drftjax.runlog.content import printable
+    from drftjax.runlog.replace import require_folder
 
     chosen = named_effects(effects)
     if output is not None:
@@ -66,9 +66,7 @@ def diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs)
-        for why in gathered.left_out.values():
-            say(f"left out: {why}", "yellow")
+        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
 
         def report(stage: str) -> None:
             bar.update(task, description=stage)
@@ -100,19 +98,6 @@ def named_effects(names: str | None) -> "tuple[type[AbstractEffect], ...]":
     if not wanted:
         raise InputError("--effects names no effect; `drft effects` lists them")
     return tuple(effect_class(each) for each in dict.fromkeys(wanted))
-
-
-def require_folder(folder: Path) -> None:
-    """Make the result's folder, before the work that leads to it.
-
-    Raises:
-        InputError: where it cannot be made, or nothing can be written there.
-    """
-    from drftjax.runlog.replace import make_folder
-
-    make_folder(folder)
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: nothing can be written there")
 
 
 def _diagnosed(

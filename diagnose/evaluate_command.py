@@ -65,7 +65,7 @@ def evaluate(
     from diagnose.runs import gather
     from diagnose.tuned import moves
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.runlog.replace import replace_file, require_places
     from drftjax.tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
@@ -73,7 +73,7 @@ def evaluate(
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the file of --json must end in .json")
-        make_folder(output.parent)
+        require_places([output], [model])
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:
@@ -84,9 +84,7 @@ def evaluate(
     moved: list[tuple[Moves, Moves]] = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs)
-        for why in gathered.left_out.values():
-            say(f"left out: {why}", "yellow")
+        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
         with threads() as pool:
             found = evaluated(Case.of(gathered.candidates, pool), effects)

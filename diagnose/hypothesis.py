@@ -175,7 +175,7 @@ def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
         zeta, coordinates = start.log_zeta + start.ahead[0], start.coordinates + start.ahead[1]
     reach = 1.0
     for turn in range(turns):
-        moved = _simulated(bench, here, zeta, coordinates)
+        moved = _simulated(bench, here, zeta, np.minimum(coordinates, _most(here)))
         leading = not start.simulated and turn < len(SHARES)
         share = SHARES[turn] if leading else 0.0
         before = -np.inf if best is None else best.score
@@ -225,6 +225,15 @@ def least_changes(here: Hypothesis) -> np.ndarray:
         for f in here.model.free
     ]
     return np.array(least) - here.coordinates
+
+
+def _most(here: Hypothesis) -> np.ndarray:
+    """Largest value of each coordinate that a set-up file takes."""
+    most = [
+        np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["most"]
+        for f in here.model.free
+    ]
+    return np.array(most)
 
 
 def changes(

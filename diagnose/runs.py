@@ -1,84 +1,32 @@
 """Run logs on their way into a diagnosis: found, read in a guarded way, and of one wheel."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from drftjax.errors import InputError
-from drftjax.runlog.guard import GuardedReader
-from drftjax.runlog.layout import run_from
-from drftjax.saved import HDF5_ENDINGS
-from identify.candidate import Candidate, candidate, names_of
+from identify.candidate import Candidate
+from identify.gathering import Gathered
+from identify.gathering import gather as gather_runs
 
 # Wheels are the same where their lengths agree to so many places of a millimetre.
 PLACES = 3
 
 
-@dataclass(frozen=True)
-class Gathered:
-    """Runs that can be simulated and compared, and those that cannot.
-
-    Attributes:
-        candidates: The runs.
-        left_out: Why each other one is not among them, by its name.
-    """
-
-    candidates: list[Candidate]
-    left_out: dict[str, str]
-
-
-def run_files(given: Sequence[Path]) -> list[Path]:
-    """Run logs by files and folders, each once; of a folder those that lie directly in it.
-
-    Raises:
-        InputError: where a folder holds none.
-    """
-    found: dict[Path, Path] = {}
-    for path in given:
-        files = [path]
-        if path.is_dir():
-            files = sorted(each for each in path.iterdir() if each.suffix in HDF5_ENDINGS)
-            if not files:
-                deeper = any(f for e in HDF5_ENDINGS for f in path.glob(f"*/*{e}"))
-                hint = "; its folders do: name one of them" if deeper else ""
-                raise InputError(
-                    f"{path}: the folder holds no run log (*{', *'.join(HDF5_ENDINGS)}){hint}"
-                )
-        for each in files:
-            found.setdefault(each.resolve(), each)
-    if not found:
-        raise InputError("no run was given; name run logs, or a folder of them")
-    return list(found.values())
-
-
-def gather(given: Sequence[Path]) -> Gathered:
+def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) -> Gathered:
     """Runs of one wheel from files and folders; what cannot be used is left out, and says why.
+
+    Args:
+        given: Run logs, and folders of them.
+        tell: Called with a sentence for every run that is left out.
 
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
-    files = run_files(given)
-    candidates: list[Candidate] = []
-    left_out: dict[str, str] = {}
-    with GuardedReader() as reader:
-        for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):
-            try:
-                each = candidate(name, run_from(*surveyed))
-                if "z" not in each.observation.channels:
-                    raise InputError(
-                        f"{name}: has no /measured/z, and without its sinkage its zeta is not known"
-                    )
-                candidates.append(each)
-            except InputError as problem:
-                why = str(problem).removeprefix(f"{name}: ")
-                left_out[name] = why if str(path) in why else f"{path}: {why}"
-    if not candidates:
-        if len(files) == 1:
-            raise InputError(*left_out.values())
-        first = next(iter(left_out.values()))
-        raise InputError(f"none of the {len(files)} files can be used; the first: {first}")
-    kept, others = _of_one_wheel(candidates)
-    return Gathered(kept, left_out | others)
+    gathered = gather_runs(given, sinkage=True, tell=tell)
+    kept, others = _of_one_wheel(gathered.candidates)
+    for why in others.values():
+        tell(f"left out: {why}")
+    return Gathered(kept, gathered.left_out | others)
 
 
 def _of_one_wheel(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dict[str, str]]:

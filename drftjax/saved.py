@@ -11,6 +11,7 @@ from drftjax import __version__
 from drftjax.errors import InputError
 from drftjax.runlog import record
 from drftjax.runlog.content import printable
+from drftjax.runlog.files import HDF5_ENDINGS
 from drftjax.runlog.hdf5 import read_result
 from drftjax.runlog.result import ResultGroup
 from drftjax.setup import CommandSetUp, SetUp, read_setup
@@ -18,7 +19,6 @@ from drftjax.structfile import read_document, to_structure
 from drftjax.trial import ROW_INTERVAL, Trial, check_output
 
 FIT_SCHEMA = "drft-fit"
-HDF5_ENDINGS = (".h5", ".hdf5")
 
 
 class FittedRun(msgspec.Struct):

@@ -167,11 +167,16 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
     def build(self) -> RunCommand:
         omega = np.asarray(self.omega, dtype=float)
         omega = np.radians(omega) if self.omega_unit == "deg/s" else omega
-        require_between("command omega", _farthest(omega), -100.0, 100.0, " rad/s")
+        require_between(
+            "command omega", _farthest(omega), -100.0, 100.0, " rad/s; are these deg/s?"
+        )
         if self.vx is not None:
             require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
-        command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+        try:
+            command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+        except InputError as problem:
+            raise InputError(f"command.{problem}") from None
         if len(command.time) < 2:
             raise InputError("the command has one knot in time, needs two or more")
         return command
@@ -227,7 +232,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         if self.rig.carriage == "free" and command.vx is not None:
             raise InputError("[command] gives vx, but the carriage of [rig] is free, not 'driven'")
         radius = self.wheel.radius
-        require_between("start sinkage", self.start.sinkage, -radius, radius, " m")
+        require_between("start sinkage", self.start.sinkage, -radius, radius, " m; are these mm?")
         require_between("start x", self.start.x, -1e3, 1e3, " m")
         require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
         require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")

@@ -65,10 +65,11 @@ def to_structure(document: dict[str, Any], kind: type[Structure], path: Path) ->
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as problem:
-        raise InputError(f"{path}: {_explain(str(problem), kind)}") from None
+        raise InputError(f"{path}: {explain(str(problem), kind)}") from None
 
 
-def _explain(message: str, kind: type[msgspec.Struct]) -> str:
+def explain(message: str, kind: type[msgspec.Struct]) -> str:
+    """msgspec's sentence on a document that is no `kind`, in the words of whoever wrote it."""
     place = match["place"] if (match := _PLACE.search(message)) else ""
     where = f" in [{place}]" if place else ""
     what = _PLACE.sub("", message)

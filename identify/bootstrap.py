@@ -79,7 +79,9 @@ class Bootstrap:
 def require_draws(count: int) -> None:
     """Refuse a number of draws that makes no interval."""
     if not 20 <= count <= MOST_DRAWS:
-        raise InputError(f"the number of draws is {count}, must lie between 20 and {MOST_DRAWS}")
+        raise InputError(
+            f"the number of draws is {count}, must lie between 20 and {MOST_DRAWS} (--bootstrap)"
+        )
 
 
 def bootstrap(

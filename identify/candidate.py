@@ -9,6 +9,7 @@ from typing import TypeAlias
 from drftjax.errors import InputError
 from drftjax.integrator import steady_step
 from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
@@ -64,6 +65,7 @@ def candidate(
         InputError: where the run cannot be simulated or compared.
     """
     try:
+        require_upright(run)
         observation = observe(run, keep_rest=keep_rest)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]

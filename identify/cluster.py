@@ -149,7 +149,7 @@ def cluster(text: str) -> Local | Remote:
 def require_extra() -> None:
     """Refuse where Dask is not installed."""
     if any(importlib.util.find_spec(name) is None for name in ("dask", "distributed")):
-        raise InputError("--cluster needs Dask: pip install 'drftjax[cluster]'")
+        raise InputError("--cluster needs Dask: in a checkout, pip install '.[cluster]'")
 
 
 @contextmanager

@@ -42,7 +42,11 @@ WORST_LAST = ("converged", "stalled", "out of steps")
 
 
 def fit_on_cluster(
-    address: str, runs: Mapping[str, Path], settings: Settings, stem: Path | None
+    address: str,
+    runs: Mapping[str, Path],
+    settings: Settings,
+    stem: Path | None,
+    left_out: Mapping[str, str],
 ) -> None:
     """Fit every run alone, go on where a killed call ended, and write the usual results.
 
@@ -51,6 +55,7 @@ def fit_on_cluster(
         runs: Files by the names that results give them.
         settings: How they are fitted.
         stem: Of the result files; STEM.store keeps what is done.
+        left_out: Files that are not among the runs, and why.
 
     Raises:
         InputError: see `fit_on`; also where no run can be fitted.
@@ -64,7 +69,7 @@ def fit_on_cluster(
         logging.getLogger(name).setLevel(logging.CRITICAL)
     console = Console()
     logs: dict[str, Log] = {}
-    failures: dict[str, str] = {}
+    failures = dict(left_out)
     for name, path in runs.items():
         try:
             logs[name] = Log.at(path)
@@ -176,8 +181,9 @@ def _summary(result: "FitResult") -> list[str]:
 def _write(result: "FitResult", stem: Path) -> list[Path]:
     from drftjax.figures import save_figure
     from identify.figure import plot_fit
+    from identify.result import result_files
 
-    picture = stem.with_name(stem.name + ".png")
+    picture = result_files(stem)[2]
     written = result.write(stem)
     save_figure(plot_fit(result), picture)
     return [*written, picture]

@@ -36,7 +36,9 @@ NAME` simulates a fitted run again.
 
 @app.command(epilog=EXAMPLES)
 def fit(
-    runs: Annotated[list[Path], typer.Argument(help="Run logs.", show_default=False)],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
     ] = None,
@@ -91,6 +93,7 @@ def fit(
 ) -> None:
     """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
     import os
+    from functools import partial
 
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -98,13 +101,16 @@ def fit(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax(devices=os.cpu_count())
+    from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.content import printable
-    from drftjax.runlog.guard import GuardedReader
-    from drftjax.runlog.layout import run_from
+    from drftjax.runlog.files import each_once, run_files
+    from drftjax.runlog.replace import require_places
+    from drftjax.scaling import LARGEST_ZETA
     from drftjax.setup import INTEGRATORS
     from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
+    from identify.gathering import gather
     from identify.multistart import require_starts
     from identify.noise import Autoregressive, White
     from identify.parameter import parameter, require_once
@@ -113,6 +119,7 @@ def fit(
     from identify.phases import zeta_phases
     from identify.profile import require_fitted
     from identify.reach import with_reach
+    from identify.result import result_files
 
     if method not in INTEGRATORS:
         raise InputError(f"--method is {method!r}, must be one of {', '.join(INTEGRATORS)}")
@@ -124,6 +131,10 @@ def fit(
             "--profile and --bootstrap out"
         )
     require_starts(starts)
+    if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
+        raise InputError(
+            f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"
+        )
     if bootstrap is not None:
         require_draws(bootstrap)
     shared_names = share if share is not None else ([] if own or cluster else ["lambda"])
@@ -138,7 +149,12 @@ def fit(
         fitted = [each for each in fitted if each.quantity.name != "terrain.zeta"]
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
+    files = run_files(runs)
     stem = None if output is None else _stem(output)
+    if stem is not None:
+        _, binary, _ = places = result_files(stem)
+        require_places(places, runs)
+        require_no_recording(binary)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster
         from identify.lone_fit import Settings, terms
@@ -149,7 +165,9 @@ def fit(
                 "and --bootstrap out"
             )
         alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
-        fit_on_cluster(cluster, dict(zip(names_of(runs), runs, strict=True)), alone, stem)
+        kept, left_out = each_once(files)
+        named = dict(zip(names_of(kept), kept, strict=True))
+        fit_on_cluster(cluster, named, alone, stem, left_out)
         return
 
     console = Console()
@@ -159,27 +177,11 @@ def fit(
         console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    failures: dict[str, str] = {}
-    with Progress(*columns, console=console, transient=True) as bar, GuardedReader() as reader:
-        task = bar.add_task(f"reading {len(runs)} runs", total=None)
-        candidates = []
-        for name, path, surveyed in zip(names_of(runs), runs, reader.surveys(runs), strict=True):
-            try:
-                run = run_from(*surveyed)
-                candidates.append(
-                    candidate(
-                        name, run, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest
-                    )
-                )
-            except InputError as problem:
-                why = str(problem).removeprefix(f"{name}: ")
-                failures[name] = why if str(path) in why else f"{path}: {why}"
-        if not candidates and len(runs) == 1:
-            raise InputError(*failures.values())
-        for why in failures.values():
-            say(f"left out: {why}", "yellow")
-        if not candidates:
-            raise InputError(f"none of the {len(runs)} files can be fitted")
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("reading runs", total=None)
+        ready = partial(candidate, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest)
+        gathered = gather(runs, ready, tell=lambda left_out: say(left_out, "yellow"))
+        candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
@@ -204,13 +206,13 @@ def fit(
         console.print(told.table())
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
-    result = result.with_failures(failures)
+    result = result.with_failures(gathered.left_out)
     if stem is not None:
         from drftjax.figures import save_figure
         from identify.figure import plot_fit
 
         written = result.write(stem)
-        picture = stem.with_name(stem.name + ".png")
+        picture = result_files(stem)[2]
         save_figure(plot_fit(result), picture)
         say(f"written: {', '.join(str(each) for each in [*written, picture])}")
 

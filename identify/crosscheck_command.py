@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.errors import InputError
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
@@ -31,7 +29,9 @@ The result is out/crosscheck.json and out/crosscheck.png.
 
 @app.command(epilog=EXAMPLES)
 def crosscheck(
-    runs: Annotated[list[Path], typer.Argument(help="Run logs.", show_default=False)],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
     ] = None,
@@ -52,38 +52,39 @@ def crosscheck(
     configure_jax()
     import dataclasses
 
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.content import printable
+    from drftjax.runlog.record import RunLog
+    from drftjax.runlog.replace import require_places
     from drftjax.tuner import StepTuner
-    from identify.candidate import candidate, names_of
+    from identify.candidate import Candidate, candidate
     from identify.crosscheck import Setting
     from identify.crosscheck import crosscheck as check
+    from identify.gathering import gather
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
+    if output is not None:
+        require_places(result_files(output), runs)
     console = Console()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    failures: dict[str, str] = {}
     online = {}
-    candidates = []
+
+    def ready(name: str, run: RunLog) -> Candidate:
+        if run.online is not None:
+            online[name] = run.online
+        return candidate(name, run)
+
+    def say(text: str) -> None:
+        # File names may hold brackets, and are to be copied from one line.
+        console.print(printable(text), style="yellow", markup=False, soft_wrap=True)
+
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(f"reading {len(runs)} runs", total=None)
-        for name, path in zip(names_of(runs), runs, strict=True):
-            try:
-                run = read_run_guarded(path)
-                if run.measured.z is None:
-                    raise InputError(f"{name}: has no /measured/z, so its sinkage is not known")
-                candidates.append(candidate(name, run))
-                if run.online is not None:
-                    online[name] = run.online
-            except InputError as problem:
-                failures[str(path)] = str(problem)
-        for path, why in failures.items():
-            console.print(f"left out: {why if path in why else f'{path}: {why}'}", style="yellow")
-        if not candidates:
-            raise InputError(f"none of the {len(runs)} files can be checked")
+        task = bar.add_task("reading runs", total=None)
+        gathered = gather(runs, ready, sinkage=True, tell=say)
+        candidates = gathered.candidates
         bar.update(task, description=f"replaying and fitting {len(candidates)} runs")
         setting = Setting(tick, zeta_step, tolerance)
         result = check(candidates, setting, online=online, knot_spacing=knots, sweep=sweep)
-        result = dataclasses.replace(result, failures=failures)
+        result = dataclasses.replace(result, failures=gathered.left_out)
 
     for table in tables(result):
         console.print(table)
@@ -93,6 +94,11 @@ def crosscheck(
     if output is not None:
         written = write(result, output)
         console.print(f"written: {', '.join(str(each) for each in written)}")
+
+
+def result_files(stem: Path) -> tuple[Path, Path]:
+    """`stem`.json and `stem`.png: the numbers and the figure."""
+    return stem.with_suffix(".json"), stem.with_suffix(".png")
 
 
 def write(result: "CrossCheck", stem: Path) -> list[Path]:
@@ -106,7 +112,7 @@ def write(result: "CrossCheck", stem: Path) -> list[Path]:
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
 
-    text, picture = stem.with_suffix(".json"), stem.with_suffix(".png")
+    text, picture = result_files(stem)
     make_folder(stem.parent)
     replace_file(
         text, msgspec.json.format(msgspec.json.encode(result.document()), indent=1) + b"\n"

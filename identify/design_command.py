@@ -83,11 +83,14 @@ def design(
         raise InputError("name one set-up file, or --like RUN, and not both")
     configure_jax(devices=os.cpu_count())
     from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.replace import require_places
     from drftjax.setup import read_setup, setup_from_run
     from identify.design import Instrument, Search
     from identify.design import design as design_run
     from identify.limits import Limits
 
+    if output is not None:
+        require_places(result_files(output), [each for each in (setup, like) if each is not None])
     if setup is not None:
         chosen = read_setup(setup)
     else:
@@ -123,13 +126,18 @@ def design(
         console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
 
 
+def result_files(output: Path) -> list[Path]:
+    """The run to make, the numbers and the figure, by the stem that was asked for."""
+    return [output.with_name(f"{output.name}{ending}") for ending in (".toml", ".json", ".png")]
+
+
 def _write(result: "Design", output: Path) -> list[Path]:
     import msgspec
 
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
 
-    names = [output.with_name(f"{output.name}{ending}") for ending in (".toml", ".json", ".png")]
+    names = result_files(output)
     make_folder(output.parent)
     replace_file(names[0], design_toml(result).encode())
     encoded = msgspec.json.format(msgspec.json.encode(design_document(result)), indent=1)

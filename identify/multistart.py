@@ -51,7 +51,9 @@ class Starts:
 def require_starts(count: int) -> None:
     """Refuse a number of starting points that makes no sense."""
     if not 1 <= count <= MOST_STARTS:
-        raise InputError(f"the number of starts is {count}, must lie between 1 and {MOST_STARTS}")
+        raise InputError(
+            f"the number of starts is {count}, must lie between 1 and {MOST_STARTS} (--starts)"
+        )
 
 
 def best_start(

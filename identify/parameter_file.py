@@ -31,9 +31,10 @@ def read_parameters(path: Path) -> list[Parameter]:
     Raises:
         InputError: names the file, the entry and what must hold.
     """
-    entries = to_structure(read_document(path), Entries, path)
-    if not entries.parameter:
-        raise InputError(f"{path}: lists no [[parameter]]")
+    document = read_document(path)
+    if not document.get("parameter"):
+        raise InputError(f"{path}: holds no [[parameter]]; a fit's parameters are a list of them")
+    entries = to_structure(document, Entries, path)
     try:
         return [parameter(**msgspec.structs.asdict(each)) for each in entries.parameter]
     except InputError as problem:

@@ -1,8 +1,8 @@
 """From which angular velocity a parameter could be identified, where these runs cannot tell it.
 
-The same set-up is simulated under the same command, so many times as fast, and the Fisher
-information of its channels, with the noise and the model's error that the fit found, says how large
-the standard error would be.
+The same set-up is simulated under the same command, so many times as fast, with the value that is
+believed and not the one that these runs do not tell. Its standard error is that of the fit made,
+with the noise and the model's error that the fit found.
 """
 
 import copy
@@ -23,8 +23,7 @@ from identify.candidate import STEPS_A_ROW
 from identify.findings import UNTOLD
 from identify.optimum import Optimum, linearised
 from identify.result import FitResult
-from identify.solve import normal_equations
-from identify.uncertainty import Whitening, inverse
+from identify.uncertainty import Whitening, covariance
 
 FACTORS = (2.0, 4.0, 8.0, 16.0)
 
@@ -76,7 +75,8 @@ def reach(optimum: Optimum, setups: Sequence[SetUp], name: str) -> str | None:
             wanted = factor if last is None else _between(last, (factor, share))
             return (
                 f"{label} could be identified from about {wanted * speed:.2g} rad/s on: at "
-                f"{wanted:.2g} times this speed its standard error falls to {100 * UNTOLD:.0f} %"
+                f"{wanted:.2g} times this speed its standard error falls to {100 * UNTOLD:.0f} % "
+                f"of the believed {believed:.4g}"
             )
         last, tried = (factor, share), factor
     if last is None:
@@ -146,9 +146,9 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
     whitening = optimum.whitening
     phase = np.zeros((1, length), int)
     phase[0, :common] = whitening.phase[run, :common]
-    white = Whitening(cut(whitening.scale), cut(whitening.unit), phase).apply(blocks[:1])
-    information, _ = normal_equations(white, optimum.shared, np.zeros(white.shape[:3]))
+    alone = Whitening(cut(whitening.scale), cut(whitening.unit), phase)
+    spread = covariance(blocks[:1], alone, optimum.shared, np.zeros(len(parameters)))
     number = [p.quantity.name for p in parameters].index(name)
     at = problem.start()[0][number]
     slope = float(parameters[number].bijector.slope(at))
-    return slope * float(np.sqrt(inverse(information)[number, number]))
+    return slope * float(np.sqrt(spread[number, number]))

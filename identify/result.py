@@ -325,7 +325,7 @@ class FitResult:
         Raises:
             InputError: where they cannot be written.
         """
-        text, binary = (stem.with_name(stem.name + ending) for ending in (".json", ".h5"))
+        text, binary, _ = result_files(stem)
         make_folder(stem.parent)
         encoded = msgspec.json.format(msgspec.json.encode(self.document()), indent=1)
         replace_file(text, encoded + b"\n")
@@ -335,6 +335,12 @@ class FitResult:
         }
         write_result(binary, FIT_SCHEMA, {"status": self.status, **numbers}, groups)
         return [text, binary]
+
+
+def result_files(stem: Path) -> tuple[Path, Path, Path]:
+    """`stem`.json, `stem`.h5 and `stem`.png: a fit's values, its channels and its figure."""
+    text, binary, picture = (stem.with_name(stem.name + end) for end in (".json", ".h5", ".png"))
+    return text, binary, picture
 
 
 def _path(path: "ZetaPath | None") -> dict | None:

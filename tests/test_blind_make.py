@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from diagnose.blind import make, plant
+from diagnose.blind.answering import runs_of
 from diagnose.blind.gap import FLOORS, Probe
 from diagnose.blind.protocol import Profile, drawn_fresh, drawn_nine
 from diagnose.blind.recipe import CATALOGUE, STRANGERS, UNKNOWN, draw, draw_stranger
 from drftjax.effects.catalogue import OURS, spoken_of
-from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.hdf5 import read_run, write_run
 from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
 
@@ -140,3 +141,27 @@ def test_a_run_looks_like_a_rig_s(short, tmp_path):
     assert 1e6 * run.measured.z == pytest.approx(np.round(1e6 * run.measured.z), abs=1e-6)
     assert run.setup.sinkage_static == pytest.approx(-run.measured.z[:50].mean())
     assert run.setup.scaling_factor_initial == make.BELIEVED_ZETA
+
+
+def test_a_set_that_is_interrupted_is_none(short, tmp_path, monkeypatch):
+    order = make.Order(tmp_path, 20, seed=4, protocol="practice")
+    written = []
+
+    def interrupted(path, log):
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(path)
+        write_run(path, log)
+
+    monkeypatch.setattr(make, "write_run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        make.make_set(order, 0, ())
+    assert len(written) == 3
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_set_on_its_way_is_not_answered(tmp_path):
+    for name in ("set_01", ".set_02"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run_a.h5").write_bytes(b"")
+    assert list(runs_of(tmp_path)) == ["set_01"]

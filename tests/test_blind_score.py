@@ -257,6 +257,9 @@ def test_refusals_are_one_sentence(sets, tmp_path, monkeypatch, capsys):
     (tmp_path / "other.json").write_text('{"schema": "other"}')
     with pytest.raises(InputError, match="holds no answers"):
         run("score", sets, "--answers", tmp_path / "other.json")
+    (tmp_path / "text.h5").write_text("answers")
+    with pytest.raises(InputError, match=r"must end in \.json$"):
+        run("score", sets, "--answers", tmp_path / "text.h5")
     with pytest.raises(InputError, match="is not empty"):
         run("make", sets, "--sets", 1)
     with pytest.raises(InputError, match="protocol"):

@@ -154,7 +154,7 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
     toml = tmp_path / "fit.toml"
     toml.write_text(f'[[parameter]]\nname = "zeta"\nprior = {list(PRIOR)}\nstart = {START}\n')
     arguments = [
-        *("fit", bad, *sorted(folder.glob("run*.h5")), gone, tmp_path, "--cluster", "local:1"),
+        *("fit", bad, *sorted(folder.glob("run*.h5")), gone, "--cluster", "local:1"),
         *("--step", STEP, "--autoregressive", "--parameters", toml),
     ]
     command = [sys.executable, "-m", "drftjax.commands.main", *map(str, arguments), "-o", str(stem)]
@@ -174,7 +174,7 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
 
     answer = drft(*arguments, "-o", stem)
     assert answer.code == 0, answer
-    assert f"has {done} of these {RUNS + 3} runs" in answer.out
+    assert f"has {done} of these {RUNS + 2} runs" in answer.out
     assert "dashboard: http://127.0.0.1:" in answer.out
     assert f"{RUNS + 1 - done}/{RUNS + 1 - done}" in answer.out
     assert f"left out: {bad}: is not an HDF5 file" in answer.out
@@ -183,7 +183,7 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
     lines = [json.loads(line) for line in store.read_bytes().splitlines()[1:]]
     assert sorted(line["digest"] for line in lines) == sorted(log.digest for log in logs)
     document = json.loads((tmp_path / "fit.json").read_text())
-    assert set(document["failures"]) == {"bad", "gone", tmp_path.name}
+    assert set(document["failures"]) == {"bad", "gone"}
     assert [run["name"] for run in document["runs"]] == [log.path.stem for log in logs]
     assert len(read_result(tmp_path / "fit.h5", FIT_SCHEMA).groups) == RUNS
     zeta = alone(logs[0].path).runs[0].values["terrain.zeta"].value
@@ -273,7 +273,7 @@ def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
 def test_without_dask_the_extra_is_named(drft, folder, tmp_path, monkeypatch):
     monkeypatch.setattr(clusters.importlib.util, "find_spec", lambda name: None)
     answer = drft("fit", folder / "run00.h5", "--cluster", "local", "-o", tmp_path / "fit")
-    assert "pip install 'drftjax[cluster]'" in answer.refusal
+    assert "pip install '.[cluster]'" in answer.refusal
 
 
 def test_what_has_no_meaning_on_a_cluster_is_refused(drft, folder, tmp_path):

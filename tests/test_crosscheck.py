@@ -169,7 +169,9 @@ def test_command_end_to_end(drft, tmp_path):
 
 def test_wrong_input_is_one_sentence(drft, tmp_path):
     missing = tmp_path / "none.h5"
-    assert "none of the 1 files can be checked" in drft("crosscheck", missing).refusal
+    answer = drft("crosscheck", missing)
+    assert answer.refusal.startswith(f"{missing}: cannot be read")
+    assert "left out" not in answer.out
     assert drft("crosscheck", missing, "--tick", "0").refusal.startswith("tick is 0, must lie")
     assert "zeta-step is -1" in drft("crosscheck", missing, "--zeta-step", "-1").refusal
     assert "tolerance is nan" in drft("crosscheck", missing, "--tolerance", "nan").refusal

@@ -14,7 +14,7 @@ import pytest
 from diagnose.blind.answers import Answer
 from diagnose.commands import diagnose
 from diagnose.model_file import as_model, read_effects
-from diagnose.runs import gather, run_files
+from diagnose.runs import gather
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, write_run
@@ -148,7 +148,9 @@ def test_a_run_without_sinkage_is_left_out(logs, tmp_path):
 
 
 def test_a_run_named_twice_counts_once(logs):
-    assert len(run_files([logs, logs / "run_0.h5"])) == len(list(logs.glob("*.h5")))
+    gathered = gather([logs, logs / "run_0.h5"])
+    assert [each.name for each in gathered.candidates] == ["run_0", "run_1", "run_2"]
+    assert gathered.left_out[str(logs / "run_0.h5")].endswith("is given twice; it counts once")
 
 
 # What comes out -----------------------------------------------------------------------------------

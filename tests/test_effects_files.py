@@ -119,6 +119,11 @@ def test_simulate_runs_the_effects(drft, tmp_path):
             LOOSENING + "decay = true\n",
             "expected a number or text or a list, got true",
         ),
+        (LOOSENING.replace("0.2", "10"), "loosening.loss is 10, must be 1 or less"),
+        (
+            "[[effect]]\nname = 'measurement_delay'\ndelay = 5\n",
+            "measurement_delay.delay is 5 s, must be 1 s or less",
+        ),
         ("[[effect]]\nname = 'speed_lag'\nlag = -0.1\n", "speed_lag.lag is -0.1, must be 0 or"),
         ("[[effects]]\nname = 'loosening'\n", "unknown entry 'effects'; did you mean 'effect'"),
         ("effect = 3\n", "effect: expected a list, got a whole number"),

@@ -20,6 +20,7 @@ INTERPOLATION = 2e-6
 # Means and roots summed in another order.
 ROUNDING = 1e-9
 
+PAPER = Path(__file__).parents[1] / "data" / "paper.toml"
 # Markup, to whoever takes a name for it.
 BRACKETS = "sand [bold]x[red] $\\sum"
 
@@ -224,7 +225,7 @@ def test_single_bad_file_is_refused_by_its_reason(drft, folder, name):
 def test_all_bad_files_are_listed_and_refused(drft, folder, tmp_path):
     bad = [folder / f"{name}.h5" for name in BAD]
     answer = drft("fit", *bad, "-o", tmp_path / "fit")
-    assert answer.refusal == f"none of the {len(bad)} files can be fitted"
+    assert answer.refusal == f"none of the {len(bad)} files can be used"
     assert answer.out.count("left out: ") == len(bad)
     assert not list(tmp_path.iterdir())
 
@@ -237,9 +238,12 @@ def test_all_bad_files_are_listed_and_refused(drft, folder, tmp_path):
         (["--own", "zeta", "--share", "zeta"], "terrain.zeta is asked for twice"),
         (["--own", "zeta", "--own", "terrain.zeta"], "terrain.zeta is asked for twice"),
         (["--method", "euler"], "--method is 'euler', must be one of rosenbrock, held pace"),
-        (["--start-zeta", "-1"], "zeta is -1, must lie between"),
-        (["--start-zeta", "nan"], "zeta is nan, must lie between"),
-        (["--start-zeta", "0"], "its terrain.zeta is 0, where no fit"),
+        (["--start-zeta", "-1"], "--start-zeta is -1, must be over 0"),
+        (["--start-zeta", "nan"], "--start-zeta is nan, must be over 0"),
+        (["--start-zeta", "0"], "--start-zeta is 0, must be over 0"),
+        (["--starts", "0"], "is 0, must lie between 1 and 1000 (--starts)"),
+        (["--bootstrap", "-1"], "is -1, must lie between 20 and 100000 (--bootstrap)"),
+        (["--parameters", PAPER], "holds no [[parameter]]; a fit's parameters are a list of them"),
         (["--step", "0"], "integrator step is 0, must lie between"),
         (["--step", "nan"], "integrator step is nan, must lie between"),
         (["-o", "."], "is a folder; name the result too"),

@@ -23,7 +23,7 @@ from identify.multistart import Starts, best_start, starting_points
 from identify.parameter import own, shared
 from identify.path_fit import fit_paths
 from identify.phases import PhaseZeta, phases_of, with_phases, zeta_phases
-from identify.reach import with_reach
+from identify.reach import _error, with_reach
 from identify.uncertainty import Whitening
 
 NINETY = 1.645
@@ -32,6 +32,8 @@ LINEAR = 0.25
 # A profile weighs samples as their scatter deserves, a fit all alike: where the simulation is
 # straight over the errors, the profile is somewhat narrower, and off by a part of the error.
 STRAIGHT = 0.4
+# A run alone, its step chosen anew, near the bound of lambda where slopes change.
+REACH = 0.25
 # Two solvers stop within this part of an error of one another.
 SAME_FIT = 0.5
 # A standard deviation of so many draws is known to 1 / sqrt(2 n) of itself; three times that.
@@ -264,6 +266,19 @@ def test_where_lambda_is_not_told_the_speed_that_would_tell_it_is_named():
     # The paper's wheel speed of 0.5 rad/s does not tell it, and eight times that does.
     assert 0.5 < speed < 8.0
     assert any("cannot be identified" in f and "±" in f for f in told.findings)
+
+
+def test_the_speed_named_starts_from_the_error_that_the_fit_has():
+    """At the run's own speed the same run would be told as badly as it was."""
+    run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4))
+    result = fit([run], [own("zeta"), shared("lambda")])
+    (value,) = result.shared.values()
+    assert result.optimum is not None
+    setup = result.runs[0].setup
+    same = _error(result.optimum, 0, setup, "terrain.inertial_coefficient", 1.0)
+    assert same == pytest.approx(value.error, rel=REACH)
+    # What is believed, 1.1, is what the error is held against, whatever the fit says.
+    assert all("of the believed 1.1" in f for f in with_reach(result).findings if "from about" in f)
 
 
 def test_where_all_is_told_no_speed_is_named(result):

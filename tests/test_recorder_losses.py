@@ -229,11 +229,15 @@ def test_a_file_that_is_no_recording_is_not_repaired(path):
     with pytest.raises(InputError, match="is no recording"):
         repair(part)
     part.write_bytes(b"plain text")
-    with pytest.raises(InputError, match=str(part)):
+    with pytest.raises(InputError, match=f"{part}: is not an HDF5 file"):
         repair(part)
     part.unlink()
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match=r"no such file$"):
         repair(part)
+    with pytest.raises(InputError, match=f"{path} is there, which needs no repair$"):
+        repair(part_path(path))
+    with pytest.raises(InputError, match=r"cut off ends in \.h5\.part"):
+        repair(path)
 
 
 # Disks -------------------------------------------------------------------------------------------

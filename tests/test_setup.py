@@ -105,8 +105,14 @@ def test_paper_set_up_spells_out_the_defaults():
         ("[start]\nsinkage = 20\n" + COMMAND, "start sinkage is 20"),
         ("[start]\nx = nan\n" + COMMAND, "start x is nan"),
         ("[integrator]\nstep = 0\n" + COMMAND, "integrator step is 0"),
-        ("[command]\ntime = [0, 2, 1]\nomega = [0, 1, 1]\n", "time must increase from row to row"),
-        ("[command]\ntime = [0, 1, 1]\nomega = [0, 1, 1]\n", "time must increase from row to row"),
+        (
+            "[command]\ntime = [0, 2, 1]\nomega = [0, 1, 1]\n",
+            "command.time must increase from row to row",
+        ),
+        (
+            "[command]\ntime = [0, 1, 1]\nomega = [0, 1, 1]\n",
+            "command.time must increase from row to row",
+        ),
         ("[command]\ntime = [0, nan]\nomega = [0, 1]\n", "time has 1 values that are not finite"),
         ("[command]\ntime = [0, 1]\nomega = [0, nan]\n", "command omega is nan"),
         (

@@ -166,7 +166,8 @@ def test_driven_carriage_goes_where_it_is_told(drft, short, tmp_path):
     np.testing.assert_array_equal(run.command.vx, [0, 0, 0.1, 0.1])
     # The knots' trapezia; steps sum the speed at their ends, half a step's gain more.
     assert run.measured.x[-1] == pytest.approx(0.015 + 0.05, abs=1e-4)
-    again = final(drft, tmp_path, "--like", tmp_path / "log.h5")
+    first = (tmp_path / "log.h5").rename(tmp_path / "first.h5")
+    again = final(drft, tmp_path, "--like", first)
     assert again.measured.x[-1] == pytest.approx(run.measured.x[-1], abs=1e-6)
 
 

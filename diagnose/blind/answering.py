@@ -13,6 +13,8 @@ from drftjax.errors import InputError
 
 # A process is replaced after so many sets: the programs compiled for them keep gigabytes.
 SETS_A_PROCESS = 4
+UNFINISHED = "."
+"""What the name of a folder begins with that is no set, or not yet."""
 
 
 def runs_of(folder: Path) -> dict[str, list[Path]]:
@@ -24,7 +26,9 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder of sets")
     sets = {
-        each.name: sorted(each.glob("*.h5")) for each in sorted(folder.iterdir()) if each.is_dir()
+        each.name: sorted(each.glob("*.h5"))
+        for each in sorted(folder.iterdir())
+        if each.is_dir() and not each.name.startswith(UNFINISHED)
     }
     sets = {name: runs for name, runs in sets.items() if runs}
     if not sets:

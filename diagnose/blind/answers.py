@@ -71,6 +71,8 @@ def read_answers(path: Path) -> dict[str, Answer]:
     Raises:
         InputError: names the file, the entry and what must hold.
     """
+    if path.suffix.lower() != ".json":
+        raise InputError(f"{path}: a file of answers must end in .json")
     document = read_document(path)
     if document.get("schema") != SCHEMA:
         raise InputError(f"{path}: holds no answers; its schema must be {SCHEMA!r}")

@@ -78,14 +78,14 @@ def answer(
     from diagnose.blind.answering import answer_sets, configure, runs_of
     from diagnose.blind.answers import answers_in, write_answers
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import make_folder
+    from drftjax.runlog.replace import require_places
 
     if output.suffix.lower() != ".json":
         raise InputError(f"{output}: a file of answers must end in .json")
     answers = answers_in(output) if resume and output.exists() else {}
     open_sets = {name: runs for name, runs in runs_of(folder).items() if name not in answers}
     configure()
-    make_folder(output.parent)
+    require_places([output])
     failures: dict[str, str] = {}
     with Progress(transient=True) as bar:
         task = bar.add_task("answering", total=len(open_sets))
@@ -127,8 +127,10 @@ def score(
     from diagnose.blind.score import score as scored
     from diagnose.blind.score_table import tables
     from diagnose.blind.sealing import open_labels
-    from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.runlog.replace import replace_file, require_places
 
+    if output is not None:
+        require_places([output], [answers])
     given = read_answers(answers)
     labels = open_labels(folder)
     strangers = sorted(set(given) - set(labels))
@@ -141,7 +143,6 @@ def score(
     if found["unanswered"]:
         typer.echo(f"without an answer: {', '.join(found['unanswered'])}")
     if output is not None:
-        make_folder(output.parent)
         replace_file(output, (json.dumps(found, indent=1) + "\n").encode())
         typer.echo(f"score written to {output}")
 

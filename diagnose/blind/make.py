@@ -5,11 +5,12 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from diagnose.blind import plant
-from diagnose.blind.answering import configure
+from diagnose.blind.answering import UNFINISHED, configure
 from diagnose.blind.gap import FLOORS, Gap, Probe
 from diagnose.blind.instrument import Reading
 from diagnose.blind.plant import group_of
@@ -185,11 +186,19 @@ def _made(order: Order, number: int, kinds: tuple[str, ...], random: np.random.G
         own = zeta * float(np.exp(SCATTER * random.standard_normal()))
         true = plant.run(parts, profile, own)
         logs[name] = recorded(true, profile, random)
-    home = order.folder / order.name(number)
-    (home / "fresh").mkdir(parents=True, exist_ok=True)
-    for name, log in logs.items():
-        write_run(home / f"{name}.h5", log)
+    _write_set(order.folder / order.name(number), logs)
     return label
+
+
+def _write_set(home: Path, logs: dict[str, RunLog]) -> None:
+    """Write a set's runs beside, and give the folder its name when all are there."""
+    home.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=UNFINISHED, dir=home.parent) as scratch:
+        draft = Path(scratch) / home.name
+        (draft / "fresh").mkdir(parents=True)
+        for name, log in logs.items():
+            write_run(draft / f"{name}.h5", log)
+        draft.rename(home)
 
 
 def _strengthened(

@@ -15,7 +15,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE", show_default=False)]
+Files = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE", help="Run logs, or folders of them.", show_default=False),
+]
 TimeLimit = Annotated[float, typer.Option(help="For reading one file [s].", min=0.1)]
 
 
@@ -24,7 +27,9 @@ def check(files: Files, time_limit: TimeLimit = 20.0) -> None:
     """Say everything that is wrong with run logs; exit code 2 where there is anything."""
     from drftjax.runlog.check import check_files
     from drftjax.runlog.content import Level
+    from drftjax.runlog.files import run_files
 
+    files = run_files(files)
     broken = False
     for path, violations in zip(files, check_files(files, time_limit), strict=True):
         notes = [each for each in violations if each.level is Level.NOTE]
@@ -44,8 +49,10 @@ def show(files: Files) -> None:
     from rich.console import Console
 
     from drftjax.runlog.check import read_runs_guarded
+    from drftjax.runlog.files import run_files
     from drftjax.runlog.summary import show as summary
 
+    files = run_files(files)
     console = Console(soft_wrap=True, highlight=False)
     for path, run in zip(files, read_runs_guarded(files), strict=True):
         console.print(summary(str(path), run), markup=False)

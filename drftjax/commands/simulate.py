@@ -52,9 +52,11 @@ def simulate(
     configure_jax()
     from drftjax import saved
     from drftjax import setup as setups
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.check import read_run_guarded, require_no_recording
+    from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.hdf5 import write_run
-    from drftjax.runlog.replace import make_folder
+    from drftjax.runlog.plausibility import require_upright
+    from drftjax.runlog.replace import require_places
 
     given = [each for each in (setup, like, source) if each is not None]
     if len(given) != 1:
@@ -66,18 +68,25 @@ def simulate(
         raise InputError(f"--rate is {rate:g} Hz, must lie between 0 and 100000 Hz")
     if run is not None and source is None:
         raise InputError("--run goes with --from, to name one run of a fit")
-    if output is not None and output.suffix not in saved.HDF5_ENDINGS:
-        raise InputError(f"{output}: a run log's name must end in {', '.join(saved.HDF5_ENDINGS)}")
+    if output is not None and output.suffix not in HDF5_ENDINGS:
+        raise InputError(f"{output}: a run log's name must end in {', '.join(HDF5_ENDINGS)}")
     if plot is not None:
         from drftjax.figures import check_figure_name
 
         check_figure_name(plot)
+    require_places([each for each in (output, plot) if each is not None], given)
+    if output is not None:
+        require_no_recording(output)
     sampled = None
     if setup is not None:
         chosen = setups.read_setup(setup)
     elif like is not None:
         recorded = read_run_guarded(like)
-        chosen = setups.setup_from_run(recorded)
+        try:
+            require_upright(recorded)
+            chosen = setups.setup_from_run(recorded)
+        except InputError as problem:
+            raise InputError(f"{like}: {problem}") from None
         sampled = recorded.measured.time
     else:
         assert source is not None
@@ -92,7 +101,6 @@ def simulate(
 
     typer.echo(saved.summary(log))
     if output is not None:
-        make_folder(output.parent)
         write_run(output, log)
         typer.echo(f"run log written to {output}")
     if plot is not None:

@@ -46,6 +46,10 @@ def built(entry: Mapping[str, str | float | list[float]], place: int) -> Abstrac
         if value < least or (value == least and "starts" in known[field]):
             bound = "above 0" if "starts" in known[field] else f"{least:g} or more"
             raise InputError(f"{name}.{field} is {value:g}, must be {bound}")
+        if value > known[field]["most"]:
+            most, unit = known[field]["most"], known[field]["unit"]
+            unit = "" if unit == "-" else f" {unit}"
+            raise InputError(f"{name}.{field} is {value:g}{unit}, must be {most:g}{unit} or less")
         given[field] = float(value)
     return effect(**given)
 

@@ -82,9 +82,12 @@ class MeasurementDelay(AbstractSensor):
     """The readings are late, by a second at the most; what was true is kept every 10 ms."""
 
     about: ClassVar = About(
-        "measurement_delay", "sensor", "read(t) = true(t - delay)", "the readings are late"
+        "measurement_delay",
+        "sensor",
+        "read(t) = true(t - delay)",
+        "the readings are late, by 1 s at most",
     )
-    delay: Number = strength("s", 0.1, "how late", least=0.0)
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=(KEPT - 1) * KEPT_EVERY)
 
     def begin(self, output: "Output") -> Memory:
         value = _channels(output)

@@ -50,6 +50,7 @@ def strength(
     typical: float,
     meaning: str,
     least: float = -math.inf,
+    most: float = math.inf,
     far: Sequence[float] = (),
 ) -> Any:
     """A field that is zero where the effect is absent.
@@ -59,6 +60,7 @@ def strength(
         typical: Size that a rig may well show, in that unit: the scale of a fit.
         meaning: What it is.
         least: Smallest value that means something: files may not go below it, fits should not.
+        most: Largest such value.
         far: Values that no derivative at zero tells the way to: a search tries them one by one.
     """
     return eqx.field(
@@ -69,6 +71,7 @@ def strength(
             "typical": typical,
             "meaning": meaning,
             "least": least,
+            "most": most,
             "far": tuple(far),
         },
     )
@@ -86,7 +89,13 @@ def shape(unit: str, default: float, starts: Sequence[float], meaning: str) -> A
     return eqx.field(
         converter=as_real,
         default=default,
-        metadata={"unit": unit, "starts": tuple(starts), "meaning": meaning, "least": 0.0},
+        metadata={
+            "unit": unit,
+            "starts": tuple(starts),
+            "meaning": meaning,
+            "least": 0.0,
+            "most": math.inf,
+        },
     )
 
 

@@ -29,7 +29,7 @@ class Loosening(AbstractZetaFactor):
         "ζ = ζ (1 - loss (1 - exp(-turning / decay)))",
         "zeta falls with the wheel's accumulated turning, towards a floor",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost in the end", least=0.0)
+    loss: Number = strength("-", 0.1, "share of zeta lost in the end", least=0.0, most=1.0)
     decay: Number = shape("rad", 2.0, (0.3, 0.7, 1.5, 3.0, 6.0, 12.0), "turning that loosens")
 
     def begin(self) -> Memory:
@@ -51,7 +51,7 @@ class SlipSoftening(MemorylessZetaFactor):
         "ζ = ζ (1 - loss s / (s + half)), s = |r ω - v_x|",
         "zeta is lower the faster the rim slips",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0)
+    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0, most=1.0)
     half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
 
     def factor(self, moment: Moment, memory: Memory) -> Number:

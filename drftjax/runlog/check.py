@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from drftjax.errors import InputError
 from drftjax.runlog.content import Violation
 from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
-from drftjax.runlog.layout import run_from
+from drftjax.runlog.layout import SCHEMA, run_from
 from drftjax.runlog.record import RunLog
 
 
@@ -36,3 +37,26 @@ def read_runs_guarded(paths: Iterable[str | Path], time_limit: float = TIME_LIMI
     """`read_run_guarded` for many files with one child process."""
     with GuardedReader(time_limit) as reader:
         return [run_from(*surveyed) for surveyed in reader.surveys(paths)]
+
+
+def require_no_recording(path: Path) -> None:
+    """Refuse to put a result in the place of a run that cannot be made again.
+
+    An earlier simulation, or an HDF5 file of another kind, may be replaced; what cannot be opened
+    may hold a recording.
+
+    Raises:
+        InputError: names the file and what it holds.
+    """
+    if not path.is_file() or path.stat().st_size == 0:
+        return
+    with GuardedReader() as reader:
+        content, violations = reader.survey(path)
+    if content is None:
+        raise InputError(f"{violations[0]}; give another name than that, or move it away")
+    source = content.attributes.get("source")
+    if content.attributes.get("schema") == SCHEMA and source != "simulated":
+        raise InputError(
+            f"{path} holds a run of source {source!r}, which no simulation or fit may replace; "
+            "give another name, or move it away"
+        )

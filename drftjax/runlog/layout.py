@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.errors import InputError
-from drftjax.runlog import rules
+from drftjax.runlog import plausibility, rules
 from drftjax.runlog.content import (
     Attribute,
     Content,
@@ -100,6 +100,7 @@ def examine(content: Content) -> Iterator[Found]:
         elif title in MANDATORY_GROUPS:
             for name in sorted(UNITS[title].keys() - OPTIONAL[title]):
                 yield f"/{title}/{name}", "is missing; a run log must have it", Level.REFUSED
+    yield from _examine_meaning(content)
     for name in sorted(content.datasets.keys() - BOOKKEEPING):
         yield f"/{name}", "is a dataset outside the groups of a run log and is not read", Level.NOTE
     for title in sorted(content.groups.keys() - {*UNITS, "setup"}):
@@ -310,6 +311,23 @@ def _examine_values(title: str, name: str, group: Group) -> Iterator[Found]:
             if isinstance(whole := _whole(title, name), np.iinfo):
                 problems += _integer_problems(values, whole)
     yield from ((where, f"cannot be used: {each}", Level.REFUSED) for each in problems)
+
+
+def _examine_meaning(content: Content) -> Iterator[Found]:
+    """Numbers that are allowed and cannot be meant."""
+    given = content.groups.get("setup", Group()).attributes
+    setup = {name: each for name, each in given.items() if isinstance(each, int | float)}
+    for title, name in plausibility.LARGEST:
+        group = content.groups.get(title, Group())
+        values = real_column(group.datasets[name].values) if name in group.datasets else None
+        if values is None or not np.isfinite(values).all():
+            continue
+        where = f"/{title}/{name}"
+        if name == "z":
+            for reason in plausibility.height_problems(values, setup):
+                yield where, reason, Level.FORMAT
+        for reason in plausibility.unit_problems(title, name, values, setup):
+            yield where, reason, Level.NOTE
 
 
 def _whole(title: str, name: str) -> "np.iinfo[Any] | None":

@@ -9,6 +9,7 @@ import msgspec
 
 from drftjax.errors import InputError
 from drftjax.runlog.rules import nearest
+from drftjax.structfile import explain
 
 Quantity = float | str
 """A number in SI, or text with its unit such as "62.5 mm"."""
@@ -172,7 +173,7 @@ def _require_whole(mapping: Mapping) -> None:
 def _explain(message: str) -> str:
     unknown = _UNKNOWN.search(message)
     if unknown is None:
-        return message
+        return explain(message, Mapping)
     keys = sorted({name for part in _PARTS for name in part.__struct_encode_fields__})
     place = f" in [{unknown[2]}]" if unknown[2] else ""
     return f"there is no key {unknown[1]!r}{place}; {nearest(unknown[1], keys)}"

@@ -9,6 +9,7 @@ from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.layout import run_from
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.recording_lock import PART
+from drftjax.runlog.replace import require_places
 
 CUT_OFF = "cut off; the committed rows were kept"
 """The end_reason of a repaired run."""
@@ -28,12 +29,20 @@ def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple
     Raises:
         InputError: It is no recording, still being recorded, damaged, or without a row.
     """
+    whole = part.with_name(part.name.removesuffix(PART))
+    if not part.exists():
+        closed = f"; {whole} is there, which needs no repair" if whole.exists() else ""
+        raise InputError(f"{part}: there is no such file{closed}")
     if output is None:
         if not part.name.endswith(f".h5{PART}"):
-            raise InputError(f"{part}: a recording's name ends in .h5{PART}; name the output too")
-        output = part.with_name(part.name.removesuffix(PART))
+            raise InputError(
+                f"{part}: the name of a recording that was cut off ends in .h5{PART}; if this is "
+                "one, name the output too"
+            )
+        output = whole
     if output.exists() and not force:
         raise InputError(f"{output} is already there; give --force to replace it")
+    require_places([output], [part])
     with GuardedReader(TIME_LIMIT) as reader:
         run = replace(run_from(*reader.survey(part, cut_off=True)), end_reason=CUT_OFF)
     write_run(output, run)

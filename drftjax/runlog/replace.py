@@ -1,9 +1,10 @@
 """Putting a file in place whole, or not at all."""
 
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from tempfile import mkstemp
+from tempfile import TemporaryFile, mkstemp
 
 from drftjax.errors import InputError
 
@@ -18,9 +19,7 @@ def replace_file(path: Path, data: bytes) -> None:
     folder = path.parent
     if not folder.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {folder}")
-    if path.exists() and not path.is_file():
-        # A rename would put a plain file in the place of a folder or a device.
-        raise InputError(f"{path} cannot be written: it is not an ordinary file")
+    _require_ordinary(path)
     try:
         handle, draft = mkstemp(prefix=".drft-", suffix=".part", dir=folder)
         try:
@@ -47,6 +46,47 @@ def make_folder(folder: Path) -> None:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{folder} cannot be made a folder: {reason}") from error
+
+
+def require_folder(folder: Path) -> None:
+    """Make a folder for results and try it out, before the work that leads to them.
+
+    Raises:
+        InputError: names the folder, where it cannot be made or nothing can be written there.
+    """
+    make_folder(folder)
+    try:
+        with TemporaryFile(prefix=".drft-", dir=folder):
+            pass
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{folder}: nothing can be written there ({reason})") from error
+
+
+def require_places(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
+    """Refuse names of results that cannot be written, before the work that leads to them.
+
+    Folders are made.
+
+    Args:
+        paths: The files to be.
+        inputs: Files that are read, and that no result may replace.
+
+    Raises:
+        InputError: names the folder or the file, and why.
+    """
+    read = [each for each in inputs if each.exists()]
+    for path in paths:
+        require_folder(path.parent)
+        _require_ordinary(path)
+        if path.exists() and any(path.samefile(each) for each in read):
+            raise InputError(f"{path} is read here and would be replaced; give another name")
+
+
+def _require_ordinary(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        # A rename would put a plain file in the place of a folder or a device.
+        raise InputError(f"{path} cannot be written: it is not an ordinary file")
 
 
 def _umask() -> int:

@@ -39,6 +39,8 @@ BUILT_IN_FILTERS: Final = 255
 # What h5py raises when the library finds damage, from place to place.
 _LIBRARY_ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 _AT_WORK: Final = "is still being recorded; it can be read when the run has ended"
+_NO_HDF5: Final = "is not an HDF5 file"
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 
 
@@ -69,6 +71,8 @@ def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
     refusal = _not_a_file(path)
     if refusal is None and recording_lock.is_held(path):
         refusal = _AT_WORK
+    if refusal is None and not _signed(path):
+        refusal = _NO_HDF5
     if refusal is not None:
         return None, [Violation(str(path), "/", refusal)]
     try:
@@ -115,7 +119,7 @@ def _not_openable(path: Path) -> str | None:
             return "is damaged: the checksum of the whole file does not hold"
         if not h5py.is_hdf5(str(path)):
             with path.open("rb"):
-                return "is not an HDF5 file"
+                return _NO_HDF5
     except OSError as error:
         return f"cannot be read: {(error.strerror or str(error)).lower()}"
     return None
@@ -133,6 +137,15 @@ def _not_a_file(path: Path) -> str | None:
     if facts.st_size == 0:
         return "is empty"
     return None
+
+
+def _signed(path: Path) -> bool:
+    """Whether a file begins as HDF5 does; the library would ask for locks of a recording."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_SIGNATURE)) == _SIGNATURE
+    except OSError:
+        return True  # opening it says what is wrong
 
 
 def _cut_off(path: Path) -> str:

@@ -1,0 +1,121 @@
+"""Where results go: never over a recorded run, and refused before the work that leads to them."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import Drft
+
+from drftjax.errors import InputError
+from drftjax.runlog.check import require_no_recording
+from drftjax.runlog.hdf5 import read_run, write_result, write_run
+from drftjax.runlog.replace import require_places
+from drftjax.saved import FIT_SCHEMA
+
+DATA = Path(__file__).parents[1] / "data"
+PAPER, RUN = DATA / "paper.toml", DATA / "runs" / "fast.h5"
+
+
+@pytest.fixture
+def drft(monkeypatch, capsys) -> Drft:
+    return Drft(monkeypatch, capsys)
+
+
+@pytest.fixture
+def recording(tmp_path) -> Path:
+    path = tmp_path / "mine.h5"
+    write_run(path, dataclasses.replace(read_run(RUN), source="measured"))
+    return path
+
+
+def test_a_simulation_never_replaces_a_recorded_run(drft, recording):
+    before = recording.read_bytes()
+    said = drft("simulate", PAPER, "-o", recording).refusal
+    assert said.startswith(f"{recording} holds a run of source 'measured'")
+    again = drft("simulate", "--like", recording, "-o", recording).refusal
+    assert again == f"{recording} is read here and would be replaced; give another name"
+    link = recording.with_name("link.h5")
+    link.symlink_to(recording)
+    assert "is read here" in drft("simulate", "--like", recording, "-o", link).refusal
+    assert recording.read_bytes() == before
+
+
+def test_what_cannot_be_opened_may_be_a_recording(drft, tmp_path):
+    path = tmp_path / "torn.h5"
+    path.write_bytes(RUN.read_bytes()[:5000])
+    assert "move it away" in drft("simulate", PAPER, "-o", path).refusal
+    assert path.stat().st_size == 5000
+
+
+def test_an_earlier_simulation_is_replaced(drft, tmp_path):
+    short = tmp_path / "short.toml"
+    short.write_text("[wheel]\nshape = 'plain'\n[command]\ntime = [0, 0.2]\nomega = [0, 0.1]\n")
+    log = tmp_path / "log.h5"
+    assert drft("simulate", short, "-o", log).code == 0
+    assert drft("simulate", short, "-o", log).code == 0
+
+
+def test_an_earlier_fit_is_replaced(tmp_path):
+    path = tmp_path / "fit.h5"
+    write_result(path, FIT_SCHEMA, {"status": "converged"}, {})
+    require_no_recording(path)
+    with pytest.raises(InputError, match="source 'virtual rig'"):
+        require_no_recording(RUN)
+
+
+def test_a_fit_never_replaces_a_run(drft, recording):
+    before = recording.read_bytes()
+    assert "is read here" in drft("fit", recording, "-o", recording).refusal
+    assert "source 'measured'" in drft("fit", RUN, "-o", recording.with_suffix("")).refusal
+    assert recording.read_bytes() == before
+
+
+def test_an_earlier_fit_in_the_folder_of_runs_is_replaced(tmp_path):
+    """It is no run, so that `drft fit runs -o runs/fit` may be called again."""
+    write_result(tmp_path / "fit.h5", FIT_SCHEMA, {"status": "converged"}, {})
+    require_places([tmp_path / "fit.h5"], [tmp_path])
+    with pytest.raises(InputError, match="is read here"):
+        require_places([tmp_path / "fit.h5"], [tmp_path / "fit.h5"])
+
+
+def test_a_design_never_replaces_its_set_up(drft, tmp_path):
+    setup = tmp_path / "paper.toml"
+    shutil.copy(PAPER, setup)
+    assert "is read here" in drft("design", setup, "-o", tmp_path / "paper").refusal
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", RUN, "-o"),
+        ("fit", RUN, "--cluster", "local:1", "-o"),
+        ("crosscheck", RUN, "-o"),
+        ("simulate", PAPER, "--plot"),
+        ("design", PAPER, "-o"),
+        ("evaluate", RUN, "--model", PAPER, "--json"),
+        ("diagnose", RUN, "-o"),
+        ("blind", "answer", DATA / "blind", "-o"),
+    ],
+    ids=lambda command: f"{command[0]} {command[-1]}",
+)
+def test_a_place_that_cannot_be_written_is_refused_at_once(drft, tmp_path, command):
+    (tmp_path / "file").write_text("")
+    ending = {"--plot": ".png", "--json": ".json"}.get(command[-1], "")
+    ending = ".json" if command[0] == "blind" else ending
+    answer = drft(*command, tmp_path / "file" / f"x{ending}")
+    assert f"{tmp_path / 'file'}" in answer.refusal
+    assert "cannot be made a folder" in answer.refusal
+    assert answer.out == ""
+
+
+@pytest.mark.skipif(not Path("/proc/version").exists(), reason="no /proc to write to")
+def test_a_folder_that_takes_no_file_is_refused_at_once(drft):
+    answer = drft("fit", RUN, "-o", "/proc/x")
+    assert answer.refusal.startswith("/proc: nothing can be written there")
+
+
+def test_a_folder_in_the_results_place_is_refused_at_once(drft, tmp_path):
+    (tmp_path / "x.json").mkdir()
+    answer = drft("crosscheck", RUN, "-o", tmp_path / "x")
+    assert answer.refusal == f"{tmp_path / 'x.json'} cannot be written: it is not an ordinary file"
