@@ -6,6 +6,7 @@ it went (Broyden's update), so that a few simulations settle a hypothesis even f
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -84,9 +85,8 @@ def on_lines(
 
 
 def leasts(effect: type[AbstractEffect]) -> list[float]:
-    """Least value of each strength of an effect: none, or zero where only one sign makes sense."""
-    about = numbers(effect)
-    return [about[name]["least"] for name in strengths(effect)]
+    """Least value of each strength [typical sizes]: zero where only one sign makes sense."""
+    return [_bound(effect, name, "least") for name in strengths(effect)]
 
 
 def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None) -> Hypothesis:
@@ -175,7 +175,7 @@ def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
         zeta, coordinates = start.log_zeta + start.ahead[0], start.coordinates + start.ahead[1]
     reach = 1.0
     for turn in range(turns):
-        moved = _simulated(bench, here, zeta, np.minimum(coordinates, _most(here)))
+        moved = _simulated(bench, here, zeta, np.minimum(coordinates, _bounds(here, "most")))
         leading = not start.simulated and turn < len(SHARES)
         share = SHARES[turn] if leading else 0.0
         before = -np.inf if best is None else best.score
@@ -220,20 +220,24 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
 
 def least_changes(here: Hypothesis) -> np.ndarray:
     """Least change of each coordinate that leaves the effects' numbers where they make sense."""
-    least = [
-        -np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["least"]
-        for f in here.model.free
-    ]
-    return np.array(least) - here.coordinates
+    return _bounds(here, "least") - here.coordinates
 
 
-def _most(here: Hypothesis) -> np.ndarray:
-    """Largest value of each coordinate that a set-up file takes."""
-    most = [
-        np.inf if f.scale is None else numbers(here.model.effects[f.index])[f.field]["most"]
-        for f in here.model.free
-    ]
-    return np.array(most)
+def _bounds(here: Hypothesis, side: Literal["least", "most"]) -> np.ndarray:
+    """Bound of each coordinate; a shape's, which is a logarithm, has none."""
+    free = {"least": -np.inf, "most": np.inf}[side]
+    return np.array(
+        [
+            free if f.scale is None else _bound(here.model.effects[f.index], f.field, side)
+            for f in here.model.free
+        ]
+    )
+
+
+def _bound(effect: type[AbstractEffect], strength: str, side: str) -> float:
+    """Bound of a strength, in typical sizes."""
+    about = numbers(effect)[strength]
+    return about[side] / about["typical"]
 
 
 def changes(

@@ -18,6 +18,7 @@ from drftjax.effects.drive import SpeedGain
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import TravelGain
 from drftjax.effects.surface import SurfaceSlope
+from drftjax.effects.terrain import SlipSoftening
 from tests.virtual_cases import case_with
 
 CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
@@ -135,6 +136,15 @@ def test_a_line_stays_at_its_least():
     line = fit_line(made_products(), [0], least=np.array([3.0]), trust=0.0)
     assert line.strengths[0] == pytest.approx(3.0)
     assert line.left[0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_bound_of_a_strength_counts_in_its_own_unit(pool):
+    # A loss of 0.3 is three typical sizes, and may be one, or ten sizes, at most.
+    case = case_with(pool, {"name": "slip_softening", "loss": 0.3, "half": 0.01})
+    bench = Bench.of(case, baseline(case), (SlipSoftening,))
+    start = proposed(bench, [bench.variants[2]])
+    found = settled(bench, start, 4)
+    assert found.coordinates[0] * found.model.free[0].scale == pytest.approx(0.3, abs=0.1)
 
 
 def test_shrinkage_counts_from_the_floor():
