@@ -202,7 +202,8 @@ def test_a_run_at_its_bound_says_so(runs, model):
 def test_a_run_that_cannot_be_met_leaves_the_others_as_they_are(runs, model, result):
     """Its recording is of a wheel that rises out of the sand: no zeta is large enough."""
     run = runs["first"]
-    rising = Measured(time=run.measured.time, x=run.measured.x, z=run.measured.z + 0.05)
+    z = run.measured.z + np.linspace(0.0, 0.06, len(run.measured.time))
+    rising = Measured(time=run.measured.time, x=run.measured.x, z=z)
     bad = dataclasses.replace(run, measured=rising)
     mixed = identify.fit({"bad": bad, BRACKETS: runs[BRACKETS]}, model, "zeta")
     ours, theirs = (each.values[f"zeta of {BRACKETS}"] for each in (mixed, result))
