@@ -5,6 +5,7 @@ file itself does not import it.
 """
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,11 @@ def pool():
 
     with threads() as executor:
         yield executor
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_programs_go_with_their_module():
+    """Give back the memory of a module's programs, or a few workers would fill a small machine."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
