@@ -24,7 +24,8 @@ def noise_floors(
         case: The runs.
         before, after: Residuals of each run by the reference model and by the best one, shape
             (channels, samples): the smaller difference counts, as an effect may differ in strength.
-        own: The simulation's own error in each channel, which no repeat shows since both share it.
+        own: The simulation's own error in each channel [m, N, N m], which no repeat shows, as both
+            share it.
     """
     powers: dict[str, list[float]] = {}
     repeats = [group for group in conditions(case.candidates) if len(group) > 1]

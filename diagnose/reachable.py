@@ -14,4 +14,4 @@ def gone(before: float, after: float, floor: float) -> float:
     reachable = before - floor
     if reachable <= 0:
         return 0.0
-    return min(1.0, max(-1.0, (before - max(after, floor)) / reachable))
+    return max(-1.0, (before - max(after, floor)) / reachable)

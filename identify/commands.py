@@ -149,11 +149,10 @@ def fit(
         fitted = [each for each in fitted if each.quantity.name != "terrain.zeta"]
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
-    files = run_files(runs)
     stem = None if output is None else _stem(output)
     if stem is not None:
-        _, binary, _ = places = result_files(stem)
-        require_places(places, runs)
+        text, binary, picture = result_files(stem)
+        require_places([text, binary, picture], runs)
         require_no_recording(binary)
     if cluster is not None:
         from identify.cluster_command import fit_on_cluster
@@ -165,7 +164,7 @@ def fit(
                 "and --bootstrap out"
             )
         alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
-        kept, left_out = each_once(files)
+        kept, left_out = each_once(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
         fit_on_cluster(cluster, named, alone, stem, left_out)
         return

@@ -7,8 +7,12 @@ file itself does not import it.
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from command_line import Drft
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -34,6 +38,14 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("there is no folder ../shared with the reference runs beside the repository")
     return folder
+
+
+@pytest.fixture
+def drft(monkeypatch, capsys) -> "Drft":
+    """`drft` run inside the test's own process."""
+    from command_line import Drft
+
+    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="session")

@@ -56,7 +56,7 @@ def hand_over(recorder: Recorder, number: int) -> None:
     """One tick: a command, a reading and a row of the loop, all known from the number."""
     time, wave = number * 0.001, float(np.sin(number))
     recorder.command(time, 0.5 + wave, wave / 3)
-    recorder.measured(time + 0.0003, number / 7, -0.02 + wave / 1000)
+    recorder.measured(time + 0.0003, number / 70, -0.02 + wave / 1000)
     recorder.online(
         OnlineRow(
             time,
@@ -107,7 +107,7 @@ def wrong_rows(run: RunLog, rows: int | None = None) -> int:
     wrong = sum(getattr(run.online, name) != values for name, values in expected.items())
     number = np.arange(run.measured.time.size)
     wave = np.array([float(np.sin(each)) for each in number])
-    wrong = np.count_nonzero(wrong) + np.count_nonzero(run.measured.x != number / 7)
+    wrong = np.count_nonzero(wrong) + np.count_nonzero(run.measured.x != number / 70)
     wrong += np.count_nonzero(run.measured.z != -0.02 + wave / 1000)
     assert run.command.vx is not None
     number = np.arange(run.command.time.size)

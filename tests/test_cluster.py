@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Drft
 from virtual_runs import recorded, setup_of
 
 from drftjax.runlog.hdf5 import read_result, read_run, write_run
@@ -39,11 +38,6 @@ ZETA = Term("terrain.zeta", None, PRIOR, START)
 # Every entry that can be told in the result differs from its default.
 SETTINGS = Settings((ZETA,), autoregressive=True, step=STEP)
 RUNS = 12
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
 from identify.candidate import candidate
 from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
-from tests.command_line import Drft
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01
@@ -40,11 +39,6 @@ def ready(name, path):
     each = candidate(name, recorded(name, path), step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
     return dataclasses.replace(each, trial=each.setup.trial(2 * STEP))
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")

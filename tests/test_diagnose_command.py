@@ -20,7 +20,6 @@ from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, write_run
 from drftjax.runlog.record import RunLog
 from drftjax.setup import read_setup
-from tests.command_line import Drft
 from tests.virtual_runs import recorded, setup_of
 
 SLOPE = 0.02
@@ -45,11 +44,6 @@ KEYS = {
     "next_run",
     "notes",
 }
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys):
-    return Drft(monkeypatch, capsys)
 
 
 def run(number: int, title: str = "a run") -> RunLog:

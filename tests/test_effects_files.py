@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from command_line import Drft
 from virtual_runs import recorded, setup_of
 
 from drftjax.effects.catalogue import catalogue
@@ -39,11 +38,6 @@ omega = [0, 0, 0.5, 0.5]
 """
 LOOSENING = '[[effect]]\nname = "loosening"\nloss = 0.2\n'
 LATE = '[[effect]]\nname = "measurement_filter"\nlag = 0.05\n'
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 def written(folder: Path, text: str, name: str = "rig.toml") -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Answer, Drft
+from command_line import Answer
 from virtual_runs import SLOW, recorded, setup_of
 
 from drftjax.runlog.hdf5 import read_result, read_run, write_run
@@ -23,11 +23,6 @@ ROUNDING = 1e-9
 PAPER = Path(__file__).parents[1] / "data" / "paper.toml"
 # Markup, to whoever takes a name for it.
 BRACKETS = "sand [bold]x[red] $\\sum"
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from command_line import Drft
 from studies.coverage import LAMBDA, ZETA, coverage
 from virtual_runs import SLOW, coarse, recorded, setup_of
 
@@ -298,11 +297,6 @@ def test_ninety_percent_intervals_hold_the_truth_about_as_often():
 
 
 # By the command line ----------------------------------------------------------------------------
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="session")

@@ -4,17 +4,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command_line import Drft
 
 from drftjax.runlog.files import each_once, run_files
 from identify.gathering import gather
 
 RUNS = Path(__file__).parents[1] / "data" / "runs"
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from command_line import Drft
 
 from drftjax.errors import InputError
 from drftjax.setup import CommandSetUp, SetUp
@@ -165,11 +164,6 @@ def test_the_steady_stretch_is_that_of_the_top_speed():
 
 
 # The program --------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 SHORT = f"""

@@ -20,7 +20,6 @@ from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, survey_run
 from drftjax.runlog.record import RunLog
 from hils.under_way import UnderWay, alive, announced, runs_under_way
-from tests.command_line import Drft
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
 TICK = 0.1
@@ -114,11 +113,6 @@ class Bench:
 
     def log(self) -> RunLog:
         return read_run(self.folder / "run.h5")
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture(scope="module")

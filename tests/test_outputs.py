@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command_line import Drft
 
 from drftjax.errors import InputError
 from drftjax.runlog.check import require_no_recording
@@ -15,11 +14,6 @@ from drftjax.saved import FIT_SCHEMA
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER, RUN = DATA / "paper.toml", DATA / "runs" / "fast.h5"
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Drft
 
 from drftjax.errors import InputError
 from drftjax.runlog.content import Level
@@ -17,11 +16,6 @@ from identify.candidate import candidate
 RUNS = Path(__file__).parents[1] / "data" / "runs"
 WHEEL = {"wheel_radius": 0.15, "wheel_width": 0.12, "mass_z": 18.837}
 GROUSERS = WHEEL | {"grouser_count": 12, "grouser_height": 0.018}
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 def scaled(z: float = 1.0, omega: float = 1.0) -> RunLog:

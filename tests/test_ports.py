@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from command_line import Drft
 
 from hils import port as port_module
 from hils.commands.run import run
@@ -18,11 +17,6 @@ from hils.port import Listed, latency_timer, open_port
 from hils.rig_protocol import RigIdentity, RigProtocol
 
 BOOT = 0x0BADCAFE
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from command_line import Drft
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, write_run
@@ -228,11 +227,6 @@ def test_what_cannot_be_replayed_is_refused_with_its_reason(log):
         replay(changed(log, time=log.online.time + 1e-6))
     with pytest.raises(InputError, match="no row for the reading"):
         replay(changed(log, flags=log.online.flags | TickFlag.FRESH))
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 def test_the_command_says_how_every_run_came_out(drft, log, path, tmp_path):

@@ -6,7 +6,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from command_line import Drft
 
 from drftjax.errors import InputError
 from drftjax.integrator import Explicit, HeldPace, Rosenbrock
@@ -23,11 +22,6 @@ PAPER = Path(__file__).parents[1] / "data" / "paper.toml"
 COMMAND = "[command]\ntime = [0, 1]\nomega = [0, 1]\n"
 SQUARE = [(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)]
 OUTLINE = "[wheel]\nshape = 'outline'\noutline = 'corners.csv'\nradius = 0.1\n" + COMMAND
-
-
-@pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
 
 
 def written(folder: Path, text: str | bytes, name: str = "rig.toml") -> Path:

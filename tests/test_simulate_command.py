@@ -47,11 +47,6 @@ SOFT = "[terrain]\nzeta = 0.05\n" + SHORT.split("\n", 2)[2]
 
 
 @pytest.fixture
-def drft(monkeypatch, capsys) -> Drft:
-    return Drft(monkeypatch, capsys)
-
-
-@pytest.fixture
 def short(tmp_path) -> Path:
     path = tmp_path / "short.toml"
     path.write_text(SHORT)

@@ -13,8 +13,8 @@ from drftjax.errors import InputError
 
 # A process is replaced after so many sets: the programs compiled for them keep gigabytes.
 SETS_A_PROCESS = 4
+# What the name of a folder begins with that is no set, or not yet.
 UNFINISHED = "."
-"""What the name of a folder begins with that is no set, or not yet."""
 
 
 def runs_of(folder: Path) -> dict[str, list[Path]]:
