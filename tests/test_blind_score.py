@@ -120,7 +120,8 @@ def test_nothing_is_promised_of_a_gap_at_its_floor():
 def test_no_promise_is_tried_on_fresh_runs_at_the_floor():
     plain = Answer(["drawbar"], {}, [], {"x": GapAnswer(0.5, 0.1, 0.08, 0.9, (0.8, 1.0))})
     plain.fresh = {"x": FreshAnswer(0.1, 0.09)}
-    assert score({"set_1": LABELS["set_1"]}, {"set_1": plain})["shrinkage"] == {}
+    found = score({"set_1": LABELS["set_1"]}, {"set_1": plain})["shrinkage"]["x"]
+    assert (found["untried"], found["sets"], found["kept"]["of"]) == (1, [], 0)
 
 
 def test_interval_of_a_share():

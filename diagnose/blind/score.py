@@ -177,21 +177,23 @@ def calibration(given: list[Case]) -> list[dict]:
 def shrinkage(given: list[Case]) -> dict[str, dict]:
     """Promised against realised shrinkage of the misfit on fresh runs, by channel.
 
-    Both are shares of what lies above the promise's noise floor, where on both occasions enough
-    does.
+    Both are shares of what lies above the promise's noise floor. A promise is untried where the
+    fresh runs show too little above it.
     """
     found: dict[str, list[dict]] = defaultdict(list)
+    untried: Counter[str] = Counter()
     for case in given:
         for channel, fresh in case.answer.fresh.items():
             promise = case.answer.gap.get(channel)
-            if promise is None:
+            if promise is None or not can_shrink(promise.before_mm, promise.floor_mm):
                 continue
-            gaps = promise.before_mm, fresh.before_mm
-            if not all(can_shrink(gap, promise.floor_mm) for gap in gaps):
+            tried = found[channel]
+            if not can_shrink(fresh.before_mm, promise.floor_mm):
+                untried[channel] += 1
                 continue
             low, high = promise.shrinkage_interval
             realised = gone(fresh.before_mm, fresh.after_mm, promise.floor_mm)
-            found[channel].append(
+            tried.append(
                 {
                     "set": case.name,
                     "promised": promise.shrinkage,
@@ -204,6 +206,7 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
         channel: {
             "kept": Share(sum(each["kept"] for each in rows), len(rows)).document(),
             "in_interval": Share(sum(each["in_interval"] for each in rows), len(rows)).document(),
+            "untried": untried[channel],
             "sets": rows,
         }
         for channel, rows in sorted(found.items())

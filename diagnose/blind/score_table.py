@@ -70,9 +70,11 @@ def _calibration(rows: list[dict], title: str) -> Table:
 
 def _shrinkage(score: dict) -> Table:
     table = Table("channel", title="shrinkage of the misfit on fresh runs")
-    for heading in ("sets", "within 10 points of the promise", "in the promised interval"):
+    headings = "sets", "within 10 points of the promise", "in the promised interval", "untried"
+    for heading in headings:
         table.add_column(heading, justify="right")
     for channel, row in score["shrinkage"].items():
         number = str(row["kept"]["of"])
-        table.add_row(channel, number, _text(row["kept"]), _text(row["in_interval"]))
+        shares = _text(row["kept"]), _text(row["in_interval"])
+        table.add_row(channel, number, *shares, str(row["untried"]))
     return table
