@@ -17,6 +17,7 @@ from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
 from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import stages
+from diagnose.steps import Step, one_by_one
 from diagnose.unwritten import Correction, Unwritten, unwritten
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
@@ -55,6 +56,7 @@ class Diagnosis:
         weights: Weight of each effect, of none and of unknown.
         groups: Names that these runs cannot tell apart, the likeliest first.
         gap: Before and after on runs left out, by channel.
+        steps: The same as two effects are added one by one; empty where there are not two.
         parameters: Numbers of the verdict's effects, by effect and field.
         notes: What else must be known, in sentences.
         next_run: What would tell the group apart; empty where nothing need be.
@@ -81,6 +83,7 @@ class Diagnosis:
     floors: Mapping[str, float]
     where: Sequence[Any] = field(default_factory=list)
     unwritten: Unwritten | None = None
+    steps: Sequence[Step] = field(default_factory=list)
 
     @property
     def case(self) -> Case:
@@ -100,6 +103,7 @@ class Diagnosis:
             "weights": dict(self.weights),
             "groups": [list(group) for group in self.groups],
             "gap": {channel: gap.document() for channel, gap in self.gap.items()},
+            "steps": [each.document() for each in self.steps],
             "where": [
                 {
                     "axis": each.axis,
@@ -176,6 +180,7 @@ def diagnose(
         floors=floors,
         where=places,
         unwritten=signal,
+        steps=one_by_one(found, chosen, unseen, floors) if verdict == chosen.names else [],
     )
 
 

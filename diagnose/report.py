@@ -120,7 +120,18 @@ def gap_sentences(found: Diagnosis) -> list[str]:
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]
     on = _measured_on(found, "the effect's numbers were")
-    return [f"With {least} the gap above the noise floor shrinks by {shares}, {on}."]
+    return [
+        f"With {least} the gap above the noise floor shrinks by {shares}, {on}.",
+        *step_sentences(found),
+    ]
+
+
+def step_sentences(found: Diagnosis) -> list[str]:
+    """How far the gap shrinks as effects are added one by one, where there are several."""
+    if not found.steps:
+        return []
+    told = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.steps]
+    return [f"Added one by one, each fitted anew: {told[0]}; then {'; then '.join(told[1:])}."]
 
 
 def correction_sentences(found: Diagnosis) -> list[str]:

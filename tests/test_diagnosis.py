@@ -11,6 +11,7 @@ from diagnose.diagnosis import diagnose, verdict_of
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import conditions, predicted_unseen
+from diagnose.report import step_sentences
 from diagnose.search import _proposals as search_proposals
 from diagnose.shrinkage import shrinkage
 from diagnose.weights import Judged, Scale, weights
@@ -100,6 +101,7 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
     value = found.parameters["surface_slope"]["slope"]
     assert abs(value.value - 0.02) < 4 * value.error + 2e-4
     assert found.document()["verdict"] == ["surface_slope"]
+    assert (found.steps, step_sentences(found), found.document()["steps"]) == ([], [], [])
     assert any("repeats" in note for note in found.notes)
 
 
@@ -107,6 +109,19 @@ def test_nothing_added_is_none(pool):
     found = diagnose(case_with(pool), CATALOGUE)
     assert found.verdict == ("none",)
     assert found.parameters == {}
+
+
+def test_two_effects_are_added_one_by_one(pool):
+    slope = {"name": "surface_slope", "slope": 0.02}
+    found = diagnose(case_with(pool, slope, {"name": "travel_gain", "gain": 0.02}), CATALOGUE)
+    assert set(found.verdict) == {"surface_slope", "travel_gain"}
+    alone, both = found.steps
+    assert (alone.effects, len(both.effects)) == (both.effects[:1], 2)
+    # Each shows in a channel of its own: the one added last is what was still missing there.
+    last = {"surface_slope": "z", "travel_gain": "x"}[both.effects[1]]
+    assert alone.gap[last].shrinkage < 0.5 < 0.9 < both.gap[last].shrinkage
+    assert {c: gap.document() for c, gap in both.gap.items()} == found.document()["gap"]
+    assert step_sentences(found)[0].startswith("Added one by one")
 
 
 def test_one_run_says_what_cannot_be_concluded(sloping, pool):

@@ -1,0 +1,70 @@
+"""How far the gap shrinks as the effects of an explanation are added one by one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.hypothesis import Hypothesis
+from diagnose.left_out import predicted_unseen
+from diagnose.search import Found
+from diagnose.shrinkage import Gap, gaps
+from drftjax.effects.catalogue import spoken
+
+
+@dataclass(frozen=True)
+class Step:
+    """The gap with some of an explanation's effects.
+
+    Attributes:
+        effects: Those added so far, the last one last.
+        gap: Before any and after these, on runs left out, by channel.
+    """
+
+    effects: tuple[str, ...]
+    gap: Mapping[str, Gap]
+
+    def document(self) -> dict:
+        return {
+            "effects": list(self.effects),
+            "gap": {channel: gap.document() for channel, gap in self.gap.items()},
+        }
+
+
+def one_by_one(
+    found: Found,
+    chosen: Hypothesis,
+    unseen: Mapping[tuple[str, ...], list[np.ndarray]],
+    floors: Mapping[str, float],
+) -> list[Step]:
+    """A pair's gap with the one effect that does most alone, refitted, and with both.
+
+    Args:
+        found: The search.
+        chosen: The explanation.
+        unseen: Residuals on runs left out, by explanation, as far as they are known.
+        floors: Noise floor of each channel [m, N, N m].
+
+    Returns:
+        Nothing for fewer than two effects.
+    """
+    if len(chosen.names) < 2:
+        return []
+    case, before = found.bench.case, found.none.residual
+
+    def left(alone: Hypothesis) -> list[np.ndarray]:
+        return unseen.get(alone.names) or predicted_unseen(found.bench, alone)
+
+    parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
+    tried = [(each.names, left(each)) for each in parts]
+    scale = np.array([floors[channel] for channel in case.channels])[:, None]
+
+    def misfit(after: Sequence[np.ndarray]) -> float:
+        return sum(float(np.nansum(np.square(each / scale))) for each in after)
+
+    first, after = min(tried, key=lambda each: misfit(each[1]))
+    second = tuple(name for name in chosen.names if name not in first)
+    return [
+        Step(spoken(first), gaps(case, before, after, floors)),
+        Step(spoken(first + second), gaps(case, before, left(chosen), floors)),
+    ]
