@@ -209,5 +209,13 @@ def _early(case: Case, run: int) -> np.ndarray:
 
 
 def threads() -> ThreadPoolExecutor:
-    """As many threads as there are cores; JAX computes outside Python's lock."""
-    return ThreadPoolExecutor(os.cpu_count() or 1)
+    """As many threads as there are cores; JAX computes outside Python's lock.
+
+    They compute in the precision of the thread that asks for them, which JAX does not hand on.
+    """
+    double = bool(jax.config.values["jax_enable_x64"])
+
+    def begin() -> None:
+        jax.enable_x64(double).__enter__()  # for as long as the thread lives
+
+    return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)

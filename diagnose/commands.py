@@ -1,17 +1,11 @@
 """`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from drftjax.errors import InputError
-
-if TYPE_CHECKING:
-    from diagnose.diagnosis import Diagnosis
-    from diagnose.search import Report
-    from drftjax.effects.stage import AbstractEffect
-    from identify.candidate import Candidate
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -49,12 +43,13 @@ def diagnose(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
+    from diagnose.interface import diagnosed, effects_among
     from diagnose.report import gap_table, paragraphs, verdict, write
     from diagnose.runs import gather
     from drftjax.runlog.content import printable
     from drftjax.runlog.replace import require_folder
 
-    chosen = named_effects(effects)
+    chosen = effects_among(_names(effects))
     if output is not None:
         require_folder(output)
     console = Console()
@@ -71,7 +66,7 @@ def diagnose(
         def report(stage: str) -> None:
             bar.update(task, description=stage)
 
-        found = _diagnosed(gathered.candidates, gathered.left_out, chosen, report, say)
+        found = diagnosed(gathered, chosen, report, lambda left_out: say(left_out, "yellow"))
 
     say(verdict(found), "bold")
     if not quiet:
@@ -84,55 +79,18 @@ def diagnose(
             say(f"written: {', '.join(str(each) for each in written)}")
 
 
-def named_effects(names: str | None) -> "tuple[type[AbstractEffect], ...]":
-    """Effects by their names with commas between; the whole catalogue where none are given.
+def _names(given: str | None) -> list[str] | None:
+    """Names of effects with commas between; nothing where none are asked for.
 
     Raises:
-        InputError: for a name that is not known, with the nearest ones that are.
+        InputError: for a text that names none.
     """
-    from drftjax.effects.catalogue import catalogue, effect_class
-
-    if names is None:
-        return tuple(catalogue().values())
-    wanted = [each.strip() for each in names.split(",") if each.strip()]
-    if not wanted:
+    if given is None:
+        return None
+    names = [each.strip() for each in given.split(",") if each.strip()]
+    if not names:
         raise InputError("--effects names no effect; `drft effects` lists them")
-    return tuple(effect_class(each) for each in dict.fromkeys(wanted))
-
-
-def _diagnosed(
-    candidates: "list[Candidate]",
-    left_out: dict[str, str],
-    effects: "tuple[type[AbstractEffect], ...]",
-    report: "Report",
-    say,
-) -> "Diagnosis":
-    """The diagnosis of the runs that the reference model can follow at all."""
-    import dataclasses
-
-    from diagnose.case import Case, threads
-    from diagnose.diagnosis import diagnose as diagnosis_of
-    from diagnose.where import where
-
-    kept, notes = list(candidates), list(left_out.values())
-    with threads() as pool:
-        while True:
-            try:
-                found = diagnosis_of(Case.of(kept, pool), effects, report)
-                break
-            except InputError as problem:
-                why = str(problem)
-                others = [each for each in kept if not why.startswith(f"{each.name}: ")]
-                if not others or len(others) == len(kept):
-                    raise
-                kept = others
-                notes.append(why)
-                say(f"left out: {why}", "yellow")
-    return dataclasses.replace(
-        found,
-        where=found.where or where(found.case, found.before, dict(found.floors)),
-        notes=[*found.notes, *(f"Left out: {n}" for n in notes)],
-    )
+    return names
 
 
 if __name__ == "__main__":

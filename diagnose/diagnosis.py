@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from diagnose.bench import Bench
@@ -23,6 +25,10 @@ from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
 from drftjax.effects.catalogue import numbers, spoken, spoken_of
 from drftjax.effects.stage import AbstractEffect
+from identify.summary import summary_html, summary_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "drft-diagnosis"
 # Effects are named together until this much of the weight is named.
@@ -93,6 +99,34 @@ class Diagnosis:
     def correction(self) -> Correction | None:
         """A curve offered in the place of an effect that nobody has written."""
         return None if self.unwritten is None else self.unwritten.offered
+
+    def summary(self, width: int = 110) -> str:
+        """Verdict, gaps and all else in words, as text so many columns wide."""
+        from diagnose.report import in_words
+
+        return summary_text(in_words(self), width)
+
+    def _repr_html_(self) -> str:
+        from diagnose.report import in_words
+
+        return summary_html(in_words(self))
+
+    def plot(self) -> "Figure":
+        """The gap before and after against the noise floor, and where it lies."""
+        from diagnose.report_figures import at_a_glance
+
+        return at_a_glance(self)
+
+    def write(self, folder: str | Path) -> list[Path]:
+        """Write diagnosis.json, model.toml and report.html, as `drft diagnose -o` does.
+
+        Raises:
+            InputError: where one cannot be written.
+        """
+        from diagnose.report import write
+
+        with jax.enable_x64(True):
+            return write(self, Path(folder))
 
     def document(self) -> dict:
         """The diagnosis as plain values, in the layout of diagnosis.json."""

@@ -61,6 +61,7 @@ def evaluate(
     configure_jax()
     from diagnose.case import Case, threads
     from diagnose.evaluation import evaluated
+    from diagnose.evaluation_table import gap_table, sentences
     from diagnose.model_file import read_effects
     from diagnose.runs import gather
     from diagnose.tuned import moves
@@ -87,7 +88,7 @@ def evaluate(
         gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
         with threads() as pool:
-            found = evaluated(Case.of(gathered.candidates, pool), effects)
+            found = evaluated(Case.of(gathered.candidates, pool), effects, gathered.left_out)
             if tuner:
                 bar.update(task, description="replaying the tuner")
                 moved = moves(found, setting)
@@ -99,58 +100,10 @@ def evaluate(
         say(sentence)
     if output is not None:
         document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
-        document["notes"] += [f"Left out: {why}" for why in gathered.left_out.values()]
         if moved:
             document["tuner"] = moves_document(found, moved, setting)
         replace_file(output, (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode())
         say(f"written: {output}")
-
-
-def sentences(found: "Evaluation") -> list[str]:
-    """What the numbers rest on."""
-    names = ", ".join(each.about.name for each in found.effects)
-    if not names:
-        return ["The model has no effect: it is the reference model.", found.how]
-    return [f"before: the reference model; after: with {names}. zeta is each run's own.", found.how]
-
-
-def gap_table(found: "Evaluation") -> "Table":
-    """The gap of every run and of all, before and after."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    from diagnose.evaluation import shown
-
-    table = Table()
-    table.add_column("run")
-    table.add_column("zeta", justify="right")
-    channels = found.case.channels
-    for channel in channels:
-        table.add_column(escape(f"{channel} [{shown(channel)[0]}]"), justify="right")
-    for run, each in enumerate(found.case.candidates):
-        cells = found.rmse(run)
-        first, last = found.zeta(run)
-        table.add_row(
-            escape(each.name),
-            f"{first:.4f} → {last:.4f}",
-            *(_pair(channel, *cells[channel]) if channel in cells else "-" for channel in channels),
-        )
-    table.add_section()
-    gaps = [found.gap[channel] for channel in channels]
-    pairs = zip(channels, gaps, strict=True)
-    table.add_row("all runs", "", *(_pair(c, gap.before, gap.after) for c, gap in pairs))
-    scaled = [f"{shown(c)[1] * found.floors[c]:.3f}" for c in channels]
-    table.add_row("noise floor", "", *scaled)
-    floors = [f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}" for gap in gaps]
-    table.add_row("in floors", "", *floors)
-    return table
-
-
-def _pair(channel: str, before: float, after: float) -> str:
-    from diagnose.evaluation import shown
-
-    scale = shown(channel)[1]
-    return f"{scale * before:.3f} → {scale * after:.3f}"
 
 
 def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Table":

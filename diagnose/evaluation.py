@@ -1,7 +1,7 @@
 """A model with effects against runs that it was not found on."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.stage import AbstractEffect
+from identify.summary import summary_html, summary_text
 
 CHANNEL_UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1.0), "fz": ("N", 1.0)}
 TORQUE = ("N m", 1.0)
@@ -34,6 +35,7 @@ class Evaluation:
         gap: Pooled over the runs, by channel.
         floors: Noise floor of each channel [m, N, N m].
         how: On what the floors rest.
+        left_out: Why other runs are not among them, by name.
     """
 
     case: Case
@@ -43,6 +45,23 @@ class Evaluation:
     gap: Mapping[str, Gap]
     floors: Mapping[str, float]
     how: str
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> list[str]:
+        """What else must be known, in sentences."""
+        return [self.how, *(f"Left out: {why}" for why in self.left_out.values())]
+
+    def summary(self, width: int = 110) -> str:
+        """Table and notes as text, so many columns wide."""
+        from diagnose.evaluation_table import gap_table, sentences
+
+        return summary_text([gap_table(self), *sentences(self)], width)
+
+    def _repr_html_(self) -> str:
+        from diagnose.evaluation_table import gap_table, sentences
+
+        return summary_html([gap_table(self), *sentences(self)])
 
     def rmse(self, run: int) -> dict[str, tuple[float, float]]:
         """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""
@@ -84,7 +103,7 @@ class Evaluation:
                 }
                 for run, each in enumerate(self.case.candidates)
             ],
-            "notes": [self.how],
+            "notes": self.notes,
         }
 
 
@@ -94,12 +113,15 @@ def _named(channel: str, **values: float) -> dict[str, float | str]:
     return {**{name: value * scale for name, value in values.items()}, "unit": unit}
 
 
-def evaluated(case: Case, effects: Sequence[AbstractEffect]) -> Evaluation:
+def evaluated(
+    case: Case, effects: Sequence[AbstractEffect], left_out: Mapping[str, str] | None = None
+) -> Evaluation:
     """The gap of runs without and with effects whose numbers stay as they are.
 
     Args:
         case: The runs.
         effects: Added to what each run's set-up says.
+        left_out: Why other runs are not among them, by name.
     """
     model, coordinates = as_model(effects)
     before = followed(case, Model(), np.zeros(0))
@@ -107,9 +129,8 @@ def evaluated(case: Case, effects: Sequence[AbstractEffect]) -> Evaluation:
     residuals = [each.residual for each in before], [each.residual for each in after]
     own = own_errors(case, np.array([each.log_zeta for each in before]))
     floors, how = noise_floors(case, *residuals, own)
-    return Evaluation(
-        case, tuple(effects), before, after, gaps(case, *residuals, floors), floors, how
-    )
+    gap = gaps(case, *residuals, floors)
+    return Evaluation(case, tuple(effects), before, after, gap, floors, how, left_out or {})
 
 
 def _rms(values: np.ndarray) -> float:

@@ -8,8 +8,10 @@ import msgspec
 import numpy as np
 
 from diagnose.diagnosis import Diagnosis, Number
+from diagnose.promise import effects_of
 from diagnose.response import Model
 from diagnose.weights import NONE, UNKNOWN
+from drftjax.effects.catalogue import spoken_of
 from drftjax.effects.correction import VARIABLES
 from drftjax.effects.entry import built, entry_of
 from drftjax.effects.stage import AbstractEffect
@@ -51,9 +53,14 @@ def model_toml(found: Diagnosis) -> str:
         for key, value in entry.items():
             comment = f"  # {about[key]}" if about.get(key, "-") != "-" else ""
             lines.append(f"{key} = {_toml(value)}{comment}")
-    for name, numbers in found.parameters.items() if offered is None else ():
-        lines += ["", "[[effect]]", f"name = {_toml(name)}"]
-        lines += [f"{key} = {each.value!r}  # {told(each)}" for key, each in numbers.items()]
+    for effect in effects_of(found.chosen) if offered is None else ():
+        # A form of an effect stands by its own name here, as it has numbers of its own.
+        name = effect.about.name
+        numbers = found.parameters[spoken_of(name)]
+        lines += ["", "[[effect]]"]
+        for key, value in entry_of(effect).items():
+            comment = f"  # {told(numbers[key])}" if key in numbers else ""
+            lines.append(f"{key} = {_toml(value)}{comment}")
     return "\n".join(lines) + "\n"
 
 

@@ -33,6 +33,11 @@ from drftjax.runlog.replace import make_folder, replace_file
 TOLD = 0.01
 
 
+def in_words(found: Diagnosis) -> list[Table | str]:
+    """Everything that was found, as it is read from top to bottom."""
+    return [verdict(found), gap_table(found), *paragraphs(found)]
+
+
 def verdict(found: Diagnosis) -> str:
     """What was found, in one sentence."""
     weight = sure(found)
@@ -130,8 +135,8 @@ def step_sentences(found: Diagnosis) -> list[str]:
     """How far the gap shrinks as effects are added one by one, where there are several."""
     if not found.steps:
         return []
-    told = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.steps]
-    return [f"Added one by one, each fitted anew: {told[0]}; then {'; then '.join(told[1:])}."]
+    steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.steps]
+    return [f"Added one by one, each fitted anew: {'; then '.join(steps)}."]
 
 
 def correction_sentences(found: Diagnosis) -> list[str]:

@@ -23,14 +23,18 @@ def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) 
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
     gathered = gather_runs(given, sinkage=True, tell=tell)
-    kept, others = _of_one_wheel(gathered.candidates)
-    for why in others.values():
+    kept = of_one_wheel(gathered.candidates)
+    for why in kept.left_out.values():
         tell(f"left out: {why}")
-    return Gathered(kept, gathered.left_out | others)
+    return Gathered(kept.candidates, gathered.left_out | kept.left_out)
 
 
-def _of_one_wheel(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dict[str, str]]:
-    """The runs of the wheel and carriage that most have, and why the others are left out."""
+def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs of the wheel and carriage that most have, and why the others are left out.
+
+    Raises:
+        InputError: where two kinds have as many runs each.
+    """
     kinds: dict[str, list[Candidate]] = {}
     for each in candidates:
         kinds.setdefault(_kind(each), []).append(each)
@@ -46,7 +50,7 @@ def _of_one_wheel(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dic
         for other, runs in ranked[1:]
         for each in runs
     }
-    return kept, others
+    return Gathered(kept, others)
 
 
 def _kind(each: Candidate) -> str:

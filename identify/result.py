@@ -312,10 +312,10 @@ class FitResult:
 
     def summary(self, width: int = 110) -> str:
         """Table and findings as text, so many columns wide."""
-        return summary_text(self.table(), self.sentences(), width)
+        return summary_text([self.table(), *self.sentences()], width)
 
     def _repr_html_(self) -> str:
-        return summary_html(self.table(), self.sentences())
+        return summary_html([self.table(), *self.sentences()])
 
     def write(self, stem: Path) -> list[Path]:
         """Write `stem`.json and `stem`.h5, from which `drft simulate --from` reads models back.

@@ -1,4 +1,4 @@
-"""A table and sentences under it, as text for a terminal and as HTML for a notebook."""
+"""Tables and sentences, as text for a terminal and as HTML for a notebook."""
 
 from collections.abc import Sequence
 from io import StringIO
@@ -13,22 +13,24 @@ HTML_WIDTH = 160
 FRAME = '<pre style="line-height: normal; overflow-x: auto">{code}</pre>'
 
 
-def summary_text(table: Table, sentences: Sequence[str], width: int) -> str:
-    """Both as plain text."""
+def summary_text(parts: Sequence[Table | str], width: int) -> str:
+    """Tables and sentences as plain text."""
     console = Console(file=StringIO(), width=width, color_system=None)
-    return _recorded(console, table, sentences).export_text()
+    return _recorded(console, parts).export_text()
 
 
-def summary_html(table: Table, sentences: Sequence[str]) -> str:
-    """Both as HTML that needs no style sheet."""
+def summary_html(parts: Sequence[Table | str]) -> str:
+    """Tables and sentences as HTML that needs no style sheet."""
     console = Console(file=StringIO(), width=HTML_WIDTH)
-    return _recorded(console, table, sentences).export_html(inline_styles=True, code_format=FRAME)
+    return _recorded(console, parts).export_html(inline_styles=True, code_format=FRAME)
 
 
-def _recorded(console: Console, table: Table, sentences: Sequence[str]) -> Console:
+def _recorded(console: Console, parts: Sequence[Table | str]) -> Console:
     console.record = True
-    console.print(table)
-    for sentence in sentences:
-        # File names may hold brackets, which are no markup.
-        console.print(printable(sentence), markup=False, highlight=False)
+    for part in parts:
+        if isinstance(part, Table):
+            console.print(part)
+        else:
+            # File names may hold brackets, which are no markup.
+            console.print(printable(part), markup=False, highlight=False)
     return console

@@ -38,6 +38,7 @@ KEYS = {
     "weights",
     "groups",
     "gap",
+    "steps",
     "where",
     "parameters",
     "correction",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagnose.diagnosis import diagnose
+from diagnose.model_file import model_toml, read_effects
 from diagnose.search import search
 from drftjax.effects.drive import Backlash, SpeedLag
 from drftjax.effects.terrain import TerrainVariation, TerrainWave
@@ -22,7 +23,7 @@ def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
         assert np.sqrt(np.mean(residual[x] ** 2)) < 1e-4
 
 
-def test_another_form_of_an_effect_goes_by_its_name(pool):
+def test_another_form_of_an_effect_goes_by_its_name(pool, tmp_path):
     wave = {"name": "terrain_wave", "cosine": 0.0, "sine": 0.15, "length": 0.15}
     found = diagnose(case_with(pool, wave), (TerrainVariation, TerrainWave))
     assert found.chosen.names == ("terrain_wave",)
@@ -32,3 +33,9 @@ def test_another_form_of_an_effect_goes_by_its_name(pool):
     numbers = found.parameters["terrain_variation"]
     assert numbers["length"].value == pytest.approx(0.15, rel=0.01)
     assert numbers["sine"].value == pytest.approx(0.15, rel=0.05)
+    # The model file holds the form itself, whose numbers the other does not have.
+    model = tmp_path / "model.toml"
+    model.write_text(model_toml(found))
+    (wave,) = read_effects(model)
+    assert isinstance(wave, TerrainWave)
+    assert wave.length == numbers["length"].value

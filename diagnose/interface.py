@@ -1,0 +1,141 @@
+"""`diagnose.diagnose` and `diagnose.evaluate`: runs in, and what they show out, in one call."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import jax
+
+from diagnose.case import Case, threads
+from diagnose.diagnosis import Diagnosis
+from diagnose.diagnosis import diagnose as diagnose_case
+from diagnose.evaluation import Evaluation, evaluated
+from diagnose.model_file import read_effects
+from diagnose.promise import effects_of
+from diagnose.runs import gather, of_one_wheel
+from diagnose.search import Report
+from drftjax.effects.catalogue import catalogue, effect_class
+from drftjax.effects.stage import AbstractEffect
+from drftjax.errors import InputError
+from identify.candidate import Run, candidates_of
+from identify.gathering import Gathered
+
+
+def diagnose(
+    runs: Run | Sequence[Run] | Mapping[str, Run],
+    effects: Sequence[str | type[AbstractEffect]] | None = None,
+    *,
+    progress: Report | None = None,
+) -> Diagnosis:
+    """Find which effect makes runs of one rig differ from the model, as `drft diagnose` does.
+
+        found = diagnose.diagnose("data/blind/demo")
+        print(found.summary())
+
+    Computes in double precision whatever the program around it uses.
+
+    Args:
+        runs: Files and folders of run logs, or run logs, one, several, or several by name. What
+            cannot be used is left out, and the result's notes say why.
+        effects: Names or classes: only these are considered; the whole catalogue otherwise.
+        progress: Called with what is done next.
+
+    Raises:
+        InputError: where no run can be used, or an effect is not known.
+    """
+    chosen = effects_among(effects)
+    with jax.enable_x64(True):
+        return diagnosed(gathered_from(runs), chosen, progress or (lambda stage: None))
+
+
+def evaluate(
+    runs: Run | Sequence[Run] | Mapping[str, Run],
+    model: Diagnosis | str | Path | Sequence[AbstractEffect],
+) -> Evaluation:
+    """Hold a model with effects against runs that it was not found on, as `drft evaluate` does.
+
+    Args:
+        runs: As for `diagnose`.
+        model: A diagnosis, for what its model.toml holds; a set-up file; or effects with their
+            numbers.
+
+    Raises:
+        InputError: where no run can be used, or the model cannot.
+    """
+    with jax.enable_x64(True), threads() as pool:
+        if isinstance(model, str | Path):
+            effects = read_effects(Path(model))
+        elif isinstance(model, Diagnosis):
+            offered = model.correction
+            effects = effects_of(model.chosen) if offered is None else (offered.effect,)
+        else:
+            effects = tuple(model)
+        gathered = gathered_from(runs)
+        return evaluated(Case.of(gathered.candidates, pool), effects, gathered.left_out)
+
+
+def effects_among(
+    wanted: Sequence[str | type[AbstractEffect]] | None,
+) -> tuple[type[AbstractEffect], ...]:
+    """Effects by name or class, each once; the whole catalogue where none are given.
+
+    Raises:
+        InputError: for a name that is not known, with the nearest ones that are; for no effect.
+    """
+    if wanted is None:
+        return tuple(catalogue().values())
+    if isinstance(wanted, str):
+        wanted = [wanted]
+    if not wanted:
+        raise InputError("no effect is named; `drft effects` lists them")
+    classes = [effect_class(each) if isinstance(each, str) else each for each in wanted]
+    return tuple(dict.fromkeys(classes))
+
+
+def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
+    """Runs of one wheel, however they are given.
+
+    Raises:
+        InputError: where none can be used, or the runs are of several wheels and none prevails.
+    """
+    if isinstance(runs, str | Path):
+        return gather([Path(runs)])
+    if not isinstance(runs, Mapping | tuple) and isinstance(runs, Sequence):
+        paths = [Path(each) for each in runs if isinstance(each, str | Path)]
+        if paths and len(paths) == len(runs):
+            return gather(paths)
+    return of_one_wheel(candidates_of(runs))
+
+
+def diagnosed(
+    gathered: Gathered,
+    effects: Sequence[type[AbstractEffect]],
+    report: Report,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """The diagnosis of the runs that the reference model can follow at all.
+
+    Args:
+        gathered: Runs of one wheel, and why others are not among them.
+        effects: Effects to choose from.
+        report: Called with what is done next.
+        tell: Called with a sentence for every run that is left out here.
+
+    Raises:
+        InputError: where no run can be followed.
+    """
+    kept, notes = gathered.candidates, list(gathered.left_out.values())
+    with threads() as pool:
+        while True:
+            try:
+                found = diagnose_case(Case.of(kept, pool), effects, report)
+                break
+            except InputError as problem:
+                why = str(problem)
+                others = [each for each in kept if not why.startswith(f"{each.name}: ")]
+                if not others or len(others) == len(kept):
+                    raise
+                kept = others
+                notes.append(why)
+                tell(f"left out: {why}")
+    return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])

@@ -1,0 +1,109 @@
+"""`diagnose.diagnose` and `diagnose.evaluate`: run logs in; a verdict, summaries and figures out."""
+
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import diagnose
+from drftjax.effects.sensor import TravelGain
+from drftjax.effects.surface import SurfaceSlope
+from drftjax.errors import InputError
+from drftjax.runlog.hdf5 import write_run
+from drftjax.setup import read_setup
+from tests.virtual_cases import PROFILES
+from tests.virtual_runs import recorded, setup_of
+
+SLOPE = 0.02
+BRACKETS = "sand [bold]x"
+# Programs compiled apart sum in another order, which a search's steps carry on.
+ROUNDING = 1e-6
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """Three runs on a slope, by name."""
+    found = {}
+    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
+        setup = setup_of(profile, zeta)
+        # The plates with which a run log is simulated again.
+        setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
+        setup.effects = [{"name": "surface_slope", "slope": SLOPE}]
+        found[f"{BRACKETS}{number}"] = recorded(setup, seed=number, rate=100.0)
+    return found
+
+
+@pytest.fixture(scope="module")
+def found(runs):
+    """In a program of single precision."""
+    with jax.enable_x64(False):
+        return diagnose.diagnose(runs, ["surface_slope", TravelGain])
+
+
+def test_importing_diagnose_leaves_jax_alone():
+    code = "import sys, diagnose; assert 'jax' not in sys.modules; diagnose.diagnose; import jax"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="diagnos_"):
+        _ = diagnose.diagnos_
+
+
+def test_the_answer_is_in_double_precision_whatever_the_program_around_it(found, runs):
+    double = diagnose.diagnose(list(runs.values()), [SurfaceSlope, "travel_gain"])
+    assert found.verdict == double.verdict == ("surface_slope",)
+    for channel, gap in double.gap.items():
+        assert found.gap[channel].before == pytest.approx(gap.before, rel=ROUNDING)
+        assert found.gap[channel].after == pytest.approx(gap.after, rel=ROUNDING)
+
+
+def test_it_tells_and_shows_itself(found):
+    text = found.summary()
+    assert text.startswith("These runs show surface_slope")
+    assert "noise floor" in text
+    assert f"{BRACKETS}0" in text
+    page = found._repr_html_()
+    assert "surface_slope" in page
+    assert f"{BRACKETS}0" in page
+    assert isinstance(found.plot(), Figure)
+
+
+def test_a_model_file_and_the_diagnosis_itself_are_one_model(found, runs, tmp_path):
+    written = found.write(tmp_path / "out")
+    assert [each.name for each in written] == ["diagnosis.json", "model.toml", "report.html"]
+    path = tmp_path / "fresh.h5"
+    write_run(path, runs[f"{BRACKETS}1"])
+    by_file = diagnose.evaluate(path, tmp_path / "out" / "model.toml")
+    with jax.enable_x64(False):
+        by_itself = diagnose.evaluate([runs[f"{BRACKETS}1"]], found)
+    for channel, gap in by_file.gap.items():
+        assert by_itself.gap[channel].after == pytest.approx(gap.after, rel=ROUNDING)
+    # 20 um of noise, and half as much for the effect's numbers.
+    assert by_file.gap["z"].after < 30e-6 < by_file.gap["z"].before
+    (effect,) = by_file.effects
+    assert effect.slope == pytest.approx(SLOPE, rel=0.05)
+    assert "with surface_slope" in by_file.summary()
+    assert "surface_slope" in by_file._repr_html_()
+
+
+def test_effects_are_given_with_their_numbers_too(runs):
+    found = diagnose.evaluate(runs, [SurfaceSlope(slope=SLOPE)])
+    assert found.gap["z"].after < 30e-6 < found.gap["z"].before
+
+
+def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
+    write_run(tmp_path / "good.h5", next(iter(runs.values())))
+    (tmp_path / "bad.h5").write_text("not a run log")
+    found = diagnose.evaluate(tmp_path, [])
+    assert [each.name for each in found.case.candidates] == ["good"]
+    assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
+
+
+def test_bad_input_is_one_sentence(runs):
+    with pytest.raises(InputError, match="surface_slope"):
+        diagnose.diagnose(runs, ["surface_slop"])
+    with pytest.raises(InputError, match="no effect is named"):
+        diagnose.diagnose(runs, [])
+    with pytest.raises(InputError, match="a run is a file"):
+        diagnose.evaluate(np.zeros(3), [])
