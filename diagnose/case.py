@@ -42,15 +42,13 @@ class Case:
     Attributes:
         candidates: The runs, as for a fit.
         batch: The same, padded to common sizes.
-        threads: Where simulations run side by side.
     """
 
     candidates: Sequence[Candidate]
     batch: Batch
-    threads: ThreadPoolExecutor
 
     @classmethod
-    def of(cls, candidates: Sequence[Candidate], threads: ThreadPoolExecutor) -> "Case":
+    def of(cls, candidates: Sequence[Candidate]) -> "Case":
         """Runs made ready.
 
         Raises:
@@ -61,11 +59,25 @@ class Case:
             [each.observation for each in candidates],
             size=next_size,
         )
-        return cls(candidates, batch, threads)
+        return cls(candidates, batch)
 
     @property
     def channels(self) -> tuple[str, ...]:
         return self.batch.channels
+
+    @cached_property
+    def threads(self) -> ThreadPoolExecutor:
+        """As many threads as there are cores: JAX computes outside Python's lock.
+
+        They compute in the precision of the thread that asks first, which JAX does not hand on,
+        and end with the case.
+        """
+        double = bool(jax.config.values["jax_enable_x64"])
+
+        def begin() -> None:
+            jax.enable_x64(double).__enter__()  # for as long as the thread lives
+
+        return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
 
     @cached_property
     def trials(self) -> list[Trial]:
@@ -206,16 +218,3 @@ def _early(case: Case, run: int) -> np.ndarray:
     vx = np.interp(case.time(run), np.asarray(trial.time), np.abs(np.asarray(trial.vx)))
     moved = np.cumsum(omega + vx)
     return (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])
-
-
-def threads() -> ThreadPoolExecutor:
-    """As many threads as there are cores; JAX computes outside Python's lock.
-
-    They compute in the precision of the thread that asks for them, which JAX does not hand on.
-    """
-    double = bool(jax.config.values["jax_enable_x64"])
-
-    def begin() -> None:
-        jax.enable_x64(double).__enter__()  # for as long as the thread lives
-
-    return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)

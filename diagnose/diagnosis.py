@@ -53,7 +53,7 @@ class Number:
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis:
     """What was found.
 
@@ -105,6 +105,9 @@ class Diagnosis:
         from diagnose.report import in_words
 
         return summary_text(in_words(self), width)
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {len(self.case.candidates)} runs: {', '.join(self.verdict)}>"
 
     def _repr_html_(self) -> str:
         from diagnose.report import in_words

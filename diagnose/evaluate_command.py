@@ -59,7 +59,7 @@ def evaluate(
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
-    from diagnose.case import Case, threads
+    from diagnose.case import Case
     from diagnose.evaluation import evaluated
     from diagnose.evaluation_table import gap_table, sentences
     from diagnose.model_file import read_effects
@@ -87,11 +87,10 @@ def evaluate(
         task = bar.add_task("reading runs", total=None)
         gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
-        with threads() as pool:
-            found = evaluated(Case.of(gathered.candidates, pool), effects, gathered.left_out)
-            if tuner:
-                bar.update(task, description="replaying the tuner")
-                moved = moves(found, setting)
+        found = evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
+        if tuner:
+            bar.update(task, description="replaying the tuner")
+            moved = moves(found, setting)
 
     console.print(gap_table(found))
     if moved:
@@ -112,13 +111,14 @@ def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Tab
     from rich.table import Table
 
     table = Table(title="online tuner", title_justify="left")
-    for name in ("run", "sum of |dzeta|", "range of zeta"):
+    for name in ("run", "sum of |dzeta|", "range of zeta", "sinkage left \\[mm]"):
         table.add_column(name, justify="left" if name == "run" else "right")
     for each, (before, after) in zip(found.case.candidates, moved, strict=True):
         table.add_row(
             escape(each.name),
             f"{before.moved:.3f} → {after.moved:.3f}",
             f"{before.range:.3f} → {after.range:.3f}",
+            f"{1e3 * before.sinkage:.3f} → {1e3 * after.sinkage:.3f}",
         )
     table.add_section()
     first, last = (sum(pair[which].moved for pair in moved) for which in (0, 1))
@@ -134,8 +134,6 @@ def _less(before: float, after: float) -> str:
 
 def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", setting) -> dict:
     """The tuner's moves as plain values."""
-    import dataclasses
-
     return {
         "tick": float(setting.tick),
         "zeta_step": float(setting.zeta_step),
@@ -143,12 +141,16 @@ def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", sett
         "runs": [
             {
                 "name": each.name,
-                "before": dataclasses.asdict(before),
-                "after": dataclasses.asdict(after),
+                "before": _numbers(before),
+                "after": _numbers(after),
             }
             for each, (before, after) in zip(found.case.candidates, moved, strict=True)
         ],
     }
+
+
+def _numbers(each: "Moves") -> dict[str, float]:
+    return {"moved": each.moved, "range": each.range, "sinkage_mm": 1e3 * each.sinkage}
 
 
 if __name__ == "__main__":

@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from diagnose.case import Case
@@ -13,7 +15,11 @@ from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.stage import AbstractEffect
+from drftjax.tuner import StepTuner
 from identify.summary import summary_html, summary_text
+
+if TYPE_CHECKING:
+    from diagnose.tuned import Moves
 
 CHANNEL_UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1.0), "fz": ("N", 1.0)}
 TORQUE = ("N m", 1.0)
@@ -24,7 +30,7 @@ def shown(channel: str) -> tuple[str, float]:
     return CHANNEL_UNITS.get(channel, TORQUE)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """What a model leaves of the gap.
 
@@ -58,10 +64,32 @@ class Evaluation:
 
         return summary_text([gap_table(self), *sentences(self)], width)
 
+    def __repr__(self) -> str:
+        names = ", ".join(each.about.name for each in self.effects) or "no effect"
+        return f"<Evaluation of {len(self.case.candidates)} runs: {names}>"
+
     def _repr_html_(self) -> str:
         from diagnose.evaluation_table import gap_table, sentences
 
         return summary_html([gap_table(self), *sentences(self)])
+
+    def tuned(
+        self, tick: float = 0.01, zeta_step: float = 1e-3, tolerance: float = 1e-4
+    ) -> "list[tuple[Moves, Moves]]":
+        """How the online tuner of eq. 7 moves zeta in each run, before and after.
+
+        Args:
+            tick: Its control period [s].
+            zeta_step: Change of zeta on one tick [-].
+            tolerance: Error of the sinkage that is left alone [m].
+
+        Raises:
+            InputError: where a number cannot be, or a replay diverges.
+        """
+        from diagnose.tuned import moves
+
+        with jax.enable_x64(True):
+            return moves(self, StepTuner(tick, zeta_step, tolerance))
 
     def rmse(self, run: int) -> dict[str, tuple[float, float]]:
         """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""

@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
+import numpy as np
 
-from diagnose.case import Case, threads
+from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
@@ -62,16 +63,17 @@ def evaluate(
     Raises:
         InputError: where no run can be used, or the model cannot.
     """
-    with jax.enable_x64(True), threads() as pool:
+    with jax.enable_x64(True):
         if isinstance(model, str | Path):
             effects = read_effects(Path(model))
         elif isinstance(model, Diagnosis):
             offered = model.correction
             effects = effects_of(model.chosen) if offered is None else (offered.effect,)
         else:
-            effects = tuple(model)
+            # Made in single precision where the program around it is.
+            effects = jax.tree.map(lambda number: np.asarray(number, float), tuple(model))
         gathered = gathered_from(runs)
-        return evaluated(Case.of(gathered.candidates, pool), effects, gathered.left_out)
+        return evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
 
 
 def effects_among(
@@ -125,17 +127,16 @@ def diagnosed(
         InputError: where no run can be followed.
     """
     kept, notes = gathered.candidates, list(gathered.left_out.values())
-    with threads() as pool:
-        while True:
-            try:
-                found = diagnose_case(Case.of(kept, pool), effects, report)
-                break
-            except InputError as problem:
-                why = str(problem)
-                others = [each for each in kept if not why.startswith(f"{each.name}: ")]
-                if not others or len(others) == len(kept):
-                    raise
-                kept = others
-                notes.append(why)
-                tell(f"left out: {why}")
+    while True:
+        try:
+            found = diagnose_case(Case.of(kept), effects, report)
+            break
+        except InputError as problem:
+            why = str(problem)
+            others = [each for each in kept if not why.startswith(f"{each.name}: ")]
+            if not others or len(others) == len(kept):
+                raise
+            kept = others
+            notes.append(why)
+            tell(f"left out: {why}")
     return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])

@@ -27,7 +27,7 @@ def own_errors(case: Case, log_zeta: np.ndarray) -> dict[str, float]:
         case: The runs.
         log_zeta: Each run's log zeta over its set-up's, shape (runs,).
     """
-    fine = Case.of([on_finer_plates(each) for each in case.candidates], case.threads)
+    fine = Case.of([on_finer_plates(each) for each in case.candidates])
     plain, nothing = Model(), np.zeros(0)
     fine.warm(predict, [plain])
     z = case.channels.index("z")

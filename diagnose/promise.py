@@ -1,7 +1,6 @@
 """What a diagnosis promised, measured on runs that it never saw."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,17 +20,14 @@ MOST_TURNS = 8
 CLOSE_ENOUGH = 1e-4
 
 
-def measured_on(
-    diagnosis: Diagnosis, paths: Sequence[Path], pool: ThreadPoolExecutor
-) -> dict[str, Gap]:
+def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
     """The gap before and after on other runs of the same rig, by channel.
 
     Args:
         diagnosis: Whose effects are added, with their numbers as they are.
         paths: The other runs.
-        pool: Where runs are simulated side by side.
     """
-    case = Case.of(candidates_of(list(paths)), pool)
+    case = Case.of(candidates_of(list(paths)))
     chosen = diagnosis.chosen
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, chosen.model, chosen.coordinates)

@@ -15,13 +15,13 @@ FRAME = '<pre style="line-height: normal; overflow-x: auto">{code}</pre>'
 
 def summary_text(parts: Sequence[Table | str], width: int) -> str:
     """Tables and sentences as plain text."""
-    console = Console(file=StringIO(), width=width, color_system=None)
+    console = Console(file=StringIO(), width=width, color_system=None, force_jupyter=False)
     return _recorded(console, parts).export_text()
 
 
 def summary_html(parts: Sequence[Table | str]) -> str:
     """Tables and sentences as HTML that needs no style sheet."""
-    console = Console(file=StringIO(), width=HTML_WIDTH)
+    console = Console(file=StringIO(), width=HTML_WIDTH, force_jupyter=False)
     return _recorded(console, parts).export_html(inline_styles=True, code_format=FRAME)
 
 

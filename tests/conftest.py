@@ -48,15 +48,6 @@ def drft(monkeypatch, capsys) -> "Drft":
     return Drft(monkeypatch, capsys)
 
 
-@pytest.fixture(scope="session")
-def pool():
-    """Threads that runs of a case are simulated in."""
-    from diagnose.case import threads
-
-    with threads() as executor:
-        yield executor
-
-
 @pytest.fixture(scope="module", autouse=True)
 def compiled_programs_go_with_their_module():
     """Give back the memory of a module's programs, or a few workers would fill a small machine."""

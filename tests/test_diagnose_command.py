@@ -220,6 +220,8 @@ def test_the_model_file_closes_the_gap_of_other_runs(diagnosed, logs, drft, tmp_
     assert [each["name"] for each in document["runs"]] == ["run_0", "run_1", "run_2"]
     moved = [[each[w]["moved"] for w in ("before", "after")] for each in document["tuner"]["runs"]]
     assert all(after < before for before, after in moved)
+    # The dead band leaves 0.1 mm at most where zeta need not move.
+    assert all(each["after"]["sinkage_mm"] < 0.1 for each in document["tuner"]["runs"])
 
 
 def test_a_model_without_effects_is_the_reference_model(logs, drft):

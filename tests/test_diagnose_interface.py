@@ -1,4 +1,4 @@
-"""`diagnose.diagnose` and `diagnose.evaluate`: run logs in; a verdict, summaries and figures out."""
+"""`diagnose.diagnose` and `diagnose.evaluate`: runs in; a verdict, summaries and figures out."""
 
 import subprocess
 import sys
@@ -87,9 +87,18 @@ def test_a_model_file_and_the_diagnosis_itself_are_one_model(found, runs, tmp_pa
     assert "surface_slope" in by_file._repr_html_()
 
 
-def test_effects_are_given_with_their_numbers_too(runs):
-    found = diagnose.evaluate(runs, [SurfaceSlope(slope=SLOPE)])
-    assert found.gap["z"].after < 30e-6 < found.gap["z"].before
+def test_the_tuner_hides_what_an_effect_with_its_numbers_explains(runs):
+    with jax.enable_x64(False):
+        evaluated = diagnose.evaluate(runs, [SurfaceSlope(slope=SLOPE)])
+        # Fast enough a tuner that its slew limit does not show.
+        tuned = evaluated.tuned(zeta_step=5e-3)
+    assert evaluated.gap["z"].after < 30e-6 < evaluated.gap["z"].before
+    for before, after in tuned:
+        # Its dead band is 0.1 mm, and a speeding wheel is met late.
+        assert max(before.sinkage, after.sinkage) < 0.3e-3
+        assert before.range > 5 * after.range
+        assert before.time.shape == before.zeta.shape
+        assert np.ptp(before.zeta) == before.range
 
 
 def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):

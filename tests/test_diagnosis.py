@@ -26,8 +26,8 @@ CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
 
 
 @pytest.fixture(scope="module")
-def sloping(pool) -> Case:
-    return case_with(pool, {"name": "surface_slope", "slope": 0.02})
+def sloping() -> Case:
+    return case_with({"name": "surface_slope", "slope": 0.02})
 
 
 @pytest.fixture(scope="module")
@@ -105,15 +105,15 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
     assert any("repeats" in note for note in found.notes)
 
 
-def test_nothing_added_is_none(pool):
-    found = diagnose(case_with(pool), CATALOGUE)
+def test_nothing_added_is_none():
+    found = diagnose(case_with(), CATALOGUE)
     assert found.verdict == ("none",)
     assert found.parameters == {}
 
 
-def test_two_effects_are_added_one_by_one(pool):
+def test_two_effects_are_added_one_by_one():
     slope = {"name": "surface_slope", "slope": 0.02}
-    found = diagnose(case_with(pool, slope, {"name": "travel_gain", "gain": 0.02}), CATALOGUE)
+    found = diagnose(case_with(slope, {"name": "travel_gain", "gain": 0.02}), CATALOGUE)
     assert set(found.verdict) == {"surface_slope", "travel_gain"}
     alone, both = found.steps
     assert (alone.effects, len(both.effects)) == (both.effects[:1], 2)
@@ -124,8 +124,8 @@ def test_two_effects_are_added_one_by_one(pool):
     assert step_sentences(found)[0].startswith("Added one by one")
 
 
-def test_one_run_says_what_cannot_be_concluded(sloping, pool):
-    alone = Case.of([sloping.candidates[0]], pool)
+def test_one_run_says_what_cannot_be_concluded(sloping):
+    alone = Case.of([sloping.candidates[0]])
     found = diagnose(alone, (SurfaceSlope, TravelGain))
     assert any("One run only" in note for note in found.notes)
     assert any("No run was repeated" in note for note in found.notes)
@@ -153,9 +153,9 @@ def test_a_line_stays_at_its_least():
     assert line.left[0] == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_bound_of_a_strength_counts_in_its_own_unit(pool):
+def test_a_bound_of_a_strength_counts_in_its_own_unit():
     # A loss of 0.3 is three typical sizes, and may be one, or ten sizes, at most.
-    case = case_with(pool, {"name": "slip_softening", "loss": 0.3, "half": 0.01})
+    case = case_with({"name": "slip_softening", "loss": 0.3, "half": 0.01})
     bench = Bench.of(case, baseline(case), (SlipSoftening,))
     start = proposed(bench, [bench.variants[2]])
     found = settled(bench, start, 4)

@@ -17,8 +17,8 @@ LASTING = 3.0
 
 
 @pytest.fixture(scope="module")
-def fast(pool) -> Diagnosis:
-    return against_quasi_static(FAST, EFFECTS, pool, LASTING)
+def fast() -> Diagnosis:
+    return against_quasi_static(FAST, EFFECTS, LASTING)
 
 
 def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
@@ -45,5 +45,5 @@ def test_at_300_deg_a_second_both_terms_are_named(fast):
     assert set(fast.verdict) == set(TERMS)
 
 
-def test_at_30_deg_a_second_neither_is_named(pool):
-    assert against_quasi_static(SLOW, EFFECTS, pool, LASTING).verdict == ("none",)
+def test_at_30_deg_a_second_neither_is_named():
+    assert against_quasi_static(SLOW, EFFECTS, LASTING).verdict == ("none",)

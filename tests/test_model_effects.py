@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.case import Case, baseline, threads
+from diagnose.case import Case, baseline
 from diagnose.response import Model
 from tests.virtual_runs import coarse, recorded, setup_of
 
@@ -25,11 +25,10 @@ LEFT = 30e-6
 def test_what_the_set_up_knows_already_is_no_gap(effect):
     true = setup_of(PROFILE, ZETA)
     true.effects = [effect]
-    with threads() as pool:
-        case = Case.of([coarse("run", recorded(true, rate=100.0), model=true)], pool)
-        (log_zeta,) = baseline(case)
-        residual = case.predicted(Model(), 0, log_zeta, np.zeros(0)) - case.recorded(0)
-        path = case.trace(0, log_zeta)
+    case = Case.of([coarse("run", recorded(true, rate=100.0), model=true)])
+    (log_zeta,) = baseline(case)
+    residual = case.predicted(Model(), 0, log_zeta, np.zeros(0)) - case.recorded(0)
+    path = case.trace(0, log_zeta)
     assert abs(log_zeta) < 0.01
     assert np.sqrt(np.mean(residual**2)) < LEFT
     assert all(bool(jnp.isfinite(each).all()) for each in (path.motion, path.carry))

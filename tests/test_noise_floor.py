@@ -24,8 +24,8 @@ def run():
     return coarse("run", recorded(setup_of(PROFILE), rate=100.0, noise=0.0))
 
 
-def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, pool):
-    case = Case.of([run], pool)
+def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
+    case = Case.of([run])
     log_zeta = baseline(case)
     own = own_errors(case, log_zeta)
     values = run.observation.values.copy()
@@ -34,7 +34,7 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, po
         dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
     )
     assert fine.setup.wheel.plate_size == PLATE / 2
-    (left,) = followed(Case.of([fine], pool), Model(), np.zeros(0))
+    (left,) = followed(Case.of([fine]), Model(), np.zeros(0))
     assert own == pytest.approx(
         dict(zip(("x", "z"), np.sqrt(np.mean(left.residual**2, axis=1)), strict=True)), rel=AGREE
     )

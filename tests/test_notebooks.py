@@ -46,6 +46,9 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
     assert time.monotonic() - began < TIME_LIMIT_S
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert any("image/png" in output.get("data", {}) for output in outputs)
+    # A result shows itself once: its table is not printed beside.
+    for cell in notebook.cells:
+        assert sum("text/html" in each.get("data", {}) for each in cell.get("outputs", [])) <= 1
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

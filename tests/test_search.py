@@ -11,9 +11,9 @@ from drftjax.effects.terrain import TerrainVariation, TerrainWave
 from tests.virtual_cases import case_with
 
 
-def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
+def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way():
     # The wheel starts 0.9 s late at 0.5 rad/s: x is behind by 30 mm, a thousand times its noise.
-    found = search(case_with(pool, {"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
+    found = search(case_with({"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
     best = found.singles[0]
     assert best.names == ("backlash",)
     # A step of 2 ms at 0.3 rad/s is 0.6 mrad.
@@ -23,9 +23,9 @@ def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
         assert np.sqrt(np.mean(residual[x] ** 2)) < 1e-4
 
 
-def test_another_form_of_an_effect_goes_by_its_name(pool, tmp_path):
+def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     wave = {"name": "terrain_wave", "cosine": 0.0, "sine": 0.15, "length": 0.15}
-    found = diagnose(case_with(pool, wave), (TerrainVariation, TerrainWave))
+    found = diagnose(case_with(wave), (TerrainVariation, TerrainWave))
     assert found.chosen.names == ("terrain_wave",)
     assert found.verdict == ("terrain_variation",)
     assert found.weights["terrain_variation"] > 0.9

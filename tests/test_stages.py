@@ -1,6 +1,5 @@
 """Unknown errors found in the stage where they were put in, and what they follow."""
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import jax.numpy as jnp
@@ -28,7 +27,6 @@ LINES_ERR = 0.25
 # An error holds its signal's truth within this many standard errors nearly everywhere; responses
 # are straight lines, which takes the rest.
 SIGMAS, NEARLY_EVERYWHERE = 3.0, 0.9
-POOL = ThreadPoolExecutor(2)
 
 
 @cache
@@ -39,7 +37,7 @@ def case() -> Case:
         setup = setup_of(profile, TRUE_ZETA)
         setup.integrator.step = 5e-4
         runs.append(coarse(f"run {speed:g}", recorded(setup), step=5e-4))
-    return Case.of(runs, POOL)
+    return Case.of(runs)
 
 
 def log_zeta() -> np.ndarray:
@@ -187,7 +185,7 @@ def test_a_correction_refuses_what_its_stage_cannot_know():
 
 
 def test_one_run_alone_is_described():
-    one = Case.of(case().candidates[:1], POOL)
+    one = Case.of(case().candidates[:1])
     found = stages(one, log_zeta()[:1], left(with_(SpeedGain, gain=0.05))[:1])
     assert found[0].name == "speed"
     assert follows(one, found[0])[0][1] > 0.5
@@ -197,7 +195,7 @@ def test_a_driven_carriage_has_stages_too():
     profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
     setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
     run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
-    driven = Case.of([coarse("driven", run)], POOL)
+    driven = Case.of([coarse("driven", run)])
     at = log_zeta()[:1]
     reference = driven.predicted(Model(), 0, at[0], np.zeros(0))
     shifted = reference.copy()

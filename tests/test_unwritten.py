@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.case import Case, threads
+from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.model_file import read_effects
 from diagnose.report import page, paragraphs, write
@@ -77,8 +77,7 @@ def found(packing, tmp_path_factory) -> Diagnosis:
     folder = tmp_path_factory.mktemp("packing")
     for number, each in enumerate(RUNS):
         written(folder, f"run_{number}", *each, seed=number)
-    with threads() as pool:
-        return diagnose(Case.of(gather([folder]).candidates, pool), ())
+    return diagnose(Case.of(gather([folder]).candidates), ())
 
 
 @pytest.fixture(scope="module")

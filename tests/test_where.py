@@ -1,7 +1,6 @@
 """Where a gap lies: shares worked out by hand, and lines put into made-up errors."""
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from time import perf_counter
 
@@ -17,7 +16,6 @@ from tests.virtual_runs import SLOW, coarse, recorded, setup_of
 EXACT = 1e-9
 LEAK = 0.12
 FLOOR = {"x": 1e-4, "z": 1e-4, "fx": 1.0, "fz": 1.0, "torque": 0.1}
-POOL = ThreadPoolExecutor(1)
 
 
 @cache
@@ -46,7 +44,7 @@ def case_of(*runs: RunLog, masses: tuple[float, ...] = ()) -> Case:
     candidates = [coarse(f"run {k}", run) for k, run in enumerate(runs)]
     for each, mass in zip(candidates, masses, strict=False):
         each.setup.rig.mass_z = mass
-    return Case.of(candidates, POOL)
+    return Case.of(candidates)
 
 
 def nothing(case: Case) -> list[np.ndarray]:

@@ -1,7 +1,5 @@
 """A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 from diagnose.case import Case
 from tests.virtual_runs import coarse, recorded, setup_of
 
@@ -13,11 +11,11 @@ PROFILES = (
 )
 
 
-def case_with(pool: ThreadPoolExecutor, *effects: dict) -> Case:
+def case_with(*effects: dict) -> Case:
     """Runs of a rig with these effects, as entries of a set-up file."""
     found = []
     for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
         setup = setup_of(profile, zeta)
         setup.effects = list(effects)
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
-    return Case.of(found, pool)
+    return Case.of(found)

@@ -11,14 +11,13 @@ import argparse
 import copy
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from diagnose.case import Case, threads
+from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.hypothesis import Hypothesis
 from diagnose.left_out import predicted_unseen
@@ -128,28 +127,28 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
 
 
 def diagnosed(
-    candidates: Sequence[Candidate], effects: Sequence[type[AbstractEffect]], pool
+    candidates: Sequence[Candidate], effects: Sequence[type[AbstractEffect]]
 ) -> Diagnosis:
     """What the diagnosis says of some runs."""
-    return diagnose(Case.of(candidates, pool), effects)
+    return diagnose(Case.of(candidates), effects)
 
 
-def answers(folder: Path, pool: ThreadPoolExecutor, console: Console) -> None:
+def answers(folder: Path, console: Console) -> None:
     """Print all diagnoses."""
     everything = tuple(catalogue().values())
     laws = tuple(effect_class(name) for name in STRESS_LAWS)
     one = runs(folder, ONE_PACKING)
-    say(console, "One packing, by the whole catalogue", diagnosed(one, everything, pool))
+    say(console, "One packing, by the whole catalogue", diagnosed(one, everything))
     two = runs(folder, TWO_PACKINGS)
-    say(console, "Two packings, by the whole catalogue", diagnosed(two, everything, pool))
-    say(console, "One packing, by the stress laws alone", diagnosed(one, laws, pool))
-    say(console, "Two packings, by the stress laws alone", diagnosed(two, laws, pool))
+    say(console, "Two packings, by the whole catalogue", diagnosed(two, everything))
+    say(console, "One packing, by the stress laws alone", diagnosed(one, laws))
+    say(console, "Two packings, by the stress laws alone", diagnosed(two, laws))
     depth = PLATE_OFFSET / PLATE_RISE
     hand = tuple(effect_class(name) for name in BY_HAND)
-    say(console, "Two packings, by four effects chosen by hand", diagnosed(two, hand, pool))
+    say(console, "Two packings, by four effects chosen by hand", diagnosed(two, hand))
     by_plates = runs(folder, ONE_PACKING, [{"name": "cohesion", "depth": depth}])
     title = f"One packing, with the plates' own law in the model (cohesion {depth * MM:.0f} mm)"
-    say(console, title, diagnosed(by_plates, laws[:1], pool))
+    say(console, title, diagnosed(by_plates, laws[:1]))
     console.print(
         f"\nThe plates' law as a depth_hardening over the wheel's depths, 0 to 30 mm: excess "
         f"{plates_as_hardening():.2f}."
@@ -164,8 +163,7 @@ def main() -> None:
     if not folder.is_dir():
         sys.exit(f"{folder}: there is no such folder; the runs are not part of this project")
     configure_jax()
-    with threads() as pool:
-        answers(folder, pool, Console(width=150))
+    answers(folder, Console(width=150))
 
 
 if __name__ == "__main__":

@@ -10,11 +10,10 @@ hundred degrees a second the two dynamic terms must be named; at the paper's 30 
 import copy
 import dataclasses
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from diagnose.case import Case, threads
+from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.left_out import predicted_unseen
 from drftjax.effects.catalogue import catalogue
@@ -65,7 +64,6 @@ def dynamic_runs(
 def against_quasi_static(
     tops: Sequence[float],
     effects: Sequence[type[AbstractEffect]],
-    pool: ThreadPoolExecutor,
     lasting: float = RUNS,
 ) -> Diagnosis:
     """The diagnosis of such runs, had nobody thought of the dynamic terms."""
@@ -75,7 +73,7 @@ def against_quasi_static(
         believed.terrain.inertial_coefficient = 0.0
         believed.terrain.height_decrease = 0.0
         candidates.append(candidate(f"run {number}", run, model=believed))
-    return diagnose(Case.of(candidates, pool), effects)
+    return diagnose(Case.of(candidates), effects)
 
 
 def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") -> float:
@@ -94,9 +92,8 @@ def main() -> None:
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
-    with threads() as pool:
-        for name, tops in (("fast", FAST), ("slow", SLOW)):
-            say(name, tops, against_quasi_static(tops, tuple(catalogue().values()), pool))
+    for name, tops in (("fast", FAST), ("slow", SLOW)):
+        say(name, tops, against_quasi_static(tops, tuple(catalogue().values())))
 
 
 def say(name: str, tops: Sequence[float], found: Diagnosis) -> None:
