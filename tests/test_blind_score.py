@@ -220,6 +220,26 @@ def test_answer_and_score_from_the_command_line(sets, blind, tmp_path, monkeypat
     assert found["wrong"] == [{"set": "set_2", "true": ["drawbar"], "answered": []}]
 
 
+def test_several_folders_are_scored_as_one(tmp_path, monkeypatch, capsys):
+    run = _app(monkeypatch, capsys)
+    folders, files = [tmp_path / "a", tmp_path / "b"], [tmp_path / "a.json", tmp_path / "b.json"]
+    for folder, file, effects in zip(folders, files, ([], ["drawbar"]), strict=True):
+        folder.mkdir()
+        seal(folder, {"set_1": told(effects, 10.0)})
+        answers = {"set_1": {"verdict": ["drawbar"], "weights": {"drawbar": 1.0}}}
+        file.write_text(json.dumps({"schema": SCHEMA, "schema_version": 1, "answers": answers}))
+    each = [part for file in files for part in ("--answers", file)]
+    run("score", *folders, *each, "-o", tmp_path / "score.json")
+    found = json.loads((tmp_path / "score.json").read_text())
+    assert found["sets"] == 2
+    assert found["kinds"]["single, plain"]["first"]["hits"] == 1
+    assert [each["set"] for each in found["wrong"]] == [f"{folders[0]}/set_1"]
+    with pytest.raises(InputError, match="each folder needs one --answers"):
+        run("score", *folders, *each[:2])
+    with pytest.raises(InputError, match="given twice"):
+        run("score", folders[0], folders[0], *each)
+
+
 def test_answers_already_in_the_file_are_kept(sets, blind, tmp_path, monkeypatch, capsys):
     run = _app(monkeypatch, capsys)
     kept = {"verdict": ["drawbar"], "weights": {"drawbar": 1.0}, "notes": ["by another program"]}

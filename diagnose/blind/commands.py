@@ -104,39 +104,41 @@ def answer(
 
 
 SCORE_EXAMPLES = """
-Example:
+Examples:
 
+\b
   drft blind score out/blind --answers out/answers.json -o out/score.json
+  drft blind score out/first out/second --answers out/first.json \\
+      --answers out/second.json
 """
 
 
 @app.command(epilog=SCORE_EXAMPLES)
 def score(
-    folder: Annotated[Path, typer.Argument(help="The folder of sets, with its labels.")],
-    answers: Annotated[Path, typer.Option(help="The answers to them (JSON).")],
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders of sets, with their labels.", show_default=False)
+    ],
+    answers: Annotated[
+        list[Path],
+        typer.Option(help="The answers to them (JSON); for several folders, one for each."),
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the score here (JSON).")
     ] = None,
 ) -> None:
-    """Open the labels of a folder of sets and hold answers against them."""
+    """Open the labels of folders of sets and hold answers against them, all together."""
     import json
 
     from rich.console import Console
 
-    from diagnose.blind.answers import read_answers
     from diagnose.blind.score import score as scored
     from diagnose.blind.score_table import tables
-    from diagnose.blind.sealing import open_labels
+    from diagnose.blind.together import opened
     from drftjax.runlog.replace import replace_file, require_places
 
     if output is not None:
-        require_places([output], [answers])
-    given = read_answers(answers)
-    labels = open_labels(folder)
-    strangers = sorted(set(given) - set(labels))
-    if strangers:
-        raise InputError(f"{answers}: answers {strangers[0]!r}, which {folder} has no label of")
-    found = scored(labels, given)
+        require_places([output], answers)
+    found = scored(*opened(folders, answers))
     console = Console()
     for table in tables(found):
         console.print(table)
