@@ -11,6 +11,8 @@ from diagnose.reachable import can_shrink, gone
 
 DRAWS = 400
 LEVEL = 0.9
+# An interval is of what so many runs more would show: a few, each of a command and load of its own.
+FRESH = 3
 MM = 1e3
 
 
@@ -23,7 +25,7 @@ class Gap:
             out while it was fitted [m, N, N m].
         floor: Noise floor.
         shrinkage: Share of what could be reached above the floor that the effect removes [-].
-        interval: Where it lies with 90 %, from run to run; of draws in which a gap could shrink.
+        interval: Where it lies with 90 % on a few runs more; of draws in which a gap could shrink.
     """
 
     before: float
@@ -59,7 +61,7 @@ def gaps(
     after: Sequence[np.ndarray],
     floors: Mapping[str, float],
 ) -> dict[str, Gap]:
-    """The gap in every channel, with intervals by drawing conditions anew.
+    """The gap in every channel, with intervals by drawing a few conditions anew.
 
     Args:
         case: The runs.
@@ -68,7 +70,7 @@ def gaps(
     """
     groups = conditions(case.candidates)
     generator = np.random.default_rng(0)
-    draws = generator.integers(0, len(groups), (DRAWS, len(groups)))
+    draws = generator.integers(0, len(groups), (DRAWS, FRESH))
     found = {}
     for index, channel in enumerate(case.channels):
         power = np.zeros((len(groups), 3))
@@ -89,7 +91,14 @@ def gaps(
 
         first, last = of(power)
         share = shrinkage(first, last, floor)
-        drawn = [gone(*each, floor) for each in map(of, power[draws]) if can_shrink(each[0], floor)]
-        interval = np.quantile(drawn or [share], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        found[channel] = Gap(first, last, floor, share, (float(interval[0]), float(interval[1])))
+        # What is left below the floor is chance, and elsewhere will be as large as the floor.
+        chance = max(1.0, floor / last) if last > 0 else 1.0
+        drawn = [
+            gone(was, chance * left, floor)
+            for was, left in map(of, power[draws])
+            if can_shrink(was, floor)
+        ]
+        low, high = np.quantile(drawn or [share], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        interval = min(float(low), share), max(float(high), share)
+        found[channel] = Gap(first, last, floor, share, interval)
     return found

@@ -9,6 +9,7 @@ import pytest
 from diagnose.case import Case, baseline
 from diagnose.plates import on_finer_plates, own_errors
 from diagnose.promise import followed
+from diagnose.reachable import gone
 from diagnose.response import Model
 from diagnose.shrinkage import gaps
 from tests.virtual_runs import PLATE, coarse, recorded, setup_of
@@ -57,3 +58,27 @@ def test_an_interval_is_of_draws_in_which_something_could_shrink():
     nothing = gaps(case, after[1:] * 2, after[1:] * 2, {"x": 1.0})["x"]  # pyright: ignore
     assert not nothing.can_shrink
     assert nothing.interval == (0.0, 0.0)
+
+
+def test_an_interval_holds_what_a_few_runs_more_show():
+    """Where all that is left is chance, which differs from run to run."""
+    random = np.random.default_rng(0)
+    setups = [setup_of((PROFILE[0], [0.0, 0.0, w, w])) for w in np.linspace(0.3, 0.9, 8)]
+    candidates = [SimpleNamespace(setup=each) for each in setups]
+    case = SimpleNamespace(candidates=candidates, channels=("x",))
+    held, narrow, cases = 0, 0, 200
+    for _ in range(cases):
+        before, after = (
+            3.0 * np.exp(0.2 * random.standard_normal(11)),
+            np.exp(0.4 * random.standard_normal(11)),
+        )
+        nine, fresh = slice(8), slice(8, None)
+        runs = [[np.full((1, 2), each) for each in values[nine]] for values in (before, after)]
+        gap = gaps(case, *runs, {"x": 1.0})["x"]  # pyright: ignore[reportArgumentType]
+        low, high = gap.interval
+        rms = [float(np.sqrt(np.mean(each[fresh] ** 2))) for each in (before, after)]
+        held += low <= gone(*rms, 1.0) <= high
+        narrow += high - low < 0.02
+    # 90 % is asked; eight conditions show only a part of how much chance swings.
+    assert 0.80 * cases < held < 0.97 * cases
+    assert narrow == 0
