@@ -1,7 +1,7 @@
 """`diagnose.diagnose` and `diagnose.evaluate`: runs in, and what they show out, in one call."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -70,10 +70,21 @@ def evaluate(
             offered = model.correction
             effects = effects_of(model.chosen) if offered is None else (offered.effect,)
         else:
-            # Made in single precision where the program around it is.
-            effects = jax.tree.map(lambda number: np.asarray(number, float), tuple(model))
+            effects = _numbered(model)
         gathered = gathered_from(runs)
         return evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
+
+
+def _numbered(given: object) -> tuple[AbstractEffect, ...]:
+    """Effects in double precision, which they lack where the program around them does."""
+    effects = tuple(given) if isinstance(given, Iterable) else (given,)
+    for each in effects:
+        if not isinstance(each, AbstractEffect):
+            raise InputError(
+                f"the model is given by {each!r}; it must be a diagnosis, a set-up file, or "
+                "effects with their numbers, such as [SurfaceSlope(slope=0.01)]"
+            )
+    return jax.tree.map(lambda number: np.asarray(number, float), effects)
 
 
 def effects_among(
@@ -91,6 +102,9 @@ def effects_among(
     if not wanted:
         raise InputError("no effect is named; `drft effects` lists them")
     classes = [effect_class(each) if isinstance(each, str) else each for each in wanted]
+    for each in classes:
+        if not (isinstance(each, type) and issubclass(each, AbstractEffect)):
+            raise InputError(f"{each!r} is given as an effect; give names, or classes of effects")
     return tuple(dict.fromkeys(classes))
 
 
@@ -106,7 +120,10 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
         paths = [Path(each) for each in runs if isinstance(each, str | Path)]
         if paths and len(paths) == len(runs):
             return gather(paths)
-    return of_one_wheel(candidates_of(runs))
+    candidates = candidates_of(runs)
+    if not candidates:
+        raise InputError("there is no run: give files, folders or run logs")
+    return of_one_wheel(candidates)
 
 
 def diagnosed(

@@ -116,3 +116,10 @@ def test_bad_input_is_one_sentence(runs):
         diagnose.diagnose(runs, [])
     with pytest.raises(InputError, match="a run is a file"):
         diagnose.evaluate(np.zeros(3), [])
+    with pytest.raises(InputError, match="no run"):
+        diagnose.diagnose({})
+    with pytest.raises(InputError, match="names, or classes"):
+        diagnose.diagnose(runs, [3])  # pyright: ignore[reportArgumentType]
+    for model in (["surface_slope"], None):
+        with pytest.raises(InputError, match="effects with their numbers"):
+            diagnose.evaluate(runs, model)  # pyright: ignore[reportArgumentType]
