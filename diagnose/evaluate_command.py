@@ -77,15 +77,15 @@ def evaluate(
         require_places([output], [model])
     console = Console()
 
-    def say(text: str, style: str | None = None) -> None:
+    def say(text: str) -> None:
         # File names may hold brackets, and are to be copied from one line.
-        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+        console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     moved: list[tuple[Moves, Moves]] = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
+        gathered = gather(runs)
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
         found = evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
         if tuner:
