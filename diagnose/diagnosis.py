@@ -23,7 +23,7 @@ from diagnose.steps import Step, one_by_one
 from diagnose.unwritten import Correction, Unwritten, unwritten
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
-from drftjax.effects.catalogue import numbers, spoken, spoken_of
+from drftjax.effects.catalogue import effect_class, numbers, spoken, spoken_of
 from drftjax.effects.stage import AbstractEffect
 from identify.summary import summary_html, summary_text
 
@@ -99,6 +99,11 @@ class Diagnosis:
     def correction(self) -> Correction | None:
         """A curve offered in the place of an effect that nobody has written."""
         return None if self.unwritten is None else self.unwritten.offered
+
+    def meaning(self, name: str) -> str:
+        """What an effect of the verdict does; it may be of the user's own and in no catalogue."""
+        given = {each.effect.about.name: each.effect for each in self.found.bench.variants}
+        return (given.get(name) or effect_class(name)).about.meaning
 
     def summary(self, width: int = 110) -> str:
         """Verdict, gaps and all else in words, as text so many columns wide."""

@@ -24,7 +24,7 @@ from diagnose.report_figures import (
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax import __version__
-from drftjax.effects.catalogue import effect_class, spoken
+from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file
@@ -53,7 +53,7 @@ def verdict(found: Diagnosis) -> str:
             f"Something makes {runs} differ from the reference model (weight {percent(weight)}), "
             "but no effect that is known here explains it."
         )
-    effects = " and ".join(f"{name} ({effect_class(name).about.meaning})" for name in found.verdict)
+    effects = " and ".join(f"{name} ({found.meaning(name)})" for name in found.verdict)
     if alone:
         return (
             f"This run looks like {effects}, with weight {percent(weight)}; one run alone "
@@ -319,7 +319,7 @@ def _signal(found: Diagnosis) -> dict[str, Any] | None:
 
 def _parameter_rows(found: Diagnosis) -> list[Sequence[str]]:
     return [
-        (name, effect_class(name).about.meaning, key, told(each))
+        (name, found.meaning(name), key, told(each))
         for name, numbers in found.parameters.items()
         for key, each in numbers.items()
     ]
