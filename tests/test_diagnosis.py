@@ -111,19 +111,6 @@ def test_nothing_added_is_none():
     assert found.parameters == {}
 
 
-def test_two_effects_are_added_one_by_one():
-    slope = {"name": "surface_slope", "slope": 0.02}
-    found = diagnose(case_with(slope, {"name": "travel_gain", "gain": 0.02}), CATALOGUE)
-    assert set(found.verdict) == {"surface_slope", "travel_gain"}
-    alone, both = found.steps
-    assert (alone.effects, len(both.effects)) == (both.effects[:1], 2)
-    # Each shows in a channel of its own: the one added last is what was still missing there.
-    last = {"surface_slope": "z", "travel_gain": "x"}[both.effects[1]]
-    assert alone.gap[last].shrinkage < 0.5 < 0.9 < both.gap[last].shrinkage
-    assert {c: gap.document() for c, gap in both.gap.items()} == found.document()["gap"]
-    assert step_sentences(found)[0].startswith("Added one by one")
-
-
 def test_one_run_says_what_cannot_be_concluded(sloping):
     alone = Case.of([sloping.candidates[0]])
     found = diagnose(alone, (SurfaceSlope, TravelGain))

@@ -7,6 +7,7 @@ asked for the two terms alone, so that the answer takes a minute of computing.
 import pytest
 
 from diagnose.diagnosis import Diagnosis
+from diagnose.report import step_sentences
 from drftjax.effects.catalogue import effect_class
 from tests.studies.history import TERMS, against_quasi_static, unseen_floors
 
@@ -43,6 +44,21 @@ def test_the_pair_has_the_strengths_of_the_dynamic_theory(fast):
 
 def test_at_300_deg_a_second_both_terms_are_named(fast):
     assert set(fast.verdict) == set(TERMS)
+
+
+def test_the_terms_are_added_one_by_one(fast):
+    alone, both = fast.steps
+    assert (len(alone.effects), set(both.effects)) == (1, set(TERMS))
+    assert alone.effects == both.effects[:1]
+    # In x, to which both terms bring millimetres, the second takes what the first leaves.
+    assert alone.gap["x"].after > 10 * both.gap["x"].after
+    assert {c: gap.document() for c, gap in both.gap.items()} == fast.document()["gap"]
+    assert [each["effects"] for each in fast.document()["steps"]] == [
+        list(each.effects) for each in fast.steps
+    ]
+    assert step_sentences(fast)[0].startswith(
+        f"Added one by one, each fitted anew: {alone.effects[0]}"
+    )
 
 
 def test_at_30_deg_a_second_neither_is_named():
