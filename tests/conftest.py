@@ -27,6 +27,8 @@ os.environ |= {
     # As `drft` and the workers of a cluster have it: sums of other threads round otherwise.
     "OPENBLAS_NUM_THREADS": "1",
 }
+# Compiling is most of the tests' time, and takes a third less without these.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
