@@ -193,6 +193,7 @@ def diagnose(
     before = found.none.residual
     after = unseen.get(chosen.names, chosen.residual)
     floors, how = noise_floors(case, before, after, own_errors(case, found.none.log_zeta))
+    gap = gaps(case, before, after, floors)
     rival = _rival(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
@@ -211,7 +212,7 @@ def diagnose(
         verdict=spoken(verdict),
         weights=_by_name(share),
         groups=[spoken(group) for group in groups],
-        gap=gaps(case, before, after, floors),
+        gap=gap,
         parameters=_parameters(found.bench, chosen) if chosen.names else {},
         notes=notes,
         next_run=advice,
@@ -222,7 +223,7 @@ def diagnose(
         floors=floors,
         where=places,
         unwritten=signal,
-        steps=one_by_one(found, chosen, unseen, floors) if verdict == chosen.names else [],
+        steps=one_by_one(found, chosen, unseen, floors, gap) if verdict == chosen.names else [],
     )
 
 

@@ -11,8 +11,7 @@ from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
-from diagnose.model_file import read_effects
-from diagnose.promise import effects_of
+from diagnose.model_file import effects_found, read_effects
 from diagnose.runs import gather, of_one_wheel
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
@@ -67,8 +66,7 @@ def evaluate(
         if isinstance(model, str | Path):
             effects = read_effects(Path(model))
         elif isinstance(model, Diagnosis):
-            offered = model.correction
-            effects = effects_of(model.chosen) if offered is None else (offered.effect,)
+            effects = effects_found(model)
         else:
             effects = _numbered(model)
         gathered = gathered_from(runs)
@@ -114,11 +112,10 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
-    if isinstance(runs, str | Path):
-        return gather([Path(runs)])
-    if not isinstance(runs, Mapping | tuple) and isinstance(runs, Sequence):
-        paths = [Path(each) for each in runs if isinstance(each, str | Path)]
-        if paths and len(paths) == len(runs):
+    several = [runs] if isinstance(runs, str | Path) else runs
+    if isinstance(several, Sequence):
+        paths = [Path(each) for each in several if isinstance(each, str | Path)]
+        if paths and len(paths) == len(several):
             return gather(paths)
     candidates = candidates_of(runs)
     if not candidates:

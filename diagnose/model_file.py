@@ -46,22 +46,32 @@ def model_toml(found: Diagnosis) -> str:
             if value is not None:
                 comment = about.get((name, key))
                 lines.append(f"{key} = {_toml(value)}" + (f"  # {comment}" if comment else ""))
-    if offered is not None:
-        entry = entry_of(offered.effect)
-        about = {"knots": VARIABLES[offered.effect.variable], "values": offered.unit}
-        lines += ["", "[[effect]]"]
-        for key, value in entry.items():
-            comment = f"  # {about[key]}" if about.get(key, "-") != "-" else ""
-            lines.append(f"{key} = {_toml(value)}{comment}")
-    for effect in effects_of(found.chosen) if offered is None else ():
-        # A form of an effect stands by its own name here, as it has numbers of its own.
-        name = effect.about.name
-        numbers = found.parameters[spoken_of(name)]
+    for effect in effects_found(found):
+        comments = _comments(found, effect)
         lines += ["", "[[effect]]"]
         for key, value in entry_of(effect).items():
-            comment = f"  # {told(numbers[key])}" if key in numbers else ""
+            comment = f"  # {comments[key]}" if key in comments else ""
             lines.append(f"{key} = {_toml(value)}{comment}")
     return "\n".join(lines) + "\n"
+
+
+def effects_found(found: Diagnosis) -> tuple[AbstractEffect, ...]:
+    """The effects of a diagnosis's model: the correction that is offered, or those chosen.
+
+    A form of an effect is itself here, as it has numbers of its own.
+    """
+    offered = found.correction
+    return effects_of(found.chosen) if offered is None else (offered.effect,)
+
+
+def _comments(found: Diagnosis, effect: AbstractEffect) -> dict[str, str]:
+    """What stands beside an effect's numbers, by field."""
+    offered = found.correction
+    if offered is None:
+        numbers = found.parameters[spoken_of(effect.about.name)]
+        return {key: told(each) for key, each in numbers.items()}
+    units = {"knots": VARIABLES[offered.effect.variable], "values": offered.unit}
+    return {key: unit for key, unit in units.items() if unit != "-"}
 
 
 def told(number: Number) -> str:

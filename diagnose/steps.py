@@ -36,6 +36,7 @@ def one_by_one(
     chosen: Hypothesis,
     unseen: Mapping[tuple[str, ...], list[np.ndarray]],
     floors: Mapping[str, float],
+    whole: Mapping[str, Gap],
 ) -> list[Step]:
     """A pair's gap with the one effect that does most alone, refitted, and with both.
 
@@ -44,13 +45,14 @@ def one_by_one(
         chosen: The explanation.
         unseen: Residuals on runs left out, by explanation, as far as they are known.
         floors: Noise floor of each channel [m, N, N m].
+        whole: The gap with all of them, by channel.
 
     Returns:
         Nothing for fewer than two effects.
     """
     if len(chosen.names) < 2:
         return []
-    case, before = found.bench.case, found.none.residual
+    case = found.bench.case
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
         return unseen.get(alone.names) or predicted_unseen(found.bench, alone)
@@ -65,6 +67,6 @@ def one_by_one(
     first, after = min(tried, key=lambda each: misfit(each[1]))
     second = tuple(name for name in chosen.names if name not in first)
     return [
-        Step(spoken(first), gaps(case, before, after, floors)),
-        Step(spoken(first + second), gaps(case, before, left(chosen), floors)),
+        Step(spoken(first), gaps(case, found.none.residual, after, floors)),
+        Step(spoken(first + second), whole),
     ]

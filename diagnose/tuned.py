@@ -33,8 +33,9 @@ class Moves:
         moved: Sum of |dzeta| [-].
         range: Largest less smallest zeta [-].
         sinkage: RMSE of the simulated sinkage while it is tuned [m].
-        time: Ticks from the first on which the wheel is asked to move to the last [s].
-        zeta: On each of them [-].
+        time: Ticks from the first on which the wheel is asked to move to the last [s], shape
+            (ticks,).
+        zeta: On each of them [-], shape (ticks,).
     """
 
     moved: float

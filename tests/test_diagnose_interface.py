@@ -119,7 +119,7 @@ def test_the_tuner_hides_what_an_effect_with_its_numbers_explains(runs):
 def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
     write_run(tmp_path / "good.h5", next(iter(runs.values())))
     (tmp_path / "bad.h5").write_text("not a run log")
-    found = diagnose.evaluate(tmp_path, [])
+    found = diagnose.evaluate((tmp_path,), [])
     assert [each.name for each in found.case.candidates] == ["good"]
     assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
 

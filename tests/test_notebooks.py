@@ -12,9 +12,9 @@ from nbclient import NotebookClient
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
-# A notebook takes about a minute by itself. A machine that runs other tests beside it, and has
-# compiled nothing yet, is given eight.
-TIME_LIMIT_S = 480.0
+# A notebook takes under a minute by itself. A machine that runs other tests beside it, and has
+# compiled nothing yet, is given four.
+TIME_LIMIT_S = 240.0
 
 
 def test_there_are_notebooks():
