@@ -1,10 +1,9 @@
 """A diagnosis as a model: a set-up file with the effects that were found."""
 
-import json
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from diagnose.diagnosis import Diagnosis, Number
@@ -18,6 +17,7 @@ from drftjax.effects.stage import AbstractEffect
 from drftjax.runlog.content import printable
 from drftjax.saved import thinned
 from drftjax.setup import read_setup
+from drftjax.setup_toml import setup_toml
 
 
 def model_toml(found: Diagnosis) -> str:
@@ -27,32 +27,21 @@ def model_toml(found: Diagnosis) -> str:
     effects stand with their numbers, and these with their standard errors in comments.
     """
     candidates = found.case.candidates
-    setup = candidates[0].setup
+    setup = copy.deepcopy(candidates[0].setup)
     zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
     offered = found.correction
     zeta = zeta * np.exp(found.chosen.log_zeta if offered is None else offered.log_zeta)
-    document = msgspec.to_builtins(setup)
-    document["command"] = msgspec.to_builtins(thinned(setup.command))
-    document["terrain"]["zeta"] = float(zeta.mean())
-    document.pop("effect")
-    about = {("terrain", "zeta"): _scatter(zeta)}
-    lines = [f"# {line}" for line in _head(found)]
-    lines.append(f"title = {_toml(f'{printable(setup.title)}, with what a diagnosis found')}")
-    for name, table in document.items():
-        if not isinstance(table, dict):
-            continue
-        lines += ["", f"[{name}]"]
-        for key, value in table.items():
-            if value is not None:
-                comment = about.get((name, key))
-                lines.append(f"{key} = {_toml(value)}" + (f"  # {comment}" if comment else ""))
-    for effect in effects_found(found):
-        comments = _comments(found, effect)
-        lines += ["", "[[effect]]"]
-        for key, value in entry_of(effect).items():
-            comment = f"  # {comments[key]}" if key in comments else ""
-            lines.append(f"{key} = {_toml(value)}{comment}")
-    return "\n".join(lines) + "\n"
+    setup.title = f"{printable(setup.title)}, with what a diagnosis found"
+    setup.command = thinned(setup.command)
+    setup.terrain.zeta = float(zeta.mean())
+    effects = effects_found(found)
+    setup.effects = [entry_of(effect) for effect in effects]
+    comments = {("terrain", "zeta"): _scatter(zeta)}
+    for number, effect in enumerate(effects, start=1):
+        comments |= {
+            (f"effect {number}", key): each for key, each in _comments(found, effect).items()
+        }
+    return setup_toml(setup, _head(found), comments)
 
 
 def effects_found(found: Diagnosis) -> tuple[AbstractEffect, ...]:
@@ -101,14 +90,6 @@ def _scatter(zeta: np.ndarray) -> str:
     if len(zeta) == 1:
         return "of the one run"
     return f"mean of {len(zeta)} runs, which scatter by {zeta.std(ddof=1) / zeta.mean():.2%}"
-
-
-def _toml(value: object) -> str:
-    """A value of a set-up as TOML writes it."""
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    # Text and numbers are written alike in JSON and TOML.
-    return json.dumps(value, ensure_ascii=False)
 
 
 def read_effects(path: Path) -> tuple[AbstractEffect, ...]:

@@ -16,7 +16,8 @@ from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
 from drftjax.effects.catalogue import spoken
-from drftjax.integrator import steady_step
+from drftjax.integrator import LARGEST_CHANGE, STEPS, steady_step
+from drftjax.stress import REST_SPEED
 from drftjax.trial import Trial
 from identify.candidate import STEPS_A_ROW
 
@@ -29,6 +30,8 @@ FORCE_FLOOR, TORQUE_FLOOR = 1.0, 0.1
 FASTEST = np.deg2rad(300.0)
 SPEEDS = (0.5, 2.0, 4.0, 8.0)
 LOADS = (0.7, 1.3)
+# Stop and go: how long the wheel stands, or holds its speed, each time [s].
+HELD = 0.5
 # Differences under so many floors part nothing.
 TELLING = 2.0
 
@@ -125,6 +128,8 @@ def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
             words = f"{candidate.name} at {np.rad2deg(top * factor):.0f} deg/s"
             found.append((words, _steady(replace(trial, omega=trial.omega * factor))))
     found.append((f"{candidate.name} backward", replace(trial, omega=-trial.omega)))
+    words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
+    found.append((words, _stop_and_go(trial, top)))
     for factor in LOADS:
         mass = float(trial.simulator.rig.mass_z) * factor
         heavier = eqx.tree_at(
@@ -137,6 +142,15 @@ def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
         )
         found.append((f"{candidate.name} with {mass:.1f} kg", heavier))
     return found
+
+
+def _stop_and_go(trial: Trial, top: float) -> Trial:
+    """The same wheel started and stopped over and over, as sharply as the shortest step allows."""
+    radius = float(trial.simulator.wheel.radius)
+    ramp = top * radius / (LARGEST_CHANGE * REST_SPEED / STEPS[-1])
+    held = np.cumsum(np.resize([HELD, ramp], len(trial.time) - 1))
+    speeds = np.resize([0.0, 0.0, top, top], len(trial.time))
+    return _steady(replace(trial, time=jnp.append(0.0, held), omega=jnp.asarray(speeds)))
 
 
 def _steady(trial: Trial) -> Trial:

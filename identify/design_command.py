@@ -1,6 +1,6 @@
 """`drft design`: a set-up in, the run to make next out."""
 
-import json
+import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -266,35 +266,14 @@ def _numbers(knows: "Knowledge") -> dict[str, float | str | None]:
 
 def design_toml(result: "Design") -> str:
     """The run to make, as a set-up file."""
-    import msgspec
     import numpy as np
 
-    document = msgspec.to_builtins(result.best.setup)
-    built = result.best.setup.command.build()
-    time, omega = np.round(built.time, 3), np.round(np.degrees(built.omega), 3)
-    document["command"] |= {
-        "time": time.tolist(),
-        "omega": (omega + 0.0).tolist(),
-        "omega_unit": "deg/s",
-    }
-    document["title"] = f"{result.best.setup.title}, designed for {result.parameter}"
-    tables = {
-        name: document.pop(name) for name in list(document) if isinstance(document[name], dict)
-    }
-    lines = [f"# {line}" for line in result.summary().splitlines()]
-    lines += [f"{name} = {_toml(value)}" for name, value in document.items()]
-    for name, table in tables.items():
-        lines += ["", f"[{name}]"]
-        lines += [f"{key} = {_toml(v)}" for key, v in table.items() if v is not None]
-    return "\n".join(lines) + "\n"
+    from drftjax.setup_toml import setup_toml
 
-
-def _toml(value: object) -> str:
-    """A value of a set-up as TOML writes it."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    # Text and numbers are written alike in JSON and TOML, but for the letters beyond ASCII
-    # that JSON may escape in pairs.
-    return json.dumps(value, ensure_ascii=False)
+    setup = copy.deepcopy(result.best.setup)
+    built = setup.command.build()
+    setup.command.time = np.round(built.time, 3).tolist()
+    setup.command.omega = (np.round(np.degrees(built.omega), 3) + 0.0).tolist()
+    setup.command.omega_unit = "deg/s"
+    setup.title = f"{setup.title}, designed for {result.parameter}"
+    return setup_toml(setup, result.summary().splitlines())

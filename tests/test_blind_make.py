@@ -16,7 +16,7 @@ from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
 
 # Slow enough for steps of a millisecond.
-SHORT = Profile(12.0, 1.0, 1.0, 1.0, rest=0.5, end=0.5)
+SHORT = Profile.held(12.0, 1.0, 1.0, 1.0, rest=0.5, end=0.5)
 # Plates of 2.5 and 4 mm differ by about 0.1 mm in depth and 1 mm in travel over one such run.
 PLATES_Z, PLATES_X = 2e-4, 2e-3
 # A strength is found when its gap is within a third of what was asked for.
@@ -108,6 +108,10 @@ def test_noise_is_white_and_lasting():
 def short(monkeypatch):
     """Runs of four seconds in place of the practice's."""
     monkeypatch.setattr(make, "PRACTICE", (SHORT,) * 9)
+    monkeypatch.setattr(make, "drawn_nine", lambda random: (SHORT,) * 9)
+    monkeypatch.setattr(
+        make, "TELLING", (dataclasses.replace(SHORT, speed=tuple(-v for v in SHORT.speed)),) * 9
+    )
     monkeypatch.setattr(make, "drawn_fresh", lambda random: (SHORT,) * 3)
 
 
@@ -165,3 +169,16 @@ def test_a_set_on_its_way_is_not_answered(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "run_a.h5").write_bytes(b"")
     assert list(runs_of(tmp_path)) == ["set_01"]
+
+
+def test_telling_runs_are_of_the_same_rigs(short, tmp_path):
+    labels = {}
+    for protocol in ("mixed", "telling"):
+        order = make.Order(tmp_path / protocol, 20, seed=4, protocol=protocol)
+        labels[protocol] = make.make_set(order, 7, ("travel_gain",))
+        assert labels[protocol].pop("protocol") in (protocol, "practice", "random")
+    assert labels["mixed"] == labels["telling"]
+    forward, backward = (read_run(tmp_path / p / "set_08" / "run_a.h5") for p in labels)
+    assert forward.measured.x[-1] > 0 > backward.measured.x[-1]
+    fresh = [read_run(tmp_path / p / "set_08" / "fresh" / "fresh_a.h5") for p in labels]
+    assert np.array_equal(fresh[0].command.omega, fresh[1].command.omega)

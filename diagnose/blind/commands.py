@@ -30,7 +30,11 @@ def make(
     sets: Annotated[int, typer.Option(help="How many sets.")] = 100,
     seed: Annotated[int, typer.Option(help="Settles every lot that is drawn.")] = 0,
     protocol: Annotated[
-        str, typer.Option(help="'practice', 'random', or 'mixed': each set one or the other.")
+        str,
+        typer.Option(
+            help="'practice', 'random', or 'mixed': each set one or the other. 'telling': the rigs "
+            "of 'mixed', on the runs of `drft protocol`."
+        ),
     ] = "mixed",
     faintest: Annotated[float, typer.Option(help="Least gap wanted [floors].")] = 0.5,
     strongest: Annotated[float, typer.Option(help="Greatest gap wanted [floors].")] = 30.0,

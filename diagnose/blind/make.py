@@ -14,7 +14,14 @@ from diagnose.blind.answering import UNFINISHED, configure
 from diagnose.blind.gap import FLOORS, Gap, Probe
 from diagnose.blind.instrument import Reading
 from diagnose.blind.plant import group_of
-from diagnose.blind.protocol import LETTERS, PRACTICE, Profile, drawn_fresh, drawn_nine
+from diagnose.blind.protocol import (
+    LETTERS,
+    PRACTICE,
+    TELLING,
+    Profile,
+    drawn_fresh,
+    drawn_nine,
+)
 from diagnose.blind.recipe import (
     CATALOGUE,
     STRANGERS,
@@ -41,7 +48,7 @@ BELIEVED_ZETA = 0.7823
 # Runs that strengths are found on: a slow one, a middling one with sharp ramps, and the fastest.
 PROBED = (0, 5, 8)
 REDRAWS = 5
-PROTOCOLS = ("mixed", "practice", "random")
+PROTOCOLS = ("mixed", "practice", "random", "telling")
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class Order:
         folder: Where they go.
         sets: How many.
         seed: Settles every lot that is drawn.
-        protocol: One of `PROTOCOLS`.
+        protocol: One of `PROTOCOLS`. "telling" has the rigs of "mixed", and records other runs of
+            them: the nine of `diagnose.protocol`.
         faintest, strongest: Gaps [floors] that strengths are drawn between.
     """
 
@@ -159,8 +167,11 @@ def make_set(order: Order, number: int, kinds: tuple[str, ...]) -> dict:
 
 
 def _made(order: Order, number: int, kinds: tuple[str, ...], random: np.random.Generator) -> dict:
-    practice = order.protocol == "practice" or (order.protocol == "mixed" and random.random() < 0.5)
+    practice = order.protocol == "practice" or (
+        order.protocol in ("mixed", "telling") and random.random() < 0.5
+    )
     profiles = PRACTICE if practice else drawn_nine(random)
+    telling = order.protocol == "telling"
     fresh = drawn_fresh(random)
     zeta = float(random.uniform(0.65, 0.95))
     mechanisms = [
@@ -172,14 +183,15 @@ def _made(order: Order, number: int, kinds: tuple[str, ...], random: np.random.G
     ]
     label = {
         "effects": [each.name for each in mechanisms],
-        "protocol": "practice" if practice else "random",
+        "protocol": "telling" if telling else "practice" if practice else "random",
         "zeta": zeta,
     }
     parts = []
     if mechanisms:
         parts, told = _strengthened(mechanisms, targets, profiles, zeta)
         label |= told
-    runs = {f"run_{letter}": each for letter, each in zip(LETTERS, profiles, strict=True)}
+    nine = TELLING if telling else profiles
+    runs = {f"run_{letter}": each for letter, each in zip(LETTERS, nine, strict=True)}
     runs |= {f"fresh/fresh_{letter}": each for letter, each in zip("abc", fresh, strict=True)}
     logs = {}
     for name, profile in runs.items():

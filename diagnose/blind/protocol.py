@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnose.protocol import TELLING as TELLING_RUNS
 from drftjax.integrator import steady_step
 
 LETTERS = "abcdefghi"
@@ -13,50 +14,64 @@ WHEEL_RADIUS = 0.150
 
 @dataclass(frozen=True)
 class Profile:
-    """A wheel that stands, speeds up, holds, slows down and stands.
+    """A commanded speed, linear between its knots, and the load it is run with.
 
     Attributes:
-        speed: Held [deg/s].
-        rest, rise, hold, fall, end: How long each lasts [s], in whole hundredths.
+        time: Of the knots [s], in whole hundredths, from zero.
+        speed: At the knots [deg/s], negative backward.
         mass: Believed vertical mass [kg].
     """
 
-    speed: float
-    rise: float
-    hold: float
-    fall: float
-    rest: float = 2.0
-    end: float = 2.0
+    time: tuple[float, ...]
+    speed: tuple[float, ...]
     mass: float = STANDARD_MASS
+
+    @classmethod
+    def held(
+        cls,
+        speed: float,
+        rise: float,
+        hold: float,
+        fall: float,
+        rest: float = 2.0,
+        end: float = 2.0,
+        mass: float = STANDARD_MASS,
+    ) -> "Profile":
+        """A wheel that stands, speeds up, holds its speed, slows down and stands [s], [deg/s]."""
+        lasts = np.cumsum([0.0, rest, rise, hold, fall, end])
+        return cls(tuple(map(float, lasts)), (0.0, 0.0, speed, speed, 0.0, 0.0), mass)
 
     @property
     def duration(self) -> float:
-        return self.rest + self.rise + self.hold + self.fall + self.end
+        return self.time[-1]
+
+    @property
+    def rest(self) -> float:
+        """How long the wheel stands before it is first turned [s]."""
+        return self.time[1]
 
     def omega(self, time: np.ndarray) -> np.ndarray:
         """Commanded speed [rad/s] at these times [s]."""
-        lasts = [0.0, self.rest, self.rise, self.hold, self.fall, self.end]
-        knots = np.radians([0.0, 0.0, self.speed, self.speed, 0.0, 0.0])
-        return np.interp(time, np.cumsum(lasts), knots)
+        return np.interp(time, self.time, np.radians(self.speed))
 
     def steady_step(self) -> float:
         """The longest step [s] that a fit would choose."""
-        ramps = np.array([0.0, self.rise, self.rise + self.fall])
-        return steady_step(WHEEL_RADIUS, ramps, np.radians([0.0, self.speed, 0.0]))
+        return steady_step(WHEEL_RADIUS, np.array(self.time), np.radians(self.speed))
 
 
-_PAPER = Profile(30.0, 5.0, 10.0, 5.0)
+_PAPER = Profile.held(30.0, 5.0, 10.0, 5.0)
 PRACTICE = (
     _PAPER,
     _PAPER,
-    Profile(15.0, 5.0, 10.0, 5.0),
-    Profile(60.0, 4.0, 6.0, 4.0),
-    Profile(90.0, 3.0, 4.0, 3.0),
-    Profile(45.0, 1.0, 8.0, 1.0),
-    Profile(30.0, 5.0, 10.0, 5.0, mass=14.0),
-    Profile(60.0, 2.0, 5.0, 2.0, mass=23.0),
-    Profile(200.0, 2.0, 2.0, 2.0),
+    Profile.held(15.0, 5.0, 10.0, 5.0),
+    Profile.held(60.0, 4.0, 6.0, 4.0),
+    Profile.held(90.0, 3.0, 4.0, 3.0),
+    Profile.held(45.0, 1.0, 8.0, 1.0),
+    Profile.held(30.0, 5.0, 10.0, 5.0, mass=14.0),
+    Profile.held(60.0, 2.0, 5.0, 2.0, mass=23.0),
+    Profile.held(200.0, 2.0, 2.0, 2.0),
 )
+TELLING = tuple(Profile(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in TELLING_RUNS)
 
 
 def _drawn(
@@ -74,7 +89,7 @@ def _drawn(
     farthest = 2.0 / (np.radians(speed) * WHEEL_RADIUS) - (rise + fall) / 2
     longest = min(random.uniform(3.0, 12.0), 20.0 - rise - fall, farthest)
     hold = float(np.round(max(longest, 4.0 - rise - fall, 1.0), 1))
-    return Profile(speed, rise, hold, fall)
+    return Profile.held(speed, rise, hold, fall)
 
 
 def drawn_nine(random: np.random.Generator) -> tuple[Profile, ...]:

@@ -1,0 +1,95 @@
+"""Nine runs that tell effects apart: what they hold, and what limits make of them."""
+
+import copy
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diagnose.blind import plant
+from diagnose.blind.protocol import TELLING as BLIND_TELLING
+from diagnose.protocol import TELLING, telling_runs
+from diagnose.protocol_command import app
+from drftjax.datafiles import data_file
+from drftjax.errors import InputError
+from drftjax.integrator import LARGEST_CHANGE, STEPS
+from drftjax.setup import read_setup
+from drftjax.stress import REST_SPEED
+
+RIG = read_setup(data_file("paper.toml"))
+
+
+def test_they_go_backward_stop_and_repeat_one():
+    runs = {run.name: (run, setup.command.build()) for run, setup in telling_runs(RIG)}
+    assert len(runs) == len(TELLING) == 9
+    assert [name for name, (_, each) in runs.items() if each.omega.min() < 0] == ["backward"]
+    assert runs["paper"][0].speed == runs["again"][0].speed
+    stop = runs["stop_and_go"][1]
+    assert np.count_nonzero(np.diff(np.abs(stop.omega) > 0) > 0) == 6  # three starts, three stops
+
+
+def test_no_ramp_is_sharper_than_fits_can_step():
+    sharpest = LARGEST_CHANGE * REST_SPEED / STEPS[-1] / RIG.wheel.radius  # [rad/s2]
+    for _, setup in telling_runs(RIG):
+        command = setup.command.build()
+        assert np.abs(np.diff(command.omega) / np.diff(command.time)).max() < sharpest
+
+
+def test_loads_are_shares_of_the_rigs_and_starts_are_at_rest():
+    rig = copy.deepcopy(RIG)
+    rig.rig.mass_z = 10.0
+    sinkages = {}
+    for run, setup in telling_runs(rig):
+        assert setup.rig.mass_z == pytest.approx(10.0 * run.load)
+        sinkages[run.load] = setup.start.sinkage
+    ordered = [sinkages[load] for load in sorted(sinkages)]
+    assert ordered == sorted(ordered)
+    assert ordered[0] < ordered[-1]
+
+
+def test_limits_are_kept():
+    for _, setup in telling_runs(RIG, max_speed=50.0, max_travel=0.4):
+        command = setup.command.build()
+        assert np.degrees(np.abs(command.omega).max()) <= 50.0 + 1e-9
+        # Speeds are written down in tenths of a degree per second, so that a way may be 1 % longer.
+        way = 0.150 * np.trapezoid(np.abs(command.omega), command.time)
+        assert way <= 0.4 * 1.01
+        assert np.all(np.diff(command.time) > 0)
+
+
+def test_ramps_stay_as_they_are_where_only_the_way_is_limited():
+    for (run, setup), limit in zip(telling_runs(RIG, max_travel=1.4), TELLING, strict=True):
+        assert np.allclose(setup.command.omega, limit.speed), run.name
+
+
+def test_a_driven_carriage_is_refused():
+    rig = copy.deepcopy(RIG)
+    rig.rig.carriage = "driven"
+    with pytest.raises(InputError, match="driven"):
+        list(telling_runs(rig))
+
+
+def test_the_blind_sets_are_of_the_same_runs():
+    for run, blind in zip(TELLING, BLIND_TELLING, strict=True):
+        assert blind.time == run.time
+        assert blind.speed == run.speed
+        assert blind.duration / (plant.EVERY * blind.steady_step() / 2) <= plant.ROWS
+
+
+def test_the_command_writes_nine_set_ups(tmp_path):
+    folder = tmp_path / "runs"
+    result = CliRunner().invoke(app, [str(data_file("paper.toml")), "-o", str(folder)])
+    assert result.exit_code == 0, result.output
+    written = sorted(folder.iterdir())
+    assert [each.name for each in written] == [
+        f"{n}_{t.name}.toml" for n, t in enumerate(TELLING, 1)
+    ]
+    for path, (_, setup) in zip(written, telling_runs(RIG), strict=True):
+        assert read_setup(path) == setup
+
+
+def test_a_folder_that_is_not_empty_is_refused(tmp_path):
+    (tmp_path / "kept.h5").write_bytes(b"")
+    result = CliRunner().invoke(app, [str(data_file("paper.toml")), "-o", str(tmp_path)])
+    assert isinstance(result.exception, InputError)
+    assert "not an empty folder" in str(result.exception)
