@@ -44,9 +44,9 @@ def protocol(
 
     from diagnose.protocol import telling_runs
     from drftjax.commands.runtime import configure_jax
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.like import setup_like
     from drftjax.runlog.replace import make_folder, replace_file
-    from drftjax.setup import read_setup, setup_from_run
+    from drftjax.setup import read_setup
     from drftjax.setup_toml import setup_toml
 
     configure_jax()
@@ -56,7 +56,7 @@ def protocol(
         rig = read_setup(setup)
     else:
         assert like is not None
-        rig = setup_from_run(read_run_guarded(like))
+        rig, _ = setup_like(like)
     runs = list(telling_runs(rig, max_speed, max_travel))
     make_folder(output)
     table = Table("set-up", "load [kg]", "speed [deg/s]", "lasts [s]", "tells")

@@ -82,9 +82,9 @@ def design(
     if (setup is None) == (like is None):
         raise InputError("name one set-up file, or --like RUN, and not both")
     configure_jax(devices=os.cpu_count())
-    from drftjax.runlog.check import read_run_guarded
+    from drftjax.like import setup_like
     from drftjax.runlog.replace import require_places
-    from drftjax.setup import read_setup, setup_from_run
+    from drftjax.setup import read_setup
     from identify.design import Instrument, Search
     from identify.design import design as design_run
     from identify.limits import Limits
@@ -95,7 +95,7 @@ def design(
         chosen = read_setup(setup)
     else:
         assert like is not None
-        chosen = setup_from_run(read_run_guarded(like))
+        chosen, _ = setup_like(like)
     time = chosen.command.time
     limits = Limits(
         math.radians(max_speed),

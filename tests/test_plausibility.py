@@ -81,3 +81,19 @@ def test_refusals_of_such_numbers_ask_for_the_unit():
         candidate("mm", scaled(z=1e3))
     with pytest.raises(InputError, match=r"omega is 240, .* are these deg/s\?"):
         candidate("deg", scaled(omega=180 / np.pi))
+
+
+def test_a_static_sinkage_above_the_sand_is_refused_where_it_is_used(drft, tmp_path):
+    run = scaled()
+    assert run.setup.sinkage_static is not None
+    upward = dataclasses.replace(run.setup, sinkage_static=-run.setup.sinkage_static)
+    path = tmp_path / "upward.h5"
+    ((where, reason, level),) = found(path, dataclasses.replace(run, setup=upward))
+    assert (where, level) == ("/setup/sinkage_static", Level.FORMAT)
+    assert reason.endswith("sinkage counts downward from touch-down")
+    out = ("-o", tmp_path / "out")
+    for command in (["simulate", "--like"], ["design", "--like"], ["protocol", *out, "--like"]):
+        refusal = drft(*command, path).refusal
+        assert refusal.startswith(f"{path}: setup sinkage_static is -1")
+    # A fit starts from the recorded sinkage.
+    assert candidate("upward", dataclasses.replace(run, setup=upward)).setup.start.sinkage > 0

@@ -52,10 +52,10 @@ def simulate(
     configure_jax()
     from drftjax import saved
     from drftjax import setup as setups
-    from drftjax.runlog.check import read_run_guarded, require_no_recording
+    from drftjax.like import setup_like
+    from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.hdf5 import write_run
-    from drftjax.runlog.plausibility import require_upright
     from drftjax.runlog.replace import require_places
 
     given = [each for each in (setup, like, source) if each is not None]
@@ -81,12 +81,7 @@ def simulate(
     if setup is not None:
         chosen = setups.read_setup(setup)
     elif like is not None:
-        recorded = read_run_guarded(like)
-        try:
-            require_upright(recorded)
-            chosen = setups.setup_from_run(recorded)
-        except InputError as problem:
-            raise InputError(f"{like}: {problem}") from None
+        chosen, recorded = setup_like(like)
         sampled = recorded.measured.time
     else:
         assert source is not None

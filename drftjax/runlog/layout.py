@@ -317,6 +317,8 @@ def _examine_meaning(content: Content) -> Iterator[Found]:
     """Numbers that are allowed and cannot be meant."""
     given = content.groups.get("setup", Group()).attributes
     setup = {name: each for name, each in given.items() if isinstance(each, int | float)}
+    for reason in plausibility.standing_problems(setup):
+        yield "/setup/sinkage_static", reason, Level.FORMAT
     for title, name in plausibility.LARGEST:
         group = content.groups.get(title, Group())
         values = real_column(group.datasets[name].values) if name in group.datasets else None

@@ -50,6 +50,20 @@ def height_problems(z: NDArray[np.float64], setup: Mapping[str, float]) -> Itera
         )
 
 
+def standing_problems(setup: Mapping[str, float]) -> Iterator[str]:
+    """A static sinkage with which the wheel stands on nothing: counted upward, as z is.
+
+    Args:
+        setup: Numbers of /setup by name, those that are known.
+    """
+    sinkage = float(setup.get("sinkage_static", 0.0))
+    if any(height_problems(np.array([-sinkage]), setup)):
+        yield (
+            f"is {1e3 * sinkage:.3g} mm, of a wheel above the sand, where nothing carries it; "
+            "sinkage counts downward from touch-down"
+        )
+
+
 def unit_problems(
     title: str, name: str, values: NDArray[np.float64], setup: Mapping[str, float]
 ) -> Iterator[str]:
