@@ -35,7 +35,7 @@ class PlateMotion(eqx.Module):
 
     Attributes:
         depth: Depth below the surface [m], negative above it.
-        behind: True behind the contact's bisector.
+        behind: True behind the contact's bisector: on the side that the wheel turns away from.
         velocity_x, velocity_z: Plate velocity [m/s].
         direction_x, direction_z: Its direction, fading to zero within `REST_SPEED` of rest [-].
         normal_speed: Speed along the outward normal [m/s].
@@ -85,7 +85,8 @@ def plate_motion(
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
     return PlateMotion(
         depth=-(height + plates.z),
-        behind=plates.x < 0,
+        # The loss of height goes with omega squared, so that nothing jumps where the sides change.
+        behind=jnp.where(omega < 0, plates.x > 0, plates.x < 0),
         velocity_x=velocity_x,
         velocity_z=velocity_z,
         direction_x=velocity_x / speed,
@@ -185,7 +186,8 @@ class Dynamic(AbstractStressLaw):
       - \lambda\rho\,(\mathbf n\cdot\mathbf p)^2\,\mathbf n\,\mathrm dS$$
 
     with $\tilde d = d - \delta_h$ behind the contact's bisector (on level ground the vertical
-    through the axle) and $\tilde d = d$ ahead of it.
+    through the axle) and $\tilde d = d$ ahead of it. A wheel that turns backward has it behind at
+    x > 0.
 
     Attributes:
         inertial_coefficient: lambda [-]; 1.1 in Agarwal et al. 2021.
