@@ -108,7 +108,8 @@ class Bulldozing(AbstractSandLoad):
         began, side, back = memory
         travel = jnp.abs(position[0] - began)
         resistance = -self.force * jnp.minimum(travel / self.length, 1)
-        resistance = resistance * jnp.where(side < 0, -1.0, 1.0) * (1 - back / LEFT)
+        parting = jnp.where(side < 0, -resistance, resistance) * (1 - back / LEFT)
+        resistance = jnp.where((side < 0) | (back > 0), parting, resistance)
         return jnp.stack([resistance, jnp.zeros_like(resistance)])
 
 
