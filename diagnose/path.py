@@ -228,7 +228,7 @@ def _ripple(path: Path, pitch: float) -> np.ndarray:
 
 
 def _ripple_one_way(motion: np.ndarray, pitch: float, sense: int) -> np.ndarray:
-    """Derivative of the ripple of (x, z) by the angle while a wheel turns forward, 1, or back, -1."""
+    """Derivative of the ripple of (x, z) by the angle of a wheel that turns on, 1, or back, -1."""
     slope = np.zeros((len(motion), 2))
     angle = sense * motion[:, 4]
     if not np.isfinite(pitch) or angle[-1] - angle[0] < 2 * pitch:

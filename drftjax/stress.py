@@ -36,7 +36,7 @@ class PlateMotion(eqx.Module):
     Attributes:
         depth: Depth below the surface [m], negative above it.
         behind: True behind the contact's bisector, at x < 0.
-        backward: True for a wheel that turns backward, which has its lowered sand on the other side.
+        backward: True for a wheel that turns backward, whose lowered sand lies at x > 0.
         velocity_x, velocity_z: Plate velocity [m/s].
         direction_x, direction_z: Its direction, fading to zero within `REST_SPEED` of rest [-].
         normal_speed: Speed along the outward normal [m/s].

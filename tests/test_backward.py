@@ -6,8 +6,7 @@ of every effect that knows no direction. Of an effect that is fixed in space, or
 holds once the effect is mirrored as well, and not before.
 """
 
-from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,9 @@ import numpy as np
 import pytest
 from effect_runs import GROUSERS, KNOWN, NUMBERS, RIM, rows, typical, vector, with_effects
 
+from drftjax.command import with_zeros
 from drftjax.effects.catalogue import numbers, shapes
+from drftjax.effects.entry import built
 from drftjax.effects.stage import Moment
 from drftjax.integrator import HeldPace
 from drftjax.simulator import Output, Simulator, State
@@ -30,8 +31,8 @@ SEEN = 1e-6
 # Forward and reverse mode multiply the same matrices in another order.
 ORDER = 1e-6
 
-# A grouser straight under the axle stands at the very corner of the leading-plate rule, on the
-# same side of it whichever way the wheel will turn.
+# Not zero: a grouser straight under the axle stands at the very corner of the leading-plate rule,
+# where a rounding decides which of its faces leads.
 ANGLE, SINKAGE = 0.1, 0.0176
 DT, EVERY = 5e-4, 20
 TIME = DT * np.arange(1, 4001)
@@ -223,3 +224,18 @@ def test_a_wheel_that_turns_back_a_little_finds_its_pile_again():
     ahead, back, again = resistance([3.0, -0.04, 0.1])
     assert back[-1] > 0.6 * ahead[-1]
     assert again[-1] == pytest.approx(ahead[-1], rel=1e-3)
+
+
+def test_a_patch_may_lie_behind_the_start():
+    assert built({"name": "terrain_variation", "excess": 0.1, "centre": -0.4}, 1) == KNOWN[
+        "terrain_variation"
+    ](excess=0.1, centre=-0.4)
+
+
+def test_a_profile_that_turns_back_has_a_knot_where_it_does():
+    time, omega, vx = np.arange(4.0), np.array([0.0, 1.0, -3.0, -3.0]), np.array([0.0, 1, 2, -2])
+    found = with_zeros(time, omega, vx)
+    np.testing.assert_allclose(found[0], [0, 1, 1.25, 2, 2.5, 3])
+    np.testing.assert_allclose(found[1], [0, 1, 0, -3, -3, -3])
+    np.testing.assert_allclose(found[2], [0, 1, 1.25, 2, 0, -2])
+    assert with_zeros(time, np.abs(omega))[0] is time
