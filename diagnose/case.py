@@ -214,7 +214,9 @@ def baseline(case: Case) -> np.ndarray:
 def _early(case: Case, run: int) -> np.ndarray:
     """The samples compared early in the motion, past its start: before most effects have grown."""
     trial = case.candidates[run].trial
-    omega = np.interp(case.time(run), np.asarray(trial.time), np.abs(np.asarray(trial.omega)))
-    vx = np.interp(case.time(run), np.asarray(trial.time), np.abs(np.asarray(trial.vx)))
+    omega, vx = (
+        np.abs(np.interp(case.time(run), np.asarray(trial.time), np.asarray(each)))
+        for each in (trial.omega, trial.vx)
+    )
     moved = np.cumsum(omega + vx)
     return (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])

@@ -6,6 +6,7 @@ import numpy as np
 
 from diagnose.blocks import Splitter
 from diagnose.case import Case, pitch
+from drftjax.command import with_zeros
 from drftjax.rig import DrivenCarriage
 
 # Under this share of its fastest rim speed a wheel counts as standing.
@@ -92,20 +93,22 @@ def motion_of_run(case: Case, run: int, splitter: Splitter | None = None) -> Mot
         x, vx = smooth("x")
         travel = None if x is None else x - x[0]
     radius = float(trial.simulator.wheel.radius)
-    speed = radius * np.abs(omegas) + (np.abs(np.asarray(trial.vx)) if driven else 0)
+    between, either_way, vxs = with_zeros(knots, omegas, np.asarray(trial.vx))
+    either_way = np.abs(either_way)
+    speed = radius * either_way + (np.abs(vxs) if driven else 0)
     gap = pitch(case.trials[run])
     return Motion(
         time,
         np.interp(time, knots, omegas),
         float(trial.start.angle) + _integral(time, knots, omegas),
-        _integral(time, knots, np.abs(omegas)),
+        _integral(time, between, either_way),
         travel,
         vx,
         None if z is None else -z,
         vz,
         radius,
         round(2 * np.pi / gap) if np.isfinite(gap) else 0,
-        _phases(time, knots, speed),
+        _phases(time, between, speed),
         np.argmax(splitter.mean > 0, axis=0),
     )
 

@@ -5,6 +5,7 @@ wheel's motion and by the inputs of `diagnose.latent`; the node's map is that st
 it fits. From there every response to anything small is a matter of matrices.
 """
 
+import itertools
 from dataclasses import replace
 
 import equinox as eqx
@@ -221,7 +222,15 @@ def _ripple(path: Path, pitch: float) -> np.ndarray:
     nodes = int(path.nodes)
     slope = np.zeros((path.motion.shape[0], 2))
     motion = np.asarray(path.motion)[: nodes + 1]
-    angle = motion[:, 4]
+    for part, sense in one_way(motion[:, 4]):
+        slope[: nodes + 1][part] = _ripple_one_way(motion[part], pitch, sense)
+    return slope
+
+
+def _ripple_one_way(motion: np.ndarray, pitch: float, sense: int) -> np.ndarray:
+    """Derivative of the ripple of (x, z) by the angle of a wheel that turns on, 1, or back, -1."""
+    slope = np.zeros((len(motion), 2))
+    angle = sense * motion[:, 4]
     if not np.isfinite(pitch) or angle[-1] - angle[0] < 2 * pitch:
         return slope
     moving = np.r_[True, np.diff(angle) > 1e-9]
@@ -232,5 +241,18 @@ def _ripple(path: Path, pitch: float) -> np.ndarray:
         ripple = along - np.convolve(along, box, mode="same")
         rate = np.gradient(ripple, grid)
         whole = (angle > angle[0] + pitch) & (angle < angle[-1] - pitch)
-        slope[: nodes + 1, column] = np.where(whole, np.interp(angle, grid, rate), 0)
+        slope[:, column] = np.where(whole, sense * np.interp(angle, grid, rate), 0)
     return slope
+
+
+def one_way(angle: np.ndarray) -> list[tuple[slice, int]]:
+    """Stretches in which a wheel does not turn back, and which way it turns in each: 1 or -1."""
+    senses = np.sign(np.where(np.abs(np.diff(angle)) > 1e-9, np.diff(angle), 0))
+    turning = np.flatnonzero(senses)
+    backs = turning[1:][np.diff(senses[turning]) != 0]
+    edges = [0, *backs.tolist(), len(angle)]
+    found = []
+    for begin, end in itertools.pairwise(edges):
+        backward = bool((senses[begin:end][senses[begin:end] != 0] < 0).any())
+        found.append((slice(begin, end), -1 if backward else 1))
+    return found

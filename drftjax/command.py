@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -34,3 +35,31 @@ def command_at(
         return jnp.interp(time, command_time, values)
 
     return Command(omega=at(omega), vx=at(vx), zeta=at(zeta))
+
+
+def with_zeros(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A profile with a knot wherever a channel passes through zero.
+
+    So the size of each is straight between knots too, where a wheel or a carriage turns back.
+
+    Args:
+        time: Knots [s], increasing.
+        channels: Their values there, linear in between.
+
+    Returns:
+        The knots and the channels; those given where none passes through zero.
+    """
+    zeros = [_zeros(time, values) for values in channels]
+    every = np.union1d(time, np.concatenate(zeros))
+    if len(every) == len(time):
+        return time, *channels
+    between = [np.interp(every, time, values) for values in channels]
+    for values, at in zip(between, zeros, strict=True):
+        values[np.isin(every, at)] = 0.0
+    return every, *between
+
+
+def _zeros(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    before = np.flatnonzero(values[:-1] * values[1:] < 0)
+    share = values[before] / (values[before] - values[before + 1])
+    return time[before] + share * (time[before + 1] - time[before])

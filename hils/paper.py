@@ -326,10 +326,10 @@ def by_tick(
 
 
 def steady(omega: Values, tick: float) -> tuple[slice, float]:
-    """The ticks of the longest stretch at the top speed, and that speed [rad/s].
+    """The ticks of the longest stretch at the top speed, and how fast that is [rad/s].
 
     Args:
-        omega: Angular velocity at each tick [rad/s].
+        omega: Angular velocity at each tick, either way [rad/s].
         tick: Control period [s].
 
     Raises:
@@ -344,7 +344,7 @@ def steady(omega: Values, tick: float) -> tuple[slice, float]:
             f"the profile holds its top speed for {(last - first) * tick:.3g} s, must turn and "
             f"hold it for {LEAST_STEADY:g} s at least, so that a ripple can be told"
         )
-    return slice(int(first), int(last)), float(top)
+    return slice(int(first), int(last)), abs(float(top))
 
 
 def rms(values: Values) -> float:
@@ -360,12 +360,12 @@ def mean(paths: list[Path]) -> Path:
 def apart(path: Path, other: Path) -> Apart:
     """How far two trajectories are from each other, RMS over the run [m]."""
     dx, dz = path.x - other.x, path.z - other.z
-    # Travel that is taken twice, as noise at rest has it, belongs to the first time.
-    travel = np.maximum.accumulate(path.x)
-    place = np.linspace(0.0, min(travel[-1], other.x.max()), 1000)
-    course = np.interp(place, travel, path.z) - np.interp(
-        place, np.maximum.accumulate(other.x), other.z
-    )
+    # Travel the way that the wheel goes farther; what is taken twice, as noise at rest has it, or a
+    # wheel that comes back, belongs to the first time.
+    way = 1 if path.x.max() >= -path.x.min() else -1
+    travel, others = (np.maximum.accumulate(way * each.x) for each in (path, other))
+    place = np.linspace(0.0, min(travel[-1], others[-1]), 1000)
+    course = np.interp(place, travel, path.z) - np.interp(place, others, other.z)
     return Apart(rms(np.hypot(dx, dz)), rms(dz), rms(dx), rms(course))
 
 

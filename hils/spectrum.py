@@ -86,4 +86,4 @@ def spectrum(values: NDArray[np.floating], interval: float) -> Spectrum:
 
 def order(frequency: float, omega: float) -> float:
     """Cycles in one turn [-] of what repeats at a frequency [Hz] while a wheel turns [rad/s]."""
-    return 2 * np.pi * frequency / omega
+    return 2 * np.pi * frequency / abs(omega)

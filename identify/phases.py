@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from drftjax.command import Command
+from drftjax.command import Command, with_zeros
 from drftjax.errors import InputError
 from drftjax.saved import thinned
 from drftjax.scaling import AbstractZeta, ConstantZeta
@@ -52,13 +52,15 @@ class PhaseZeta(AbstractZeta):
 def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
     """Start, end [s] from the run's start, and name of each phase of a command, in order.
 
-    The wheel's speed decides, or the carriage's where the wheel never turns.
+    The wheel's speed decides, either way, or the carriage's where the wheel never turns. One that
+    turns back slows down and speeds up again.
     """
     command = thinned(setup.command).build() if setup.command.vx is None else setup.command.build()
-    time = command.time - command.time[0]
-    speed = np.abs(command.omega)
-    if not speed.any() and command.vx is not None:
-        speed = np.abs(command.vx)
+    turns = command.omega.any() or command.vx is None
+    moving = command.omega if turns else command.vx
+    assert moving is not None
+    time, moving = with_zeros(command.time - command.time[0], moving)
+    speed = np.abs(moving)
     top = max(float(speed.max()), np.finfo(float).tiny)
     found: list[tuple[float, float, str]] = []
     moved = False

@@ -226,7 +226,8 @@ def test_bulldozing_in_the_end_pulls_as_a_drawbar_does():
     # A sensor of the sand's force reads the pile too, so that nothing is left over.
     assert abs(last_turn(piled.fx)) < 0.05 * size("bulldozing")
     effect = KNOWN["bulldozing"](force=5.0)
-    back = [float(effect.load(jnp.array([x, 0.0]), jnp.zeros(2), _moment(), jnp.zeros(()))[0])
+    memory = effect.begin(jnp.zeros(2))
+    back = [float(effect.load(jnp.array([x, 0.0]), jnp.zeros(2), _moment(), memory)[0])
             for x in (0.1, -0.1)]  # fmt: skip
     assert back[0] == -back[1] < 0
 

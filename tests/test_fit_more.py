@@ -197,6 +197,14 @@ def test_phases_follow_the_command(phased):
     ]
     backward = setup_of(([0.0, 1.0, 2.0, 3.0], [-0.4, -0.4, -0.1, -0.1]))
     assert [name for *_, name in phases_of(backward)] == ["steady", "decelerate", "steady"]
+    back = setup_of(([0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 0.4, 0.4, -0.2, -0.2]))
+    assert [(round(b, 2), round(e, 2), n) for b, e, n in phases_of(back)] == [
+        (0.0, 1.0, "accelerate"),
+        (1.0, 2.0, "steady"),
+        (2.0, 2.67, "decelerate"),
+        (2.67, 3.0, "accelerate"),
+        (3.0, 4.0, "steady"),
+    ]
 
 
 def test_zeta_by_phase_reads_each_phase(phased):

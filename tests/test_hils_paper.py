@@ -138,6 +138,10 @@ def test_distances_of_trajectories_that_are_known():
     assert late.z == pytest.approx(3e-4)
     assert late.plane == pytest.approx(np.hypot(0.01, 3e-4))
     assert late.course < 1e-6
+    # The same of wheels that go backward.
+    back = Path(-x, path.z)
+    assert apart(Path(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=1e-12)
+    assert apart(Path(0.01 - x, -0.03 * (x - 0.01)), back).course < 1e-6
 
 
 def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():
@@ -148,6 +152,7 @@ def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():
     assert first == pytest.approx((1.68, 3e-4), rel=0.02)
     assert second == pytest.approx((1.0, 1e-4), rel=0.02)
     assert order(1.68, np.radians(30.0)) == pytest.approx(20.16)
+    assert order(1.68, np.radians(-30.0)) == pytest.approx(20.16)
 
 
 @pytest.mark.parametrize("values", [np.zeros(15), np.r_[np.zeros(20), np.nan]])
@@ -159,6 +164,7 @@ def test_a_spectrum_refuses_what_has_none(values):
 def test_the_steady_stretch_is_that_of_the_top_speed():
     omega = np.r_[np.zeros(50), np.linspace(0, 1, 100), np.ones(300), np.zeros(400)]
     assert steady(omega, 0.01) == (slice(149, 450), 1.0)
+    assert steady(-omega, 0.01) == (slice(149, 450), 1.0)
     with pytest.raises(InputError, match=r"holds its top speed for 0\.31 s"):
         steady(omega[:180], 0.01)
 

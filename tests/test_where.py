@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case
+from diagnose.motion import PHASES, motion_of_run
 from diagnose.where import Share, sentence, where
 from drftjax.runlog.record import Command, Measured, RunLog
-from tests.virtual_runs import SLOW, coarse, recorded, setup_of
+from tests.virtual_runs import FAST, FAST_STEP, SLOW, coarse, recorded, setup_of
 
 # Shares that are sums of squares alone are exact; a band's edge leaks a little of a line.
 EXACT = 1e-9
 LEAK = 0.12
+# A ripple's slope is that of a grid whose ends lie elsewhere by a rounding [m/rad].
+RIPPLE = 1e-6
 FLOOR = {"x": 1e-4, "z": 1e-4, "fx": 1.0, "fz": 1.0, "torque": 0.1}
 
 
@@ -163,6 +166,33 @@ def test_a_sentence_names_where_the_gap_is_dense():
     told = sentence(where(case, residual, FLOOR))
     assert "“decelerate”" in told
     assert "in z" in told
+
+
+def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts_either_way():
+    knots, omega = (
+        np.array([0.0, 1.0, 2.0, 4.0, 8.0, 10.0]),
+        np.array([0.0, 0.0, 0.5, 0.5, -0.5, -0.5]),
+    )
+    run = run_of(0.5, 10.0)
+    motion = motion_of_run(case_of(dataclasses.replace(run, command=Command(knots, omega))), 0)
+    assert motion.angle[-1] == pytest.approx(0.25 + 1 + 0 - 1, abs=0.02)
+    assert motion.turning[-1] == pytest.approx(0.25 + 1 + 1 + 1, abs=0.02)
+    phases = np.array(PHASES)[motion.phase]
+    assert set(phases[(motion.time > 4.5) & (motion.time < 5.5)]) == {"decelerate"}
+    assert set(phases[(motion.time > 6.5) & (motion.time < 7.5)]) == {"accelerate"}
+
+
+def test_a_grouser_s_ripple_is_told_of_a_wheel_that_turns_backward():
+    time, omega = FAST
+    paths = []
+    for sense in (1, -1):
+        setup = setup_of((time, [sense * each for each in omega]))
+        setup.integrator.step, setup.start.angle = FAST_STEP, sense * 0.1
+        each = coarse("run", recorded(setup, noise=0.0), model=setup, step=FAST_STEP)
+        paths.append(Case.of([each]).trace(0, 0.0))
+    forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in paths)
+    assert np.all(np.abs(forward).max(axis=0) > 10 * RIPPLE)
+    np.testing.assert_allclose(backward * [1, -1], forward, rtol=0, atol=RIPPLE)
 
 
 def test_nine_runs_take_little_time():

@@ -4,6 +4,7 @@ The sand does not slow the wheel down, so the whole course is known before the r
 """
 
 import abc
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,14 +77,35 @@ class SpeedRipple(AbstractDrive):
 
 @dataclass(frozen=True)
 class Backlash(AbstractDrive):
-    """The wheel stands until the drive has turned by `play` [rad], and follows at once."""
+    """The wheel stands until the drive has turned by `play` [rad] either way, and follows at once.
+
+    A drive that turns back lets go of it, and has twice the play to cross.
+    """
 
     play: float
     snap: float = 0.02
 
     def follow(self, commanded: np.ndarray) -> np.ndarray:
-        turned = np.cumsum(np.abs(commanded)) * GRID
-        taken_up = int(np.searchsorted(turned, self.play)) if self.play > 0 else 0
-        since = (np.arange(len(commanded)) - taken_up) * GRID
-        share = np.clip(since / self.snap, 0, 1) if self.play > 0 else np.ones(len(commanded))
-        return commanded * share
+        if self.play <= 0:
+            return commanded * np.ones(len(commanded))
+        course, within = np.empty_like(commanded), 0.0
+        for part, sense in _one_way(commanded):
+            turned = np.cumsum(np.abs(commanded[part])) * GRID
+            taken_up = int(np.searchsorted(turned, self.play - sense * within))
+            since = (np.arange(len(turned)) - taken_up) * GRID
+            course[part] = commanded[part] * np.clip(since / self.snap, 0, 1)
+            # Where the drive stands in its play when it turns back.
+            within = sense * min(sense * within + turned[-1], self.play)
+        return course
+
+
+def _one_way(commanded: np.ndarray) -> Iterator[tuple[slice, int]]:
+    """Stretches in which a drive does not turn back, and which way each goes: 1 or -1."""
+    moving = np.flatnonzero(commanded)
+    senses = np.sign(commanded[moving])
+    ends = [*moving[1:][np.diff(senses) != 0], len(commanded)]
+    begin = 0
+    for end in ends:
+        backward = bool((commanded[begin:end] < 0).any())
+        yield slice(begin, end), -1 if backward else 1
+        begin = end

@@ -13,6 +13,9 @@ from drftjax.wheel import Plates
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
+# Place behind the start [m] from which on a cable has its least stiffness.
+SLACK = -0.25
+
 
 def stribeck(speed: Number, stick: Number, surplus: Number) -> Number:
     """Dry friction of force one: more of it, by `surplus`, within five times `stick` [m/s]."""
@@ -73,13 +76,17 @@ class Drawbar(MemorylessLoad):
 
 
 class CableSpring(MemorylessLoad):
-    """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0."""
+    """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0.
+
+    It lies ahead, so that it bends no more once the carriage is behind the start.
+    """
 
     stiffness: Number = number()
     bend: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        return along_x(-self.stiffness * position[0] * (1 + self.bend * position[0]))
+        bent = 1 + self.bend * jnp.maximum(position[0], SLACK)
+        return along_x(-self.stiffness * position[0] * bent)
 
 
 class VerticalSpring(MemorylessLoad):

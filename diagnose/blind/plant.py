@@ -41,6 +41,8 @@ EVERY = 10
 LONGEST = 24.0
 POINTS = round(LONGEST / GRID) + 1
 ROWS = 12000
+# The rail, and what of it lies on the side that no run goes to [m].
+RAIL, SPARE = 5.5, 0.25
 # A wheel let down a while ago still creeps by so much [m/s].
 CREEP = 1.3e-4
 # Sinkages that a standing wheel is looked for at [m].
@@ -148,6 +150,12 @@ def standing(simulator: Simulator) -> float:
     return float(SINKAGES[last - 1] + share * (SINKAGES[last] - SINKAGES[last - 1]))
 
 
+def _rail(course: np.ndarray) -> tuple[float, float]:
+    """How far back and ahead of its start the rail goes [m]: far, where the wheel is to go."""
+    behind = -RAIL if course.min() < 0 else -SPARE
+    return behind, SPARE if course.max() <= 0 and course.min() < 0 else RAIL
+
+
 @eqx.filter_jit
 def _rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
     return trial.run_to(rows, ("x", "z"))
@@ -190,7 +198,8 @@ def run(
     deepest = float(simulator.wheel.cut().sinkage_limit)
     if not (np.isfinite(x).all() and np.isfinite(z).all()) or -z.min() > deepest:
         raise InputError("the plant's wheel digs in")
-    if x.max() > 5.5 or x.min() < -0.25:
+    back, ahead = _rail(course)
+    if x.max() > ahead or x.min() < back:
         raise InputError("the plant's wheel leaves its rail")
     time = np.arange(number + 1) * EVERY * step
     reading = Reading(time, x, z, np.interp(time, course_time, course))

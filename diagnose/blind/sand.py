@@ -19,6 +19,8 @@ Pair = Float[Array, "2"]
 
 # Share of its strength that sand keeps whatever is done to it.
 LEAST = 0.15
+# Turning back [rad] after which a wheel has left the pile ahead of it.
+LEFT = 0.1
 
 
 def number(default: float = 0.0):
@@ -78,20 +80,36 @@ class TerrainVariation(MemorylessZetaFactor):
 
 
 class Bulldozing(AbstractSandLoad):
-    """Resistance linear in travel up to `length` [m], and `force` [N] from there on."""
+    """Resistance linear in travel up to `length` [m], and `force` [N] from there on.
+
+    A wheel that turns back leaves the pile, bit by bit, and heaps up another on that side.
+    """
 
     force: Number = number()
     length: Number = number(0.3)
 
     def begin(self, position: Pair) -> Memory:
-        return position[0]
+        nought = jnp.zeros_like(position[0])
+        return position[0], nought, nought
 
     def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return memory
+        # Where the pile's first sand was met, on which side it lies, how far the wheel turned back.
+        began, side, back = memory
+        side = jnp.where(side == 0, jnp.sign(moment.omega), side)
+        back = jnp.clip(back - side * moment.dt * moment.omega, 0, LEFT)
+        left = back >= LEFT
+        return (
+            jnp.where(left, moment.position[0], began),
+            jnp.where(left, -side, side),
+            jnp.where(left, 0, back),
+        )
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        travel = jnp.abs(position[0] - memory)
+        began, side, back = memory
+        travel = jnp.abs(position[0] - began)
         resistance = -self.force * jnp.minimum(travel / self.length, 1)
+        parting = jnp.where(side < 0, -resistance, resistance) * (1 - back / LEFT)
+        resistance = jnp.where((side < 0) | (back > 0), parting, resistance)
         return jnp.stack([resistance, jnp.zeros_like(resistance)])
 
 

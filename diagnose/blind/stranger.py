@@ -5,10 +5,19 @@ from jaxtyping import Array, Float
 
 from diagnose.blind.sand import LEAST, number
 from drftjax.effects.load import MemorylessLoad, along_x, along_z
-from drftjax.effects.stage import AbstractZetaFactor, Memory, MemorylessZetaFactor, Moment
+from drftjax.effects.stage import (
+    AbstractLoad,
+    AbstractZetaFactor,
+    Memory,
+    MemorylessZetaFactor,
+    Moment,
+)
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
+
+# Share of its length over which a spring slips off.
+SLIP = 0.05
 
 
 class DamagedGrouser(MemorylessZetaFactor):
@@ -94,17 +103,35 @@ class CriticalSpeed(MemorylessZetaFactor):
         return jnp.maximum(1 - self.loss * jnp.exp(-(away**2)), LEAST)
 
 
-class Catch(MemorylessLoad):
-    """The carriage tightens a spring at one place, and slips off it `length` [m] on."""
+class Catch(AbstractLoad):
+    """The carriage tightens a spring at one place, and slips off it `length` [m] on.
+
+    One that comes back from beyond tightens it the other way, over the same places.
+    """
 
     force: Number = number()
     place: Number = number(0.3)
     length: Number = number(0.15)
 
+    def begin(self, position: Pair) -> Memory:
+        return jnp.zeros_like(position[0])
+
+    def advance(self, memory: Memory, moment: Moment) -> Memory:
+        # One from where a wheel turns back beyond the spring until it is free before it.
+        way = self._way(moment.position)
+        back = jnp.where((moment.omega < 0) & (way >= 1 + SLIP), 1, memory)
+        return jnp.where(way <= -SLIP, 0, back)
+
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        way = (position[0] - self.place) / self.length
-        released = jnp.clip((way - 1) / 0.05, 0, 1)
-        return along_x(-self.force * jnp.clip(way, 0, 1) * (1 - released))
+        way = self._way(position)
+        return along_x(jnp.where(memory > 0, self._pull(1 - way), -self._pull(way)))
+
+    def _way(self, position: Pair) -> Number:
+        return (position[0] - self.place) / self.length
+
+    def _pull(self, way: Number) -> Number:
+        released = jnp.clip((way - 1) / SLIP, 0, 1)
+        return self.force * jnp.clip(way, 0, 1) * (1 - released)
 
 
 class SinkageDrag(MemorylessLoad):
@@ -129,7 +156,7 @@ class JammingGuide(MemorylessLoad):
 
 
 class TravelLift(MemorylessLoad):
-    """A vertical force with the carriage's speed."""
+    """A vertical force with the carriage's speed, as of a rail out of true: it turns with it."""
 
     lift: Number = number()
 

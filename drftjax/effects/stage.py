@@ -77,14 +77,18 @@ def strength(
     )
 
 
-def shape(unit: str, default: float, starts: Sequence[float], meaning: str) -> Any:
-    """A positive field that says what an effect looks like, and is free only beside a strength.
+def shape(
+    unit: str, default: float, starts: Sequence[float], meaning: str, least: float = 0.0
+) -> Any:
+    """A field that says what an effect looks like, and is free only beside a strength.
 
     Args:
         unit: Its SI unit.
         default: Its value where nothing is known.
-        starts: Values that together cover what a rig may show: where a fit may start.
+        starts: Values above 0 that together cover what a rig may show: where a fit may start;
+            its logarithm is fitted.
         meaning: What it is.
+        least: What it must lie above.
     """
     return eqx.field(
         converter=as_real,
@@ -93,7 +97,7 @@ def shape(unit: str, default: float, starts: Sequence[float], meaning: str) -> A
             "unit": unit,
             "starts": tuple(starts),
             "meaning": meaning,
-            "least": 0.0,
+            "least": least,
             "most": math.inf,
         },
     )

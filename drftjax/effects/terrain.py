@@ -1,5 +1,6 @@
 """Terrain: sand whose strength or resistance changes under the wheel, with its history or place."""
 
+import math
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from drftjax.effects.stage import (
 
 Number = Float[Array, ""]
 Pair = Float[Array, "2"]
+
+# Regulariser: way [m] that the rim turns back over which a wheel parts from the pile ahead of it.
+PARTING = 0.01
 
 
 class Loosening(AbstractZetaFactor):
@@ -69,7 +73,13 @@ class TerrainVariation(MemorylessZetaFactor):
         "zeta depends on the place: a soft or hard patch, an uneven preparation",
     )
     excess: Number = strength("-", 0.1, "excess of zeta at the patch's centre")
-    centre: Number = shape("m", 0.5, tuple(0.1 * k for k in range(1, 16)), "place of the patch")
+    centre: Number = shape(
+        "m",
+        0.5,
+        tuple(0.1 * k for k in range(1, 16)),
+        "place of the patch, below 0 behind x = 0",
+        least=-math.inf,
+    )
     width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
 
     def factor(self, moment: Moment, memory: Memory) -> Number:
@@ -97,7 +107,10 @@ class TerrainWave(MemorylessZetaFactor):
 
 
 class Bulldozing(AbstractSandLoad):
-    """Sand piles up ahead: a resistance that grows with travel and saturates."""
+    """Sand piles up ahead: a resistance that grows with travel and saturates.
+
+    A wheel that turns back leaves its pile, and begins another on its other side.
+    """
 
     about: ClassVar = About(
         "bulldozing",
@@ -109,15 +122,27 @@ class Bulldozing(AbstractSandLoad):
     length: Number = shape("m", 0.3, (0.05, 0.15, 0.4, 1.0), "travel that piles it up")
 
     def begin(self, position: Pair) -> Memory:
-        return position[0]
+        nought = jnp.zeros_like(position[0])
+        return position[0], nought, nought
 
     def advance(self, memory: Memory, moment: Moment) -> Memory:
-        return memory
+        # Where the pile began, the sense in which the wheel heaps it up, how far it turned back.
+        began, sense, back = memory
+        sense = jnp.where(sense == 0, jnp.sign(moment.omega), sense)
+        rim = moment.dt * moment.radius * moment.omega
+        back = jnp.clip(back - sense * rim, 0, PARTING)
+        left = back >= PARTING
+        return (
+            jnp.where(left, moment.position[0], began),
+            jnp.where(left, -sense, sense),
+            jnp.where(left, 0, back),
+        )
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        travel = position[0] - memory
+        began, _, back = memory
+        travel = position[0] - began
         piled = 1 - jnp.exp(-jnp.abs(travel) / self.length)
-        resistance = -self.force * jnp.sign(travel) * piled
+        resistance = -self.force * jnp.sign(travel) * piled * (1 - back / PARTING)
         return jnp.stack([resistance, jnp.zeros_like(resistance)])
 
 
