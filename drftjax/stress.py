@@ -31,12 +31,11 @@ NEWTON_PER_CUBIC_CENTIMETRE = 1e6
 
 
 class PlateMotion(eqx.Module):
-    """Where the plates are and how they move, all of shape (plates,) but `backward` and the last.
+    """Where the plates are and how they move, all of shape (plates,) but the last two.
 
     Attributes:
         depth: Depth below the surface [m], negative above it.
-        behind: True behind the contact's bisector, at x < 0.
-        backward: True for a wheel that turns backward, whose lowered sand lies at x > 0.
+        behind: True behind the contact's bisector: on the side that the wheel turns away from.
         velocity_x, velocity_z: Plate velocity [m/s].
         direction_x, direction_z: Its direction, fading to zero within `REST_SPEED` of rest [-].
         normal_speed: Speed along the outward normal [m/s].
@@ -46,7 +45,6 @@ class PlateMotion(eqx.Module):
 
     depth: Float[Array, " plates"]
     behind: Array
-    backward: Array
     velocity_x: Float[Array, " plates"]
     velocity_z: Float[Array, " plates"]
     direction_x: Float[Array, " plates"]
@@ -87,8 +85,8 @@ def plate_motion(
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
     return PlateMotion(
         depth=-(height + plates.z),
-        behind=plates.x < 0,
-        backward=omega < 0,
+        # The loss of height goes with omega squared, so that nothing jumps where the sides change.
+        behind=jnp.where(omega < 0, plates.x > 0, plates.x < 0),
         velocity_x=velocity_x,
         velocity_z=velocity_z,
         direction_x=velocity_x / speed,
@@ -213,12 +211,8 @@ class Dynamic(AbstractStressLaw):
     def stress(
         self, motion: PlateMotion, plates: Plates, zeta: Float[Array, ""]
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"]]:
-        loss = self.height_decrease * motion.height_decrease
-        depth = motion.depth - jnp.where(motion.behind, loss, 0)
-        # The sides change at omega = 0, where nothing jumps as the loss goes with omega squared. A
-        # change after the fact compiles to the same last digit for a wheel that turns forward.
-        other = jnp.where(motion.backward, loss, 0)
-        depth = depth - jnp.where(motion.behind, -other, other)
+        loss = jnp.where(motion.behind, self.height_decrease * motion.height_decrease, 0)
+        depth = motion.depth - loss
         stress_x, stress_z = _depth_stress(self.coefficients, motion, plates, depth, zeta)
         pressure = jnp.where(
             depth > 0,
