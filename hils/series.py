@@ -11,6 +11,7 @@ import numpy as np
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.replace import require_folder
 from hils.clock import MonotonicClock
 from hils.operator_dialogue import AbstractDialogue
 from hils.port import open_port
@@ -49,10 +50,10 @@ class Series(NamedTuple):
 
 
 def file_names(output: Path, runs: int) -> list[Path]:
-    """One name for each run: the name itself, or numbered ones.
+    """One name for each run: the name itself, or numbered ones. Their folder is made.
 
     Raises:
-        InputError: where one of them is taken, or cannot be.
+        InputError: where one of them is taken, or nothing can be written there.
     """
     if output.suffix != ".h5":
         raise InputError(f"{output}: a run log's name must end in .h5")
@@ -65,6 +66,7 @@ def file_names(output: Path, runs: int) -> list[Path]:
     for name in names:
         if name.exists():
             raise InputError(f"{name} is already there; move it away or record under another name")
+    require_folder(output.parent)
     return names
 
 

@@ -11,7 +11,7 @@ from hils.events import Event
 from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport
 from hils.rows import KeptRows
-from hils.series import ENDED_EARLY, INTERRUPTED, Series, make_series, told
+from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, told
 from hils.stop_request import Wish
 from hils.under_way import runs_under_way
 from tests.test_hils_loop import loop_setup, make
@@ -110,3 +110,12 @@ def test_series_can_be_found_and_stopped_between_its_runs(runs, tmp_path):
     assert each.port == "/dev/rig"
     assert each.output == f"{tmp_path}/run-0.h5 to {tmp_path}/run-2.h5"
     assert runs_under_way() == []
+
+
+def test_a_new_folder_is_made_and_one_that_cannot_be_is_refused_before_anything_moves(tmp_path):
+    names = file_names(tmp_path / "day" / "sand" / "run.h5", 2)
+    assert [each.name for each in names] == ["run-01.h5", "run-02.h5"]
+    assert (tmp_path / "day" / "sand").is_dir()
+    (tmp_path / "taken").write_bytes(b"")
+    with pytest.raises(InputError, match="taken cannot be made a folder"):
+        file_names(tmp_path / "taken" / "run.h5", 1)
