@@ -30,14 +30,14 @@ from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, sampled
 from identify.candidate import Candidate
 from identify.evidence import (
-    Noise,
+    Instrument,
     Posterior,
     Products,
     most_probable,
     smoothest_given,
     smoothness_prior,
 )
-from identify.observation import SMALLEST_NOISE
+from identify.observation import SMALLEST_NOISE, Observation
 
 CHANNELS = ("z", "x")
 KNOT_SPACING = 1.0
@@ -56,8 +56,10 @@ SMALL_GAIN = 0.5
 MOST_REFUSED = 3
 # Of the first step's second differences: as good as a straight line.
 FIRST_WEIGHT = 1e7
-# The noise is the instruments' own to fit only once a step is shorter than this.
+# Travel and the noise's correlation join only once a step is shorter than this.
 NEAR = 1.0
+# Of what travel has summed up: from one sample to the next as good as all of it is left.
+SUMMED_CORRELATION = 0.9999
 # A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
 # more than this, zeta within a factor e. Nor does one where the wheel stands: its derivative says
 # how it would sink further, but a stronger sand would leave it where it is.
@@ -163,6 +165,22 @@ def _knots(each: Candidate, spacing: float) -> np.ndarray:
     return np.linspace(0.0, duration, intervals + 1)
 
 
+def _instruments(observation: Observation, spacing: float) -> dict[str, Instrument]:
+    """What may pass for noise, by channel.
+
+    Sinkage follows zeta within a fraction of a second, so whatever lasts longer than knots can draw
+    is zeta's to explain: up to the knots' highest frequency, 1 / (2 spacing), the noise is to be as
+    good as white, its correlation time no more than spacing / pi. Travel sums up slip, and keeps
+    whatever else has hindered the wheel to the run's end.
+    """
+    interval = float(np.median(np.diff(observation.time[observation.counts])))
+    lasting = {"z": float(np.exp(-np.pi * interval / spacing)), "x": SUMMED_CORRELATION}
+    return {
+        name: Instrument(max(noise, SMALLEST_NOISE[name]), lasting[name])
+        for name, (_, noise) in observation.by_channel().items()
+    }
+
+
 def _padded(grid: np.ndarray, length: int) -> np.ndarray:
     """Further knots after the run, which nothing depends on."""
     return np.concatenate([grid, grid[-1] + np.arange(1.0, length - len(grid) + 1)])
@@ -175,7 +193,7 @@ def _with_knots(trial: Trial, grid: np.ndarray) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(grid, zeta))
 
 
-def _compared(each: Candidate):
+def _compared(each: Candidate) -> Observation:
     """Sinkage and travel of a run, where it has them."""
     observation = each.observation
     channels = tuple(name for name in CHANNELS if name in observation.channels)
@@ -248,16 +266,14 @@ class _Fit:
         zeta = np.asarray(self.trial.simulator.terrain.zeta.value)[:knots]  # pyright: ignore
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
-        compared = _compared(candidate)
-        self.floors = [
-            max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels, strict=True)
-        ]
-        grid = self.trial.simulator.terrain.zeta.time[:knots]  # pyright: ignore
-        self.moves = _moves(candidate.trial, np.asarray(grid))
+        grid = np.asarray(self.trial.simulator.terrain.zeta.time)[:knots]  # pyright: ignore
+        self.moves = _moves(candidate.trial, grid)
+        self.instruments = _instruments(_compared(candidate), grid[1] - grid[0])
         self.near = False
         self.refused = 0
         self.last: Posterior | None = None
-        self.noise: Sequence[Noise] = ()
+        self.followed = ["z"]
+        self.joint = False
         self.objective = np.inf
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
@@ -274,7 +290,8 @@ class _Fit:
                 raise InputError(f"{name}: its simulation diverges at the zeta it starts from")
             self._shorten()
             return
-        if self.last is not None and self._objective(residual) > self.objective + 1.0:
+        gain = np.inf if self.last is None else self.objective - self._objective(residual)
+        if gain < -1.0:
             self._shorten()
             return
         self.steps += 1
@@ -284,27 +301,37 @@ class _Fit:
             Products.of(np.c_[slopes, slopes @ self.coordinates - left])
             for slopes, left in zip(derivative[:, self.counts], residual, strict=True)
         ]
-        if self.near:
-            self.last = most_probable(products, self.knots, self.level, self.noise, self.floors)
+        still = gain < SMALL_GAIN and self.joint == self.near
+        self.joint = self.near
+        self.followed = [*self.channels] if self.joint else ["z"]
+        instruments = [self.instruments[name] for name in self.followed]
+        picked = [self.channels.index(name) for name in self.followed]
+        followed = [products[number] for number in picked]
+        noise = [
+            instrument.white(np.sqrt(np.mean(residual[number] ** 2)))
+            for instrument, number in zip(instruments, picked, strict=True)
+        ]
+        if self.joint:
+            self.last = most_probable(followed, self.knots, self.level, noise, instruments)
         else:
-            # Far off, a misfit would pass for noise that lasts; white noise of its size pulls on.
-            size = np.sqrt((residual**2).mean(axis=1))
-            noise = [Noise(max(s, f), 0.0) for s, f in zip(size, self.floors, strict=True)]
+            # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel
+            # waits: where it contradicts the sinkage, whichever is met first would have its way.
             # A standing wheel does not rise: a path that swings too far at a stop is not drawn
             # back, so paths start straight and bend a little more with every step.
             least = FIRST_WEIGHT / 10.0**self.steps
-            self.noise = noise
-            self.last = smoothest_given(products, self.knots, self.level, noise, least)
+            self.last = smoothest_given(followed, self.knots, self.level, noise, least)
+            still = still and self.last.weight > 2 * least
         self.origin = self.coordinates
-        before, self.objective = self.objective, self._objective(residual)
+        self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
-        still = farthest < SMALL_MOVE or abs(self.objective - before) < SMALL_GAIN
-        self.converged = bool(self.near and still)
-        self.near = self.near or farthest < NEAR
-        self.move = move * min(1.0, LONGEST_MOVE / max(np.abs(move).max(), 1e-300))
+        self.converged = bool(self.joint and (still or farthest < SMALL_MOVE))
+        self.near = self.near or still or farthest < NEAR
+        # Moved along x a run is the same run, however far.
+        bent = np.abs(np.delete(move, self.knots)).max()
+        self.move = move * min(1.0, LONGEST_MOVE / max(bent, 1e-300))
         if self.converged or self.steps == MOST_STEPS:
             self.settled = True
         else:
@@ -328,8 +355,8 @@ class _Fit:
         """Half the misfit and the bends at the last weight and noise."""
         assert self.last is not None
         misfit = sum(
-            float(Products.of(left[:, None]).whitened(noise)[0, 0])
-            for left, noise in zip(residual, self.last.noise, strict=True)
+            float(Products.of(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0])
+            for name, noise in zip(self.followed, self.last.noise, strict=True)
         )
         centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
         away = self.coordinates - centre
@@ -369,7 +396,7 @@ class _Fit:
             error=np.where(spread < 1e6, value * spread, np.inf),
             told=told,
             weight=float(self.last.weight),
-            noise=dict(zip(self.channels, noise, strict=True)),
+            noise=dict(zip(self.followed, noise, strict=True)),
             rmse=dict(zip(self.channels, rmse, strict=True)),
             steps=self.steps,
             converged=self.converged,
