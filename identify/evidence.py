@@ -14,6 +14,8 @@ import numpy as np
 WEIGHTS = np.logspace(-2, 10, 25)
 # Evidence is flat in the noise near its best; more rounds move no error by a percent.
 NOISE_ROUNDS = 15
+# Of log evidence, less than which is no reason to change a weight.
+NOTICEABLE = 0.5
 # Standard deviation of the prior of log zeta itself: a factor e^5, so as good as none.
 LEVEL_SPREAD = 5.0
 
@@ -76,9 +78,7 @@ class Products:
         bare = self.same - rho * self.next + rho**2 * self.inner
         return bare / (noise.spread**2 * (1 - rho**2))
 
-    def noise(
-        self, residual: np.ndarray, covariance: np.ndarray, instrument: Instrument
-    ) -> Noise:
+    def noise(self, residual: np.ndarray, covariance: np.ndarray, instrument: Instrument) -> Noise:
         """The noise that makes this residual, known to a covariance, most probable.
 
         Args:
@@ -170,8 +170,12 @@ def most_probable(
     level: float,
     noise: Sequence[Noise],
     instruments: Sequence[Instrument],
+    kept: float | None = None,
 ) -> Posterior:
     """The posterior at the weight and noise of largest evidence, over `WEIGHTS`.
+
+    A weight `kept` from the linearisation before gives way only to one that is noticeably more
+    probable: between two that are as good, steps would go to and fro for ever.
 
     From the smoothest path to the roughest, each weight's noise starting from its neighbour's, and
     once more from the instruments' own: a path may be rough, or the noise may last.
@@ -188,4 +192,8 @@ def most_probable(
                     for p, instrument in zip(products, instruments, strict=True)
                 ]
             found.append(posterior(products, knots, level, weight, now))
-    return max(found, key=lambda each: each.evidence)
+
+    def worth(each: Posterior) -> float:
+        return each.evidence + NOTICEABLE * (each.weight == kept)
+
+    return max(found, key=worth)

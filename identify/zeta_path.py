@@ -56,8 +56,10 @@ SMALL_GAIN = 0.5
 MOST_REFUSED = 3
 # Of the first step's second differences: as good as a straight line.
 FIRST_WEIGHT = 1e7
-# Travel and the noise's correlation join only once a step is shorter than this.
+# Travel and the noise's correlation join only once a step is shorter than this, in standard errors,
+# or lowers the misfit by less than this share of it.
 NEAR = 1.0
+NEAR_GAIN = 0.1
 # Of what travel has summed up: from one sample to the next as good as all of it is left.
 SUMMED_CORRELATION = 0.9999
 # A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
@@ -274,34 +276,46 @@ class _Fit:
         self.last: Posterior | None = None
         self.followed = ["z"]
         self.joint = False
+        self.promise = np.inf
         self.objective = np.inf
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
         self.residual = np.zeros_like(self.values)
+        self.slopes: np.ndarray | None = None
+        self.lent = False
         self.steps = 0
         self.settled = self.converged = False
 
     def advance(self, predicted: np.ndarray, derivative: np.ndarray) -> None:
         """One step: weight, noise and the next linearisation, from this one's numbers."""
         residual = predicted[:, self.counts] - self.values
-        if not (np.isfinite(residual).all() and np.isfinite(derivative[:, self.counts]).all()):
+        slopes = derivative[:, self.counts]
+        known = self.slopes is not None or np.isfinite(slopes).all()
+        if not (known and np.isfinite(residual).all()):
             if self.steps == 0:
                 name = self.candidate.name
                 raise InputError(f"{name}: its simulation diverges at the zeta it starts from")
             self._shorten()
             return
         gain = np.inf if self.last is None else self.objective - self._objective(residual)
+        smooth = self._is_smooth(slopes)
         if gain < -1.0:
+            if smooth and self.lent:
+                self.slopes = slopes
             self._shorten()
             return
         self.steps += 1
         self.refused = 0
         self.residual = residual
+        self.lent = not (smooth or self.slopes is None)
+        if self.slopes is None or not self.lent:
+            self.slopes = slopes
         products = [
-            Products.of(np.c_[slopes, slopes @ self.coordinates - left])
-            for slopes, left in zip(derivative[:, self.counts], residual, strict=True)
+            Products.of(np.c_[slope, slope @ self.coordinates - left])
+            for slope, left in zip(self.slopes, residual, strict=True)
         ]
-        still = gain < SMALL_GAIN and self.joint == self.near
+        still = gain < (SMALL_GAIN if self.joint else NEAR_GAIN * self.objective)
+        fresh = self.near and not self.joint
         self.joint = self.near
         self.followed = [*self.channels] if self.joint else ["z"]
         instruments = [self.instruments[name] for name in self.followed]
@@ -312,7 +326,8 @@ class _Fit:
             for instrument, number in zip(instruments, picked, strict=True)
         ]
         if self.joint:
-            self.last = most_probable(followed, self.knots, self.level, noise, instruments)
+            kept = None if self.last is None else self.last.weight
+            self.last = most_probable(followed, self.knots, self.level, noise, instruments, kept)
         else:
             # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel
             # waits: where it contradicts the sinkage, whichever is met first would have its way.
@@ -324,10 +339,11 @@ class _Fit:
         self.origin = self.coordinates
         self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
+        self.promise = 0.5 * float(move @ np.linalg.solve(self.last.covariance, move))
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
-        self.converged = bool(self.joint and (still or farthest < SMALL_MOVE))
+        self.converged = bool(self.joint and ((still and not fresh) or farthest < SMALL_MOVE))
         self.near = self.near or still or farthest < NEAR
         # Moved along x a run is the same run, however far.
         bent = np.abs(np.delete(move, self.knots)).max()
@@ -337,6 +353,16 @@ class _Fit:
         else:
             self.coordinates = self.origin + self.move
 
+    def _is_smooth(self, slopes: np.ndarray) -> bool:
+        """Whether a derivative says how the run goes on, not how a jump of the wheel multiplies.
+
+        A knot's zeta e times as large moves no wheel up or down by more than its radius. In place
+        of another kind, the nearest derivative that is smooth is lent.
+        """
+        radius = float(self.trial.simulator.wheel.radius)
+        steepest = np.abs(slopes[self.channels.index("z")]).max()
+        return bool(steepest < radius and np.isfinite(slopes).all())
+
     def _shorten(self) -> None:
         """Half the last step: the straight line promised what the simulation does not keep."""
         self.move = self.move / 2
@@ -345,8 +371,8 @@ class _Fit:
         self.refused += 1
         if self.refused == MOST_REFUSED or self.steps >= MOST_STEPS:
             self.coordinates = self.origin
-            self.settled = self.near or self.steps >= MOST_STEPS
-            self.converged = self.near and self.steps < MOST_STEPS
+            self.settled = (self.joint and not self.lent) or self.steps >= MOST_STEPS
+            self.converged = bool(self.joint and self.promise < NEAR_GAIN * self.objective)
             # White noise was not the way on; from here the noise is found with the path.
             self.near, self.refused = True, 0
             self.last = self.last if self.settled else None
