@@ -1,15 +1,17 @@
 r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
 
 The run is simulated with zeta linear between knots, and the logarithms u of its values there are
-fitted to recorded sinkage and travel. The prior is a discrete cubic smoothing spline's,
+fitted to recorded sinkage and, once that is met, to travel too. The prior is a discrete cubic
+smoothing spline's,
 
 $$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
 
 and each channel's residual is first-order autoregressive, with a variance and a correlation of its
-own. With the simulation linearised by its exact derivative, the data's probability given w and the
-noise (the evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its
-largest value over a grid of w, with the noise found by expectation-maximisation at each, chooses w;
-Gauss-Newton steps move the linearisation to where it settles.
+own; sinkage's lasts no longer than knots can draw, as what lasts is zeta's to explain. With the
+simulation linearised by its exact derivative, the data's probability given w and the noise (the
+evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its largest value
+over a grid of w, with the noise found by expectation-maximisation at each, chooses w; Gauss-Newton
+steps move the linearisation to where it settles.
 """
 
 from collections.abc import Sequence
@@ -310,32 +312,11 @@ class _Fit:
         self.lent = not (smooth or self.slopes is None)
         if self.slopes is None or not self.lent:
             self.slopes = slopes
-        products = [
-            Products.of(np.c_[slope, slope @ self.coordinates - left])
-            for slope, left in zip(self.slopes, residual, strict=True)
-        ]
+        # A change of what is followed, and by which noise, is no gain that can be measured.
         still = gain < (SMALL_GAIN if self.joint else NEAR_GAIN * self.objective)
-        fresh = self.near and not self.joint
-        self.joint = self.near
-        self.followed = [*self.channels] if self.joint else ["z"]
-        instruments = [self.instruments[name] for name in self.followed]
-        picked = [self.channels.index(name) for name in self.followed]
-        followed = [products[number] for number in picked]
-        noise = [
-            instrument.white(np.sqrt(np.mean(residual[number] ** 2)))
-            for instrument, number in zip(instruments, picked, strict=True)
-        ]
-        if self.joint:
-            kept = None if self.last is None else self.last.weight
-            self.last = most_probable(followed, self.knots, self.level, noise, instruments, kept)
-        else:
-            # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel
-            # waits: where it contradicts the sinkage, whichever is met first would have its way.
-            # A standing wheel does not rise: a path that swings too far at a stop is not drawn
-            # back, so paths start straight and bend a little more with every step.
-            least = FIRST_WEIGHT / 10.0**self.steps
-            self.last = smoothest_given(followed, self.knots, self.level, noise, least)
-            still = still and self.last.weight > 2 * least
+        changed, self.joint = self.joint != self.near, self.near
+        self.last, bends_freely = self._believed(self.slopes)
+        still = still and bends_freely and not changed
         self.origin = self.coordinates
         self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
@@ -343,7 +324,7 @@ class _Fit:
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
-        self.converged = bool(self.joint and ((still and not fresh) or farthest < SMALL_MOVE))
+        self.converged = bool(self.joint and (still or farthest < SMALL_MOVE))
         self.near = self.near or still or farthest < NEAR
         # Moved along x a run is the same run, however far.
         bent = np.abs(np.delete(move, self.knots)).max()
@@ -352,6 +333,31 @@ class _Fit:
             self.settled = True
         else:
             self.coordinates = self.origin + self.move
+
+    def _believed(self, slopes: np.ndarray) -> tuple[Posterior, bool]:
+        """What the linearised run says, and whether its path bends as much as the data ask for."""
+        self.followed = [*self.channels] if self.joint else ["z"]
+        picked = [self.channels.index(name) for name in self.followed]
+        instruments = [self.instruments[name] for name in self.followed]
+        products = [
+            Products.of(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
+            for n in picked
+        ]
+        noise = [
+            instrument.white(np.sqrt(np.mean(self.residual[n] ** 2)))
+            for instrument, n in zip(instruments, picked, strict=True)
+        ]
+        if self.joint:
+            kept = None if self.last is None else self.last.weight
+            found = most_probable(products, self.knots, self.level, noise, instruments, kept)
+            return found, True
+        # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel waits:
+        # where it contradicts the sinkage, whichever is met first would have its way.
+        # A standing wheel does not rise: a path that swings too far at a stop is not drawn back, so
+        # paths start straight and bend a little more with every step.
+        least = FIRST_WEIGHT / 10.0**self.steps
+        found = smoothest_given(products, self.knots, self.level, noise, least)
+        return found, found.weight > 2 * least
 
     def _is_smooth(self, slopes: np.ndarray) -> bool:
         """Whether a derivative says how the run goes on, not how a jump of the wheel multiplies.
