@@ -53,6 +53,9 @@ MOST_STEPS = 25
 SMALL_MOVE = 0.3
 # They also end where the log probability changes by less than this from one to the next.
 SMALL_GAIN = 0.5
+# And where the evidence grows no more and what a step promises is less than this share of the
+# misfit, half a percent of the residual: under that the noise wanders with the corners of the run.
+SMALL_PROMISE = 0.01
 # So many refusals in a row, each a step half as long: what is left lies under the simulation's
 # resolution, as stops make the misfit rough.
 MOST_REFUSED = 3
@@ -279,6 +282,7 @@ class _Fit:
         self.followed = ["z"]
         self.joint = False
         self.promise = np.inf
+        self.evidence = -np.inf
         self.objective = np.inf
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
@@ -321,6 +325,11 @@ class _Fit:
         self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
         self.promise = 0.5 * float(move @ np.linalg.solve(self.last.covariance, move))
+        if changed:
+            self.evidence = -np.inf
+        level = self.last.evidence < self.evidence + SMALL_GAIN
+        still = still or (level and self.promise < SMALL_PROMISE * self.objective)
+        self.evidence = max(self.evidence, self.last.evidence)
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
