@@ -14,7 +14,8 @@ import numpy as np
 WEIGHTS = np.logspace(-2, 10, 25)
 # Evidence is flat in the noise near its best; more rounds move no error by a percent.
 NOISE_ROUNDS = 15
-LARGEST_CORRELATION = 0.9999
+# Of log evidence, less than which is no reason to change a weight.
+NOTICEABLE = 0.5
 # Standard deviation of the prior of log zeta itself: a factor e^5, so as good as none.
 LEVEL_SPREAD = 5.0
 
@@ -25,6 +26,23 @@ class Noise:
 
     spread: float
     correlation: float
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """What one channel's noise may be.
+
+    Attributes:
+        floor: Smallest standard deviation [m].
+        longest: Largest correlation of a sample with the one before [-].
+    """
+
+    floor: float
+    longest: float
+
+    def white(self, spread: float) -> Noise:
+        """White noise of this standard deviation [m], or of the smallest."""
+        return Noise(max(float(spread), self.floor), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +78,13 @@ class Products:
         bare = self.same - rho * self.next + rho**2 * self.inner
         return bare / (noise.spread**2 * (1 - rho**2))
 
-    def noise(self, residual: np.ndarray, covariance: np.ndarray, floor: float) -> Noise:
+    def noise(self, residual: np.ndarray, covariance: np.ndarray, instrument: Instrument) -> Noise:
         """The noise that makes this residual, known to a covariance, most probable.
 
         Args:
             residual: Its coefficients in the columns, shape (n,).
             covariance: Of the derivative's coordinates.
-            floor: Smallest standard deviation [m].
+            instrument: What the noise may be.
         """
 
         def power(sums: np.ndarray) -> float:
@@ -74,10 +92,11 @@ class Products:
             return float(residual @ sums @ residual + spread)
 
         same, inner = power(self.same), power(self.inner)
-        rho = np.clip(power(self.next) / 2 / max(inner, 1e-300), 0.0, LARGEST_CORRELATION)
-        left = same - 2 * rho * power(self.next) / 2 + rho**2 * inner
+        rho = np.clip(power(self.next) / 2 / max(inner, 1e-300), 0.0, instrument.longest)
+        # Rounding can make nothing of it where the derivative is many times what is left.
+        left = max(same - rho * power(self.next) + rho**2 * inner, 0.0)
         variance = left / (self.samples * (1 - rho**2))
-        return Noise(max(float(np.sqrt(variance)), floor), float(rho))
+        return Noise(max(float(np.sqrt(variance)), instrument.floor), float(rho))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,23 +169,31 @@ def most_probable(
     knots: int,
     level: float,
     noise: Sequence[Noise],
-    floors: Sequence[float],
+    instruments: Sequence[Instrument],
+    kept: float | None = None,
 ) -> Posterior:
     """The posterior at the weight and noise of largest evidence, over `WEIGHTS`.
+
+    A weight `kept` from the linearisation before gives way only to one that is noticeably more
+    probable: between two that are as good, steps would go to and fro for ever.
 
     From the smoothest path to the roughest, each weight's noise starting from its neighbour's, and
     once more from the instruments' own: a path may be rough, or the noise may last.
     """
     found = []
-    for weights, first in ((WEIGHTS[::-1], noise), (WEIGHTS, [Noise(f, 0.0) for f in floors])):
+    for weights, first in ((WEIGHTS[::-1], noise), (WEIGHTS, [i.white(0.0) for i in instruments])):
         now = list(first)
         for weight in weights:
             for _ in range(NOISE_ROUNDS):
                 state = posterior(products, knots, level, weight, now)
                 residual = np.r_[state.mean, -1.0]
                 now = [
-                    p.noise(residual, state.covariance, floor)
-                    for p, floor in zip(products, floors, strict=True)
+                    p.noise(residual, state.covariance, instrument)
+                    for p, instrument in zip(products, instruments, strict=True)
                 ]
             found.append(posterior(products, knots, level, weight, now))
-    return max(found, key=lambda each: each.evidence)
+
+    def worth(each: Posterior) -> float:
+        return each.evidence + NOTICEABLE * (each.weight == kept)
+
+    return max(found, key=worth)

@@ -1,15 +1,17 @@
 r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
 
 The run is simulated with zeta linear between knots, and the logarithms u of its values there are
-fitted to recorded sinkage and travel. The prior is a discrete cubic smoothing spline's,
+fitted to recorded sinkage and, once that is met, to travel too. The prior is a discrete cubic
+smoothing spline's,
 
 $$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
 
 and each channel's residual is first-order autoregressive, with a variance and a correlation of its
-own. With the simulation linearised by its exact derivative, the data's probability given w and the
-noise (the evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its
-largest value over a grid of w, with the noise found by expectation-maximisation at each, chooses w;
-Gauss-Newton steps move the linearisation to where it settles.
+own; sinkage's lasts no longer than knots can draw, as what lasts is zeta's to explain. With the
+simulation linearised by its exact derivative, the data's probability given w and the noise (the
+evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its largest value
+over a grid of w, with the noise found by expectation-maximisation at each, chooses w; Gauss-Newton
+steps move the linearisation to where it settles.
 """
 
 from collections.abc import Sequence
@@ -30,14 +32,14 @@ from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, sampled
 from identify.candidate import Candidate
 from identify.evidence import (
-    Noise,
+    Instrument,
     Posterior,
     Products,
     most_probable,
     smoothest_given,
     smoothness_prior,
 )
-from identify.observation import SMALLEST_NOISE
+from identify.observation import SMALLEST_NOISE, Observation
 
 CHANNELS = ("z", "x")
 KNOT_SPACING = 1.0
@@ -51,13 +53,20 @@ MOST_STEPS = 25
 SMALL_MOVE = 0.3
 # They also end where the log probability changes by less than this from one to the next.
 SMALL_GAIN = 0.5
+# And where the evidence grows no more and what a step promises is less than this share of the
+# misfit, half a percent of the residual: under that the noise wanders with the corners of the run.
+SMALL_PROMISE = 0.01
 # So many refusals in a row, each a step half as long: what is left lies under the simulation's
 # resolution, as stops make the misfit rough.
 MOST_REFUSED = 3
 # Of the first step's second differences: as good as a straight line.
 FIRST_WEIGHT = 1e7
-# The noise is the instruments' own to fit only once a step is shorter than this.
+# Travel and the noise's correlation join only once a step is shorter than this, in standard errors,
+# or lowers the misfit by less than this share of it.
 NEAR = 1.0
+NEAR_GAIN = 0.1
+# Of what travel has summed up: from one sample to the next as good as all of it is left.
+SUMMED_CORRELATION = 0.9999
 # A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
 # more than this, zeta within a factor e. Nor does one where the wheel stands: its derivative says
 # how it would sink further, but a stronger sand would leave it where it is.
@@ -163,6 +172,22 @@ def _knots(each: Candidate, spacing: float) -> np.ndarray:
     return np.linspace(0.0, duration, intervals + 1)
 
 
+def _instruments(observation: Observation, spacing: float) -> dict[str, Instrument]:
+    """What may pass for noise, by channel.
+
+    Sinkage follows zeta within a fraction of a second, so whatever lasts longer than knots can draw
+    is zeta's to explain: up to the knots' highest frequency, 1 / (2 spacing), the noise is to be as
+    good as white, its correlation time no more than spacing / pi. Travel sums up slip, and keeps
+    whatever else has hindered the wheel to the run's end.
+    """
+    interval = float(np.median(np.diff(observation.time[observation.counts])))
+    lasting = {"z": float(np.exp(-np.pi * interval / spacing)), "x": SUMMED_CORRELATION}
+    return {
+        name: Instrument(max(noise, SMALLEST_NOISE[name]), lasting[name])
+        for name, (_, noise) in observation.by_channel().items()
+    }
+
+
 def _padded(grid: np.ndarray, length: int) -> np.ndarray:
     """Further knots after the run, which nothing depends on."""
     return np.concatenate([grid, grid[-1] + np.arange(1.0, length - len(grid) + 1)])
@@ -175,7 +200,7 @@ def _with_knots(trial: Trial, grid: np.ndarray) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(grid, zeta))
 
 
-def _compared(each: Candidate):
+def _compared(each: Candidate) -> Observation:
     """Sinkage and travel of a run, where it has them."""
     observation = each.observation
     channels = tuple(name for name in CHANNELS if name in observation.channels)
@@ -248,67 +273,110 @@ class _Fit:
         zeta = np.asarray(self.trial.simulator.terrain.zeta.value)[:knots]  # pyright: ignore
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
-        compared = _compared(candidate)
-        self.floors = [
-            max(n, SMALLEST_NOISE[c]) for n, c in zip(compared.noise, self.channels, strict=True)
-        ]
-        grid = self.trial.simulator.terrain.zeta.time[:knots]  # pyright: ignore
-        self.moves = _moves(candidate.trial, np.asarray(grid))
+        grid = np.asarray(self.trial.simulator.terrain.zeta.time)[:knots]  # pyright: ignore
+        self.moves = _moves(candidate.trial, grid)
+        self.instruments = _instruments(_compared(candidate), grid[1] - grid[0])
         self.near = False
         self.refused = 0
         self.last: Posterior | None = None
-        self.noise: Sequence[Noise] = ()
+        self.followed = ["z"]
+        self.joint = False
+        self.promise = np.inf
+        self.evidence = -np.inf
         self.objective = np.inf
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
         self.residual = np.zeros_like(self.values)
+        self.slopes: np.ndarray | None = None
+        self.lent = False
         self.steps = 0
         self.settled = self.converged = False
 
     def advance(self, predicted: np.ndarray, derivative: np.ndarray) -> None:
         """One step: weight, noise and the next linearisation, from this one's numbers."""
         residual = predicted[:, self.counts] - self.values
-        if not (np.isfinite(residual).all() and np.isfinite(derivative[:, self.counts]).all()):
+        slopes = derivative[:, self.counts]
+        known = self.slopes is not None or np.isfinite(slopes).all()
+        if not (known and np.isfinite(residual).all()):
             if self.steps == 0:
                 name = self.candidate.name
                 raise InputError(f"{name}: its simulation diverges at the zeta it starts from")
             self._shorten()
             return
-        if self.last is not None and self._objective(residual) > self.objective + 1.0:
+        gain = np.inf if self.last is None else self.objective - self._objective(residual)
+        smooth = self._is_smooth(slopes)
+        if gain < -1.0:
+            if smooth and self.lent:
+                self.slopes = slopes
             self._shorten()
             return
         self.steps += 1
         self.refused = 0
         self.residual = residual
-        products = [
-            Products.of(np.c_[slopes, slopes @ self.coordinates - left])
-            for slopes, left in zip(derivative[:, self.counts], residual, strict=True)
-        ]
-        if self.near:
-            self.last = most_probable(products, self.knots, self.level, self.noise, self.floors)
-        else:
-            # Far off, a misfit would pass for noise that lasts; white noise of its size pulls on.
-            size = np.sqrt((residual**2).mean(axis=1))
-            noise = [Noise(max(s, f), 0.0) for s, f in zip(size, self.floors, strict=True)]
-            # A standing wheel does not rise: a path that swings too far at a stop is not drawn
-            # back, so paths start straight and bend a little more with every step.
-            least = FIRST_WEIGHT / 10.0**self.steps
-            self.noise = noise
-            self.last = smoothest_given(products, self.knots, self.level, noise, least)
+        self.lent = not (smooth or self.slopes is None)
+        if self.slopes is None or not self.lent:
+            self.slopes = slopes
+        # A change of what is followed, and by which noise, is no gain that can be measured.
+        still = gain < (SMALL_GAIN if self.joint else NEAR_GAIN * self.objective)
+        changed, self.joint = self.joint != self.near, self.near
+        self.last, bends_freely = self._believed(self.slopes)
+        still = still and bends_freely and not changed
         self.origin = self.coordinates
-        before, self.objective = self.objective, self._objective(residual)
+        self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
+        self.promise = 0.5 * float(move @ np.linalg.solve(self.last.covariance, move))
+        if changed:
+            self.evidence = -np.inf
+        level = self.last.evidence < self.evidence + SMALL_GAIN
+        still = still or (level and self.promise < SMALL_PROMISE * self.objective)
+        self.evidence = max(self.evidence, self.last.evidence)
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
-        still = farthest < SMALL_MOVE or abs(self.objective - before) < SMALL_GAIN
-        self.converged = bool(self.near and still)
-        self.near = self.near or farthest < NEAR
-        self.move = move * min(1.0, LONGEST_MOVE / max(np.abs(move).max(), 1e-300))
+        self.converged = bool(self.joint and (still or farthest < SMALL_MOVE))
+        self.near = self.near or still or farthest < NEAR
+        # Moved along x a run is the same run, however far.
+        bent = np.abs(np.delete(move, self.knots)).max()
+        self.move = move * min(1.0, LONGEST_MOVE / max(bent, 1e-300))
         if self.converged or self.steps == MOST_STEPS:
             self.settled = True
         else:
             self.coordinates = self.origin + self.move
+
+    def _believed(self, slopes: np.ndarray) -> tuple[Posterior, bool]:
+        """What the linearised run says, and whether its path bends as much as the data ask for."""
+        self.followed = [*self.channels] if self.joint else ["z"]
+        picked = [self.channels.index(name) for name in self.followed]
+        instruments = [self.instruments[name] for name in self.followed]
+        products = [
+            Products.of(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
+            for n in picked
+        ]
+        noise = [
+            instrument.white(np.sqrt(np.mean(self.residual[n] ** 2)))
+            for instrument, n in zip(instruments, picked, strict=True)
+        ]
+        if self.joint:
+            kept = None if self.last is None else self.last.weight
+            found = most_probable(products, self.knots, self.level, noise, instruments, kept)
+            return found, True
+        # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel waits:
+        # where it contradicts the sinkage, whichever is met first would have its way.
+        # A standing wheel does not rise: a path that swings too far at a stop is not drawn back, so
+        # paths start straight and bend a little more with every step.
+        least = FIRST_WEIGHT / 10.0**self.steps
+        found = smoothest_given(products, self.knots, self.level, noise, least)
+        return found, found.weight > 2 * least
+
+    def _is_smooth(self, slopes: np.ndarray) -> bool:
+        """Whether a derivative says how the run goes on, not how a jump of the wheel multiplies.
+
+        A knot's zeta e times as large moves no wheel up or down by more than its radius. In place
+        of another kind, the nearest derivative that is smooth is lent.
+        """
+        radius = float(self.trial.simulator.wheel.radius)
+        steepest = np.abs(slopes[self.channels.index("z")]).max()
+        return bool(steepest < radius and np.isfinite(slopes).all())
 
     def _shorten(self) -> None:
         """Half the last step: the straight line promised what the simulation does not keep."""
@@ -318,8 +386,8 @@ class _Fit:
         self.refused += 1
         if self.refused == MOST_REFUSED or self.steps >= MOST_STEPS:
             self.coordinates = self.origin
-            self.settled = self.near or self.steps >= MOST_STEPS
-            self.converged = self.near and self.steps < MOST_STEPS
+            self.settled = (self.joint and not self.lent) or self.steps >= MOST_STEPS
+            self.converged = bool(self.joint and self.promise < NEAR_GAIN * self.objective)
             # White noise was not the way on; from here the noise is found with the path.
             self.near, self.refused = True, 0
             self.last = self.last if self.settled else None
@@ -328,8 +396,8 @@ class _Fit:
         """Half the misfit and the bends at the last weight and noise."""
         assert self.last is not None
         misfit = sum(
-            float(Products.of(left[:, None]).whitened(noise)[0, 0])
-            for left, noise in zip(residual, self.last.noise, strict=True)
+            float(Products.of(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0])
+            for name, noise in zip(self.followed, self.last.noise, strict=True)
         )
         centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
         away = self.coordinates - centre
@@ -369,7 +437,7 @@ class _Fit:
             error=np.where(spread < 1e6, value * spread, np.inf),
             told=told,
             weight=float(self.last.weight),
-            noise=dict(zip(self.channels, noise, strict=True)),
+            noise=dict(zip(self.followed, noise, strict=True)),
             rmse=dict(zip(self.channels, rmse, strict=True)),
             steps=self.steps,
             converged=self.converged,

@@ -13,9 +13,9 @@ from drftjax.scaling import KnotZeta
 from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
 from identify.candidate import Candidate, candidate
-from identify.evidence import WEIGHTS, Noise, Products, posterior
+from identify.evidence import WEIGHTS, Instrument, Noise, Products, posterior
 from identify.zeta_path import ZetaPath, predicted, zeta_paths
-from tests.studies.crosscheck import known_run, known_setup
+from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 
 # Coarse plates and the fit's own integrator: the program is tested, not the step's error. At longer
 # steps the misfit grows rough, by the corners that plates pass as they begin to lead.
@@ -28,6 +28,8 @@ RUNS = 4
 # Steps have corners, where plates begin to lead, and derivatives jump there: differences over so
 # small a change cross none. What is left is their rounding.
 DIFFERENCES = 1e-4
+# Rise of the bed [-]; and what zeta at knots, the plates' ripple between them, may leave of z.
+RISE, FEW_FLOORS = 0.012, 5 * NOISE
 # Two-sided 90 % of a normal distribution, in standard errors.
 BAND = 1.645
 
@@ -37,9 +39,10 @@ def path_of(number: int):
     return lambda t: np.interp(t, KNOTS, values)
 
 
-def made(name: str, path, seed: int, time=TIME, omega=OMEGA) -> Candidate:
+def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=()) -> Candidate:
     setup = known_setup(name, path, KNOTS, time, omega, PLATE_SIZE)
     setup.integrator = IntegratorSetUp("held pace", STEP)
+    setup.effects = [*effects]
     run = known_run(setup, np.random.default_rng(seed))
     each = candidate(name, run, step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
@@ -99,6 +102,49 @@ def test_standstill_tells_nothing_of_zeta(paths):
     assert path.error[standing].min() > 0.5
 
 
+# A zeta that moves a lot --------------------------------------------------------------------------
+
+MECHANISMS = {
+    "slope": {"name": "surface_slope", "slope": RISE},
+    "falling slope": {"name": "surface_slope", "slope": -RISE},
+    "loosening": {"name": "loosening", "loss": 0.3, "decay": 1.0},
+    "patch": {"name": "terrain_variation", "excess": -0.2, "centre": 0.25, "width": 0.1},
+}
+
+
+@pytest.fixture(scope="module")
+def moved() -> dict[str, ZetaPath]:
+    """Runs on sand of 0.75 with a mechanism that the model leaves to zeta."""
+    runs = [
+        made(name, lambda t: 0.75 + 0 * t, number, effects=[effect])
+        for number, (name, effect) in enumerate(MECHANISMS.items())
+    ]
+    return dict(zip(MECHANISMS, zeta_paths(runs, SPACING / 2), strict=True))
+
+
+def test_path_makes_up_for_whatever_moves_the_sinkage(moved):
+    for name, each in moved.items():
+        assert each.converged, name
+        assert each.rmse["z"] < FEW_FLOORS, name
+        spread, correlation = each.noise["z"]
+        assert spread < FEW_FLOORS, name
+        assert correlation <= np.exp(-np.pi / (SPACING / 2) / RATE) + 1e-9, name
+
+
+def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
+    path, fallen = moved["slope"], moved["falling slope"]
+    assert path.value[path.told][-2] > 0.9
+    assert fallen.value[fallen.told][-2] < 0.68
+    # No zeta(t) meets both: what it does to slip is summed up, and told as what it is.
+    assert path.rmse["x"] > 20 * path.rmse["z"]
+    assert path.noise["x"][1] > 0.99
+
+
+def test_sand_that_changes_is_told_by_travel_too(moved):
+    for name in ("loosening", "patch"):
+        assert moved[name].rmse["x"] < 2 * NOISE
+
+
 # Derivatives and algebra --------------------------------------------------------------------------
 
 
@@ -131,6 +177,17 @@ def test_whitening_is_the_inverse_covariance():
     lags = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
     dense = columns.T @ np.linalg.solve(0.3**2 * 0.8**lags, columns)
     np.testing.assert_allclose(Products.of(columns).whitened(noise), dense, rtol=1e-10)
+
+
+def test_noise_lasts_no_longer_than_its_instrument_allows():
+    time = np.linspace(0.0, 1.0, 500)
+    products = Products.of((1e-3 * time)[:, None])
+    residual, nothing = np.ones(1), np.zeros((0, 0))
+    assert products.noise(residual, nothing, Instrument(1e-6, 0.9999)).correlation == 0.9999
+    short = products.noise(residual, nothing, Instrument(1e-6, 0.9))
+    assert short.correlation == 0.9
+    # A slow drift cannot hide in it: the spread that would have to hold it is its own size.
+    assert short.spread > 0.1e-3
 
 
 def test_evidence_is_largest_near_the_weight_that_made_the_path():
