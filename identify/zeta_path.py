@@ -328,7 +328,7 @@ class _Fit:
         if changed:
             self.evidence = -np.inf
         level = self.last.evidence < self.evidence + SMALL_GAIN
-        still = still or (level and self.promise < SMALL_PROMISE * self.objective)
+        still = still or (self.joint and level and self.promise < SMALL_PROMISE * self.objective)
         self.evidence = max(self.evidence, self.last.evidence)
         share = move / np.sqrt(np.diag(self.last.covariance))
         told = self.moves & (self._own_error() <= TELLS_NOTHING)
