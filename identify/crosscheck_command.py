@@ -91,6 +91,9 @@ def crosscheck(
     for run in result.runs:
         if not run.offline.converged:
             console.print(f"{run.name}: the offline zeta(t) has not settled", style="yellow")
+        if said := run.offline.contradiction():
+            said += "; `drft diagnose` looks for the cause"
+            console.print(said, style="yellow", markup=False, soft_wrap=True)
     if output is not None:
         written = write(result, output)
         console.print(f"written: {', '.join(str(each) for each in written)}")

@@ -28,6 +28,7 @@ def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -
         for path in paths
         if len(inside := path.value[path.told])
     ]
+    findings += [said for path in paths if (said := path.contradiction())]
     return FitResult(
         shared={},
         runs=runs,

@@ -65,6 +65,8 @@ FIRST_WEIGHT = 1e7
 # or lowers the misfit by less than this share of it.
 NEAR = 1.0
 NEAR_GAIN = 0.1
+# Travel left so many times worse than sinkage says that no zeta(t) meets both.
+AT_ODDS = 20.0
 # Of what travel has summed up: from one sample to the next as good as all of it is left.
 SUMMED_CORRELATION = 0.9999
 # A knot tells nothing where its samples alone, were all other knots known, leave log zeta open by
@@ -108,6 +110,17 @@ class ZetaPath:
     def at(self, time: np.ndarray) -> np.ndarray:
         """zeta at `time` [s]."""
         return np.interp(time, self.time, self.value)
+
+    def contradiction(self) -> str | None:
+        """In words, that no zeta(t) meets both sinkage and travel; None where one does."""
+        left = [self.rmse.get(name, 0.0) for name in CHANNELS]
+        if left[1] <= AT_ODDS * left[0]:
+            return None
+        sinkage, travel = (f"{1e3 * each:.2g} mm" for each in left)
+        return (
+            f"{self.name}: a zeta(t) that meets the sinkage to {sinkage} leaves travel {travel} "
+            "off: what moves zeta here is not the sand's strength alone"
+        )
 
 
 def zeta_paths(

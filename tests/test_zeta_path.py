@@ -137,12 +137,16 @@ def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
     assert fallen.value[fallen.told][-2] < 0.68
     # No zeta(t) meets both: what it does to slip is summed up, and told as what it is.
     assert path.rmse["x"] > 20 * path.rmse["z"]
+    said = path.contradiction()
+    assert said is not None
+    assert said.startswith("slope: a zeta(t) that meets the sinkage to 0.0")
     assert path.noise["x"][1] > 0.99
 
 
 def test_sand_that_changes_is_told_by_travel_too(moved):
     for name in ("loosening", "patch"):
         assert moved[name].rmse["x"] < 2 * NOISE
+        assert moved[name].contradiction() is None
 
 
 # Derivatives and algebra --------------------------------------------------------------------------
