@@ -16,8 +16,7 @@ from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
 from drftjax.effects.catalogue import spoken
-from drftjax.integrator import LARGEST_CHANGE, STEPS, steady_step
-from drftjax.stress import REST_SPEED
+from drftjax.integrator import sharpest_ramp, steady_step
 from drftjax.trial import Trial
 from identify.candidate import STEPS_A_ROW
 
@@ -146,8 +145,7 @@ def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
 
 def _stop_and_go(trial: Trial, top: float) -> Trial:
     """The same wheel started and stopped over and over, as sharply as the shortest step allows."""
-    radius = float(trial.simulator.wheel.radius)
-    ramp = top * radius / (LARGEST_CHANGE * REST_SPEED / STEPS[-1])
+    ramp = top / sharpest_ramp(float(trial.simulator.wheel.radius))
     held = np.cumsum(np.resize([HELD, ramp], len(trial.time) - 1))
     speeds = np.resize([0.0, 0.0, top, top], len(trial.time))
     return _steady(replace(trial, time=jnp.append(0.0, held), omega=jnp.asarray(speeds)))

@@ -5,7 +5,6 @@ wheel's motion and by the inputs of `diagnose.latent`; the node's map is that st
 it fits. From there every response to anything small is a matter of matrices.
 """
 
-import itertools
 from dataclasses import replace
 
 import equinox as eqx
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diagnose.latent import INPUTS, latents
-from drftjax.command import Command
+from drftjax.command import Command, one_way
 from drftjax.simulator import Simulator, State
 from drftjax.trial import Trial
 
@@ -222,7 +221,8 @@ def _ripple(path: Path, pitch: float) -> np.ndarray:
     nodes = int(path.nodes)
     slope = np.zeros((path.motion.shape[0], 2))
     motion = np.asarray(path.motion)[: nodes + 1]
-    for part, sense in one_way(motion[:, 4]):
+    turned = np.diff(motion[:, 4], append=motion[-1, 4])
+    for part, sense in one_way(np.sign(np.where(np.abs(turned) > 1e-9, turned, 0))):
         slope[: nodes + 1][part] = _ripple_one_way(motion[part], pitch, sense)
     return slope
 
@@ -243,16 +243,3 @@ def _ripple_one_way(motion: np.ndarray, pitch: float, sense: int) -> np.ndarray:
         whole = (angle > angle[0] + pitch) & (angle < angle[-1] - pitch)
         slope[:, column] = np.where(whole, sense * np.interp(angle, grid, rate), 0)
     return slope
-
-
-def one_way(angle: np.ndarray) -> list[tuple[slice, int]]:
-    """Stretches in which a wheel does not turn back, and which way it turns in each: 1 or -1."""
-    senses = np.sign(np.where(np.abs(np.diff(angle)) > 1e-9, np.diff(angle), 0))
-    turning = np.flatnonzero(senses)
-    backs = turning[1:][np.diff(senses[turning]) != 0]
-    edges = [0, *backs.tolist(), len(angle)]
-    found = []
-    for begin, end in itertools.pairwise(edges):
-        backward = bool((senses[begin:end][senses[begin:end] != 0] < 0).any())
-        found.append((slice(begin, end), -1 if backward else 1))
-    return found

@@ -1,5 +1,8 @@
 """What is asked of the rig over one step, and over a whole run."""
 
+import itertools
+from collections.abc import Iterator
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -63,3 +66,18 @@ def _zeros(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     before = np.flatnonzero(values[:-1] * values[1:] < 0)
     share = values[before] / (values[before] - values[before + 1])
     return time[before] + share * (time[before + 1] - time[before])
+
+
+def one_way(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
+    """Stretches in which a wheel or a drive does not turn back, and which way it turns in each.
+
+    Args:
+        senses: Which way it turns on each sample: 1, -1, or 0 where it stands, shape (samples,).
+
+    Returns:
+        Slices of the samples, and 1 or -1; one that stands throughout counts as forward.
+    """
+    turning = np.flatnonzero(senses)
+    backs = turning[1:][np.diff(senses[turning]) != 0]
+    for begin, end in itertools.pairwise([0, *backs.tolist(), len(senses)]):
+        yield slice(begin, end), -1 if (senses[begin:end] < 0).any() else 1

@@ -83,6 +83,15 @@ class Explicit(AbstractIntegrator):
         return value, jnp.zeros((3, 2), velocity.dtype)
 
 
+def sharpest_ramp(radius: float) -> float:
+    """The largest angular acceleration [rad/s2] that the shortest of `STEPS` follows steadily.
+
+    Args:
+        radius: Rim radius [m].
+    """
+    return LARGEST_CHANGE * REST_SPEED / (STEPS[-1] * radius)
+
+
 def steady_step(radius: float, time: np.ndarray, omega: np.ndarray) -> float:
     """The longest step [s] at which `HeldPace` keeps its derivatives bounded on a command.
 

@@ -5,19 +5,19 @@ to the wheel does once it is mirrored as well.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diagnose.blind import bed, drive, instrument, machine, plant, sand, stranger
-from diagnose.blind.curve import AHEAD, BEHIND, Curve, drawn_variation
+from diagnose.blind.curve import PLACES, Curve, drawn_variation
 from diagnose.blind.instrument import Reading
 from diagnose.blind.plant import Change, Part
+from diagnose.blind.protocol import Profile
 from diagnose.blind.recipe import CATALOGUE, STRANGERS
 from drftjax.effects.stage import Moment
-from drftjax.integrator import steady_step
 
 # Every run starts with a grouser straight under the axle, at the very corner of the leading-plate
 # rule: a rounding decides which of its faces leads at first [m].
@@ -27,33 +27,19 @@ SEEN = 5e-5
 FINER, MASS, ZETA = 0.5, 18.837, 0.8
 
 
-@dataclass(frozen=True)
-class Knots:
+def profile(time: Sequence[float], speed: Sequence[float]) -> Profile:
     """A commanded speed by its knots [s], [rad/s]."""
-
-    time: tuple[float, ...]
-    speed: tuple[float, ...]
-    mass: float = MASS
-
-    @property
-    def duration(self) -> float:
-        return self.time[-1]
-
-    def omega(self, time: np.ndarray) -> np.ndarray:
-        return np.interp(time, self.time, self.speed)
-
-    def steady_step(self) -> float:
-        return steady_step(0.15, np.array(self.time), np.array(self.speed))
-
-    def mirrored(self) -> "Knots":
-        return Knots(self.time, tuple(-each for each in self.speed), self.mass)
+    return Profile(tuple(time), tuple(np.degrees(speed).tolist()), MASS)
 
 
-FORWARD = Knots((0.0, 0.2, 0.9, 2.2, 2.6), (0.0, 0.0, 1.75, 1.75, 0.0))
-BACKWARD = FORWARD.mirrored()
-REVERSED = Knots((0.0, 0.2, 0.6, 1.2, 2.0, 2.8, 3.2), (0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0))
+def mirrored(one: Profile) -> Profile:
+    return replace(one, speed=tuple(-each for each in one.speed))
 
-PLACES = np.concatenate([BEHIND, AHEAD])
+
+FORWARD = profile((0.0, 0.2, 0.9, 2.2, 2.6), (0.0, 0.0, 1.75, 1.75, 0.0))
+BACKWARD = mirrored(FORWARD)
+REVERSED = profile((0.0, 0.2, 0.6, 1.2, 2.0, 2.8, 3.2), (0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0))
+
 WAVY = Curve(np.sin(15 * PLACES + 0.4) - np.sin(0.4))
 MIRRORED = Curve(np.interp(-PLACES, PLACES, np.asarray(WAVY.values)))
 
@@ -123,8 +109,8 @@ PARTS: dict[str, tuple[Part, ...]] = {
 DIRECTED = [name for name, parts in PARTS.items() if len(parts) > 1]
 
 
-def ran(part: Part, profile: Knots) -> Reading:
-    return plant.run([part], profile, ZETA, finer=FINER)  # pyright: ignore[reportArgumentType]
+def ran(part: Part, asked: Profile) -> Reading:
+    return plant.run([part], asked, ZETA, finer=FINER)
 
 
 def apart(forward: Reading, backward: Reading) -> float:
@@ -159,7 +145,7 @@ def test_a_run_that_reverses_half_way_can_be_made(name):
 
 
 def test_a_rail_goes_as_far_back_as_the_wheel_is_to_go():
-    far = Knots((0.0, 0.2, 1.5, 4.0), (0.0, 0.0, -3.0, -3.0))
+    far = profile((0.0, 0.2, 1.5, 4.0), (0.0, 0.0, -3.0, -3.0))
     assert ran(machine.Drawbar(1.0), far).x[-1] < -1.0
 
 

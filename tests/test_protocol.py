@@ -12,9 +12,8 @@ from diagnose.protocol import TELLING, telling_runs
 from diagnose.protocol_command import app
 from drftjax.datafiles import data_file
 from drftjax.errors import InputError
-from drftjax.integrator import LARGEST_CHANGE, STEPS
+from drftjax.integrator import sharpest_ramp
 from drftjax.setup import read_setup
-from drftjax.stress import REST_SPEED
 
 RIG = read_setup(data_file("paper.toml"))
 
@@ -29,7 +28,7 @@ def test_they_go_backward_stop_and_repeat_one():
 
 
 def test_no_ramp_is_sharper_than_fits_can_step():
-    sharpest = LARGEST_CHANGE * REST_SPEED / STEPS[-1] / RIG.wheel.radius  # [rad/s2]
+    sharpest = sharpest_ramp(RIG.wheel.radius)
     for _, setup in telling_runs(RIG):
         command = setup.command.build()
         assert np.abs(np.diff(command.omega) / np.diff(command.time)).max() < sharpest

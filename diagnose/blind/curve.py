@@ -1,7 +1,5 @@
 """Curves drawn by lot along x, as tables that every run of every set can share a program with."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,21 +7,18 @@ from jaxtyping import Array, Float
 
 from drftjax.arrays import as_real
 
-# Everything that a run can reach, and the wheel's reach before and behind it [m]: what a wheel that
-# goes forward comes by, and what one comes by that goes backward.
+# What a wheel that goes forward comes by, and what one comes by that goes backward [m].
 START, END, SPACING = -0.3, 6.0, 0.003
 AHEAD = np.arange(START, END + SPACING / 2, SPACING)
 BACK = round((START + END) / SPACING)
-BEHIND = START - SPACING * np.arange(BACK, 0, -1)
-
-Values = Callable[[np.ndarray], np.ndarray]
+PLACES = np.concatenate([START - SPACING * np.arange(BACK, 0, -1), AHEAD])
 
 
 class Curve(eqx.Module):
     """A curve along x, linear between the points of a table, constant beyond.
 
     Attributes:
-        values: Ordinates at `BEHIND` and `AHEAD`.
+        values: Ordinates at `PLACES`.
     """
 
     values: Float[Array, " places"] = eqx.field(converter=as_real)
@@ -37,13 +32,7 @@ class Curve(eqx.Module):
 
 
 def flat() -> Curve:
-    return Curve(np.zeros(BACK + len(AHEAD)))
-
-
-def _from_the_start(values: Values) -> np.ndarray:
-    """A curve at `BEHIND` and `AHEAD`, zero where every run starts."""
-    ahead = values(AHEAD)
-    return np.concatenate([values(BEHIND), ahead]) - np.interp(0, AHEAD, ahead)
+    return Curve(np.zeros_like(PLACES))
 
 
 def _edge(x: np.ndarray, width: float) -> np.ndarray:
@@ -51,69 +40,36 @@ def _edge(x: np.ndarray, width: float) -> np.ndarray:
 
 
 def drawn_variation(random: np.random.Generator) -> tuple[str, np.ndarray]:
-    """How the sand's strength may vary along x: the kind of curve, and its values."""
+    """How the sand's strength may vary along x: the kind of curve, and its values at `PLACES`."""
     kind = str(random.choice(["sinusoid", "smooth", "step patch", "ramp", "step"]))
     if kind == "sinusoid":
-        length, phase = random.uniform(0.25, 1.5), random.uniform(0, 6.28)
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return np.sin(2 * np.pi * x / length + phase)
-
+        values = np.sin(2 * np.pi * PLACES / random.uniform(0.25, 1.5) + random.uniform(0, 6.28))
     elif kind == "smooth":
-        waves = [
-            (random.uniform(0.3, 2.5), random.uniform(0, 6.28), random.normal()) for _ in range(6)
-        ]
-
-        def values(x: np.ndarray) -> np.ndarray:
-            total = np.zeros_like(x)
-            for length, phase, size in waves:
-                total += size * np.sin(2 * np.pi * x / length + phase) / 2
-            return total
-
+        values = np.zeros_like(PLACES)
+        for _ in range(6):
+            wave = 2 * np.pi * PLACES / random.uniform(0.3, 2.5) + random.uniform(0, 6.28)
+            values += random.normal() * np.sin(wave) / 2
     elif kind == "step patch":
         from_, long = random.uniform(0.15, 0.8), random.uniform(0.1, 0.5)
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return _edge(x - from_, 0.015) - _edge(x - from_ - long, 0.015)
-
+        values = _edge(PLACES - from_, 0.015) - _edge(PLACES - from_ - long, 0.015)
     elif kind == "step":
-        from_, width = random.uniform(0.2, 0.8), random.uniform(0.01, 0.05)
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return _edge(x - from_, width)
-
+        values = _edge(PLACES - random.uniform(0.2, 0.8), random.uniform(0.01, 0.05))
     else:
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return np.clip(x, 0, 2)
-
-    return kind, _from_the_start(values)
+        values = np.clip(PLACES, 0, 2)
+    return kind, values - np.interp(0, PLACES, values)
 
 
 def drawn_profile(random: np.random.Generator) -> tuple[str, np.ndarray]:
     """Heights that a surface may have along x, about one high: their kind, and the values."""
     kind = str(random.choice(["two waves", "bump", "rounded triangles"]))
-    length, phase = random.uniform(0.15, 0.9), random.uniform(0, 6.28)
-
-    def wave(x: np.ndarray) -> np.ndarray:
-        return 2 * np.pi * x / length + phase
-
+    length = random.uniform(0.15, 0.9)
+    wave = 2 * np.pi * PLACES / length + random.uniform(0, 6.28)
     if kind == "two waves":
-        closer, later = random.uniform(1.4, 3.0), random.uniform(0, 6.28)
-        size = random.uniform(0.2, 0.7)
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return np.sin(wave(x)) + size * np.sin(wave(x) * closer + later)
-
+        second = wave * random.uniform(1.4, 3.0) + random.uniform(0, 6.28)
+        values = np.sin(wave) + random.uniform(0.2, 0.7) * np.sin(second)
     elif kind == "bump":
-        centre, width = random.uniform(0.2, 0.8), random.uniform(0.05, 0.25)
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return 1 / (1 + ((x - centre) / width) ** 4)
-
+        away = (PLACES - random.uniform(0.2, 0.8)) / random.uniform(0.05, 0.25)
+        values = 1 / (1 + away**4)
     else:
-
-        def values(x: np.ndarray) -> np.ndarray:
-            return np.arcsin(0.95 * np.sin(wave(x))) / 1.25
-
-    return kind, _from_the_start(values)
+        values = np.arcsin(0.95 * np.sin(wave)) / 1.25
+    return kind, values - np.interp(0, PLACES, values)

@@ -4,10 +4,11 @@ The sand does not slow the wheel down, so the whole course is known before the r
 """
 
 import abc
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+
+from drftjax.command import one_way
 
 # Time between points of a course [s].
 GRID = 2e-3
@@ -87,9 +88,9 @@ class Backlash(AbstractDrive):
 
     def follow(self, commanded: np.ndarray) -> np.ndarray:
         if self.play <= 0:
-            return commanded * np.ones(len(commanded))
+            return commanded
         course, within = np.empty_like(commanded), 0.0
-        for part, sense in _one_way(commanded):
+        for part, sense in one_way(np.sign(commanded)):
             turned = np.cumsum(np.abs(commanded[part])) * GRID
             taken_up = int(np.searchsorted(turned, self.play - sense * within))
             since = (np.arange(len(turned)) - taken_up) * GRID
@@ -97,15 +98,3 @@ class Backlash(AbstractDrive):
             # Where the drive stands in its play when it turns back.
             within = sense * min(sense * within + turned[-1], self.play)
         return course
-
-
-def _one_way(commanded: np.ndarray) -> Iterator[tuple[slice, int]]:
-    """Stretches in which a drive does not turn back, and which way each goes: 1 or -1."""
-    moving = np.flatnonzero(commanded)
-    senses = np.sign(commanded[moving])
-    ends = [*moving[1:][np.diff(senses) != 0], len(commanded)]
-    begin = 0
-    for end in ends:
-        backward = bool((commanded[begin:end] < 0).any())
-        yield slice(begin, end), -1 if backward else 1
-        begin = end

@@ -152,8 +152,7 @@ def standing(simulator: Simulator) -> float:
 
 def _rail(course: np.ndarray) -> tuple[float, float]:
     """How far back and ahead of its start the rail goes [m]: far, where the wheel is to go."""
-    behind = -RAIL if course.min() < 0 else -SPARE
-    return behind, SPARE if course.max() <= 0 and course.min() < 0 else RAIL
+    return (-RAIL if course.min() < 0 else -SPARE), (RAIL if course.max() > 0 else SPARE)
 
 
 @eqx.filter_jit
