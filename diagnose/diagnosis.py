@@ -36,7 +36,7 @@ GROUPED = 0.95
 # An effect of less weight than this is not named at all.
 NAMED = 0.02
 # Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
-JUDGED_SINGLES, JUDGED_PAIRS = 4, 2
+JUDGED_SINGLES, JUDGED_PAIRS = 4, 4
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,10 @@ ZETA_WORTH = 0.6
 TURNS = 8
 # Share of an effect's response that its straight line may be wrong by.
 LINES_ERR = 0.1
+# How straight lines are judged, order by order: the share of the worst block's distance from its
+# floor that floors are raised to, and the share of a response that a line may be wrong by. The last
+# takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
+ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
 
 
 @dataclass(frozen=True)

@@ -42,12 +42,14 @@ class Kick(eqx.Module):
         motion: Of a step's end, shape (nodes, 5, columns).
         forces: Of the forces read, shape (nodes, 3, columns).
         readings: Of (x, z, fx, fz, torque) as read at the nodes' ends, shape (nodes, 5, columns).
+        start: Of the motion that the run starts with, shape (1, 5, columns).
     """
 
     inputs: Float[Array, "nodes inputs columns"]
     motion: Float[Array, "nodes 5 columns"]
     forces: Float[Array, "nodes 3 columns"]
     readings: Float[Array, "nodes 5 columns"]
+    start: Float[Array, "1 5 columns"]
 
 
 READINGS = ("x", "z", "fx", "fz", "torque")
@@ -104,7 +106,9 @@ def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, 
         case AbstractDrive():
             return _of_inputs(path, speed=_speed(effect, trial, path, node))
         case AbstractSensor():
-            return replace(_of_inputs(path), readings=_readings(effect, path, node))
+            start = path.motion[0].at[:2].set(effect.started(path.motion[0, :2]))
+            readings = _readings(effect, path, node)
+            return replace(_of_inputs(path), readings=readings, start=start[None])
     return _of_a_step(effect, trial, path, node)
 
 
@@ -116,6 +120,7 @@ def _of_inputs(path: Path, **series: Float[Array, " nodes"]) -> Kick:
         jnp.zeros((nodes, MOTION)),
         jnp.zeros((nodes, len(FORCES))),
         jnp.zeros((nodes, len(READINGS))),
+        jnp.zeros((1, MOTION)),
     )
 
 
@@ -215,9 +220,8 @@ def respond_to(path: Path, kick: Kick) -> Float[Array, "all 5 columns"]:
         return carry @ motion + drive, (place, see @ motion + forces)
 
     seen = jnp.einsum("nij,njc->nic", path.forces_enter, kick.inputs) + kick.forces
-    start = jnp.zeros((MOTION, driven.shape[-1]))
     last, (place, forces) = jax.lax.scan(
-        one, start, (path.carry, driven, path.forces_carry, seen, path.ripple[:-1])
+        one, kick.start[0], (path.carry, driven, path.forces_carry, seen, path.ripple[:-1])
     )
     place = jnp.concatenate([place[1:], last[None, :2]])
     readings = jnp.concatenate([place, forces], axis=1) + kick.readings

@@ -7,19 +7,17 @@ import numpy as np
 
 from diagnose.bench import Bench, Variant
 from diagnose.case import Case, baseline
-from diagnose.evidence import FLOOR, LINES_ERR, Line, Products, coarseness, fit_line
+from diagnose.evidence import FLOOR, ORDERS, Line, coarseness
 from diagnose.hypothesis import (
-    STRENGTH_BELIEF,
     Hypothesis,
-    least_changes,
-    leasts,
     on_lines,
     promised,
     proposed,
     refreshed,
     settled,
 )
-from diagnose.response import Model, predict, respond
+from diagnose.pairs import simulated_pairs
+from diagnose.response import predict, respond
 from drftjax.effects.catalogue import numbers, strengths
 from drftjax.effects.stage import AbstractEffect
 
@@ -27,10 +25,7 @@ from drftjax.effects.stage import AbstractEffect
 # So many are even where no line gains anything worth saying, and so many at most.
 FEWEST_SINGLES, SINGLES = 6, 16
 WORTH_SAYING = 1.5
-PAIRS = 6
-PAIRED_SINGLES = 3
 TURNS = 2
-PAIR_TURNS = 4
 # The leading ones go on, with fresh derivatives, while that gains something.
 FINISHED = 4
 REFRESHED = 2
@@ -39,10 +34,6 @@ MORE_TURNS = 5
 WORTH_A_ROUND = 3.0
 # A hypothesis this far behind the best is not taken further.
 HOPELESS = 100.0
-# How straight lines are judged, order by order: the share of the worst block's distance from its
-# floor that floors are raised to, and the share of a response that a line may be wrong by. The last
-# takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
-ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
 # Strengths far from zero are tried one by one where the gap is so many times a model's own error.
 FAR = 30.0
 # Pairs are looked for where the best single effect leaves this many times a model's own error.
@@ -95,7 +86,7 @@ def search(
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
-        pairs = _pairs(bench, singles)
+        pairs = _finished(bench, simulated_pairs(bench, singles))
     return Found(bench, none, tuple(singles), tuple(pairs))
 
 
@@ -199,79 +190,3 @@ def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
         for block, left in zip(blocks, best.line.left, strict=True)
         if block[1] == "slow"
     )
-
-
-def _pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Pairs that straight lines from the settled singles put first, simulated."""
-    orders = _proposals(bench, singles[:PAIRED_SINGLES])
-    leading: dict[frozenset[str], Hypothesis] = {}
-    for every in zip(*orders, strict=True):
-        for pair, hypothesis in every:
-            if len(leading) < PAIRS:
-                leading.setdefault(pair, hypothesis)
-    bench.case.warm(predict, [each.model for each in leading.values()])
-    found = [settled(bench, each, PAIR_TURNS) for each in leading.values()]
-    return _finished(bench, found) if found else []
-
-
-def _proposals(
-    bench: Bench, singles: Sequence[Hypothesis]
-) -> list[list[tuple[frozenset[str], Hypothesis]]]:
-    """Pairs of a settled single and any other effect, by each of the orders, best first."""
-    both = [_products_with_all(bench, single) for single in singles]
-    found = []
-    for share, trust in ORDERS:
-        worst = coarseness(bench.products.blocks, singles[0].line.left, share)
-        best: dict[frozenset[str], tuple[float, Hypothesis, Variant, Line]] = {}
-        for single, products in zip(singles, both, strict=True):
-            count = len(single.coordinates)
-            for variant in bench.variants:
-                name = variant.effect.about.name
-                if name in single.names:
-                    continue
-                columns = [*range(count), *(count + c for c in variant.columns)]
-                least = np.r_[least_changes(single), leasts(variant.effect)]
-                prior = np.full(len(columns), STRENGTH_BELIEF)
-                line = fit_line(
-                    products, columns, prior=prior, least=least, trust=trust, coarse=worst
-                )
-                pair = frozenset((*single.names, name))
-                if pair not in best or line.score > best[pair][0]:
-                    best[pair] = line.score, single, variant, line
-        ranked = sorted(best.items(), key=lambda each: -each[1][0])[:PAIRS]
-        found.append([(pair, _joined(bench, s, v, line)) for pair, (_, s, v, line) in ranked])
-    return found
-
-
-def _products_with_all(bench: Bench, single: Hypothesis) -> Products:
-    """Products of a single's own columns and those of all variants of all effects."""
-    columns = [
-        np.concatenate([mine, theirs[:, :, 1:]], axis=2)
-        for mine, theirs in zip(single.columns, bench.columns, strict=True)
-    ]
-    return bench.products_of(columns, single.residual, single.log_zeta)
-
-
-def _joined(bench: Bench, single: Hypothesis, variant: Variant, line: Line) -> Hypothesis:
-    """A settled single with one more effect, as straight lines from there give both."""
-    added = proposed(bench, [variant], _part(line, len(single.coordinates)))
-    columns = [
-        np.concatenate([mine, more[:, :, 1:]], axis=2)
-        for mine, more in zip(single.columns, added.columns, strict=True)
-    ]
-    assert added.ahead is not None
-    change = np.r_[line.strengths[: len(single.coordinates)], added.ahead[1]]
-    return Hypothesis(
-        Model(single.model.effects + added.model.effects),
-        single.log_zeta,
-        np.r_[single.coordinates, added.coordinates],
-        line,
-        columns,
-        single.residual,
-        simulated=False,
-        ahead=(line.zeta, change),
-    )
-
-
-def _part(line: Line, skipped: int) -> Line:
-    return Line(line.score, line.strengths[skipped:], line.zeta, line.left, line.scatter)

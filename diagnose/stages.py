@@ -268,4 +268,5 @@ def _kick(path: Path, hats: Float[Array, "nodes knots"], name: str) -> Kick:
         jnp.zeros((nodes, MOTION, room)),
         jnp.zeros((nodes, len(FORCES), room)),
         jnp.zeros((nodes, len(READINGS), room)),
+        jnp.zeros((1, MOTION, room)),
     )

@@ -148,16 +148,17 @@ class Simulator(eqx.Module):
         return dataclasses.replace(simulator, wheel=simulator.wheel.cut(), effects=rest)
 
     def begin(self, state: State, command: Command) -> State:
-        """The state that a run starts from: with a memory for every effect.
+        """The state that a run starts from: where it truly is, and a memory for each effect.
 
         Args:
-            state: Where the wheel is and how it moves.
+            state: Where the wheel reads to be at rest, and how it moves.
             command: Command at that time.
         """
         simulator = self.prepared()
         effects = simulator.effects
         if not effects:
             return dataclasses.replace(state, memory=())
+        state = dataclasses.replace(state, position=chain.started(effects, state.position))
         state = dataclasses.replace(state, memory=chain.begin(effects, state))
         truth, dt = simulator._truth(state, command)
         memory = chain.begin_reading(effects, state.memory, truth, dt)

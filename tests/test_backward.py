@@ -64,6 +64,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "momentum_flux": ((), "the square of a speed along a normal"),
     "height_decrease": ((), "behind is where the wheel comes from"),
     "surface_profile": (("sine",), "waves stay where they are"),
+    "surface_bump": (("centre",), "a bump stays where it is"),
     "surface_slope": (("slope",), "what rises ahead falls behind"),
     "excavation": ((), "slip digs either way"),
     "vertical_load": ((), "vertical"),
@@ -100,7 +101,7 @@ def ran(given: dict, angle: float, omega: np.ndarray) -> Output:
 
 def sizes(name: str) -> dict[str, float]:
     """Typical strengths, and shapes that such a short run can feel."""
-    near = {"terrain_variation": {"centre": 0.4}}
+    near = {"terrain_variation": {"centre": 0.4}, "surface_bump": {"centre": 0.4}}
     given = {field: float(getattr(KNOWN[name](), field)) for field in shapes(KNOWN[name])}
     return typical(name) | given | near.get(name, {})
 

@@ -11,8 +11,8 @@ from diagnose.diagnosis import diagnose, verdict_of
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import conditions, predicted_unseen
+from diagnose.pairs import proposals
 from diagnose.report import step_sentences
-from diagnose.search import _proposals as search_proposals
 from diagnose.shrinkage import shrinkage
 from diagnose.weights import Judged, Scale, weights
 from drftjax.effects.drive import SpeedGain
@@ -78,8 +78,9 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
 
 def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
     gain = settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, TravelGain)]), 3)
-    pairs = dict(search_proposals(sloping_bench, [gain])[0])
-    pair = pairs[frozenset({"travel_gain", "surface_slope"})]
+    proposal = next(proposals(sloping_bench, [gain]))
+    assert proposal.names == {"travel_gain", "surface_slope"}
+    pair = proposal.build()
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
     # more than half of it is asked, and not all.
     way = pair.coordinates + pair.ahead[1]

@@ -114,7 +114,7 @@ def differences():
 
 def test_the_catalogue_holds_ours_first_with_names_of_their_own():
     assert list(catalogue())[: len(OURS)] == [each.about.name for each in OURS]
-    assert len(set(KNOWN)) == len(OURS) == 35
+    assert len(set(KNOWN)) == len(OURS) == 36
 
 
 @effects
@@ -328,7 +328,7 @@ def test_effects_of_several_stages_act_at_once():
     """A sensor's first reading is that of the other effects' sand, and of the sensors before it."""
     lag = KNOWN["measurement_filter"](lag=0.2)
     cohesion = KNOWN["cohesion"](depth=0.002)
-    gain = KNOWN["sinkage_gain"](gain=0.5)
+    gain = KNOWN["travel_gain"](gain=0.5)
     sim = replace(simulator(), effects=(cohesion, gain, lag))
     state = START()
     command = jax.tree.map(lambda c: c[0], commands(OMEGA))
@@ -336,4 +336,4 @@ def test_effects_of_several_stages_act_at_once():
     bare = replace(simulator(), effects=(cohesion,))
     truth = bare.observe(bare.begin(state, command), command)
     np.testing.assert_allclose(first.fz, truth.fz, rtol=1e-12)
-    np.testing.assert_allclose(first.z, 1.5 * truth.z, rtol=1e-12)
+    np.testing.assert_allclose(first.x, 1.5 * truth.x, rtol=1e-12)

@@ -396,14 +396,22 @@ def test_a_cable_pulls_the_harder_the_farther_it_is_drawn():
 
 def test_scales_read_their_ratio_and_drift():
     plain = hold()
-    gain = held("sinkage_gain")
-    np.testing.assert_allclose(gain.z, (1 + size("sinkage_gain")) * plain.z, rtol=CLOSE)
-    np.testing.assert_allclose(gain.sinkage, -gain.z, rtol=1e-15)
     drift = held("sinkage_drift")
     np.testing.assert_allclose(drift.z - plain.z, size("sinkage_drift") * plain.time, atol=1e-12)
     travel = held("travel_gain")
     np.testing.assert_allclose(travel.x, (1 + size("travel_gain")) * plain.x, rtol=CLOSE)
     np.testing.assert_allclose(travel.vx, plain.vx, rtol=CLOSE)
+
+
+def test_the_static_sinkage_was_read_on_the_wrong_scale_too():
+    ratio = 1 + size("sinkage_gain")
+    moving = start(True)
+    there = replace(moving, position=moving.position / jnp.array([1.0, ratio]))
+    truth = jax.tree.map(np.asarray, program()(jnp.asarray(vector()), there, HOLD))
+    gain = held("sinkage_gain")
+    np.testing.assert_allclose(gain.z, ratio * truth.z, rtol=CLOSE)
+    np.testing.assert_allclose(gain.sinkage, -gain.z, rtol=1e-15)
+    np.testing.assert_allclose(gain.x, truth.x, rtol=CLOSE)
 
 
 @pytest.mark.parametrize("name", ["measurement_delay", "measurement_filter"])

@@ -7,6 +7,9 @@ from diagnose.diagnosis import diagnose
 from diagnose.model_file import model_toml, read_effects
 from diagnose.search import search
 from drftjax.effects.drive import Backlash, SpeedLag
+from drftjax.effects.rig import HorizontalCoulomb
+from drftjax.effects.sensor import SinkageGain
+from drftjax.effects.surface import SurfaceBump, SurfaceProfile
 from drftjax.effects.terrain import TerrainVariation, TerrainWave
 from tests.virtual_cases import case_with
 
@@ -39,3 +42,24 @@ def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     (wave,) = read_effects(model)
     assert isinstance(wave, TerrainWave)
     assert wave.length == numbers["length"].value
+
+
+def test_a_bump_goes_by_the_name_of_the_surface():
+    bump = {"name": "surface_bump", "rise": 0.002, "centre": 0.25, "width": 0.05}
+    found = diagnose(case_with(bump), (SurfaceProfile, SurfaceBump))
+    assert found.chosen.names == ("surface_bump",)
+    assert found.verdict == ("surface_profile",)
+    numbers = found.parameters["surface_profile"]
+    assert numbers["rise"].value == pytest.approx(0.002, rel=0.03)
+    assert numbers["centre"].value == pytest.approx(0.25, abs=0.005)
+    assert numbers["width"].value == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
+    # z starts where the scale says; a wheel that lies deeper or less deep travels otherwise.
+    gain = {"name": "sinkage_gain", "gain": 0.06}
+    found = diagnose(case_with(gain, scale=1.06), (SinkageGain, HorizontalCoulomb))
+    assert found.verdict == ("sinkage_gain",)
+    # More than all else together, of three short runs.
+    assert found.weights["sinkage_gain"] > 0.5
+    assert found.parameters["sinkage_gain"]["gain"].value == pytest.approx(0.06, rel=0.05)

@@ -11,11 +11,15 @@ PROFILES = (
 )
 
 
-def case_with(*effects: dict) -> Case:
-    """Runs of a rig with these effects, as entries of a set-up file."""
+def case_with(*effects: dict, scale: float = 1.0) -> Case:
+    """Runs of a rig with these effects, as entries of a set-up file.
+
+    The wheel stands at rest where its sinkage reads `scale` times what it is.
+    """
     found = []
     for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
         setup = setup_of(profile, zeta)
         setup.effects = list(effects)
+        setup.start.sinkage *= scale
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
     return Case.of(found)

@@ -35,6 +35,14 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
+def started(effects: Effects, position: Pair) -> Pair:
+    """Where the axle truly starts [m], from where all sensors together read it at rest."""
+    for effect in reversed(effects):
+        if isinstance(effect, AbstractSensor):
+            position = effect.started(position)
+    return position
+
+
 def begin(effects: Effects, state: "State") -> Memories:
     """Memories at the start of a run, from where the wheel is and how it turns there.
 

@@ -25,9 +25,16 @@ class SinkageGain(AbstractSensor):
     """The vertical scale reads a wrong ratio."""
 
     about: ClassVar = About(
-        "sinkage_gain", "sensor", "z read = (1 + gain) z", "the vertical scale reads a wrong ratio"
+        "sinkage_gain",
+        "sensor",
+        "z read = (1 + gain) z, the static sinkage too",
+        "the vertical scale reads a wrong ratio",
     )
-    gain: Number = strength("-", 0.03, "excess of the reading")
+    gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
+
+    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+        # The static sinkage was read on this scale, too.
+        return position / jnp.stack([jnp.ones_like(self.gain), 1 + self.gain])
 
     def begin(self, output: "Output") -> Memory:
         return ()

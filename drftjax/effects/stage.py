@@ -273,6 +273,10 @@ class AbstractSandLoad(AbstractLoad):
 class AbstractSensor(AbstractEffect):
     """Stands between what is and what is read."""
 
+    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Where the axle (x, z) truly starts [m], from where it reads at rest."""
+        return position
+
     @abc.abstractmethod
     def begin(self, output: "Output") -> Memory:
         """Memory at the start of a run, from the true output there."""

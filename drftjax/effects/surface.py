@@ -1,7 +1,9 @@
 """Terrain: a surface that is not level, or does not stay so."""
 
+import math
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -43,6 +45,37 @@ class SurfaceProfile(MemorylessSurface):
         return self.cosine * (across - 1) + self.sine * along + slope * ahead
 
 
+class SurfaceBump(MemorylessSurface):
+    """One bump or dip along x; the datum is the height at x = 0.
+
+    As on waves, the wheel is on the plane that touches the surface under its axle.
+    """
+
+    about: ClassVar = About(
+        "surface_bump",
+        "terrain",
+        "h = rise exp(-(x - centre)² / (2 width²)), less that at x = 0, a plane under the wheel",
+        "the surface is not flat: a bump or a dip at one place",
+        form_of="surface_profile",
+    )
+    rise: Number = strength("m", 0.002, "height over the level around it")
+    centre: Number = shape(
+        "m",
+        0.5,
+        tuple(0.1 * k for k in range(1, 16)),
+        "place of the bump, below 0 behind x = 0",
+        least=-math.inf,
+    )
+    width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
+
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        def level(x: Number) -> Number:
+            return self.rise * jnp.exp(-(((x - self.centre) / self.width) ** 2) / 2)
+
+        here, slope = jax.value_and_grad(level)(axle)
+        return here - level(jnp.zeros_like(axle)) + slope * ahead
+
+
 class SurfaceSlope(MemorylessSurface):
     """The surface is inclined."""
 
@@ -74,4 +107,4 @@ class Excavation(AbstractSurface):
         return jnp.broadcast_to(-self.rate * memory, ahead.shape)
 
 
-SURFACE = (SurfaceProfile, SurfaceSlope, Excavation)
+SURFACE = (SurfaceProfile, SurfaceBump, SurfaceSlope, Excavation)

@@ -1,0 +1,74 @@
+"""Pairs of effects: what each did alone leads to both, however far from the null."""
+
+import numpy as np
+import pytest
+
+from diagnose.bench import Bench
+from diagnose.case import baseline
+from diagnose.hypothesis import on_lines, proposed, settled
+from diagnose.pairs import PAIRS, proposals, simulated_pairs
+from drftjax.effects.catalogue import effect_class
+from tests.virtual_cases import case_with
+
+TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_coulomb": {"force": 4.0}}
+CANDIDATES = (
+    *("cohesion", "vertical_viscous", "horizontal_coulomb", "drawbar", "measurement_delay"),
+    *("surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
+)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    case = case_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
+    return Bench.of(case, baseline(case), [effect_class(name) for name in CANDIDATES])
+
+
+@pytest.fixture(scope="module")
+def singles(bench):
+    found = {}
+    for variant in bench.variants:
+        name = variant.effect.about.name
+        found[name] = max(
+            found.get(name, variant), variant, key=lambda each: on_lines(bench, [each]).score
+        )
+    alone = [settled(bench, proposed(bench, [each]), 4) for each in found.values()]
+    return sorted(alone, key=lambda each: -each.score)
+
+
+def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
+    assert next(proposals(bench, singles)).names == set(TRUTH)
+
+
+def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
+    pair = next(proposals(bench, singles)).build()
+    assert not pair.simulated
+    assert pair.ahead is not None
+    there = pair.coordinates + pair.ahead[1]
+    for free, coordinate in zip(pair.model.free, there, strict=True):
+        (true,) = TRUTH[pair.model.names[free.index]].values()
+        # Each was fitted alone, to what both did: a start, which simulation then settles.
+        assert free.value(coordinate) == pytest.approx(true, rel=0.1)
+
+
+def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singles):
+    pairs = simulated_pairs(bench, singles)
+    assert len({frozenset(each.names) for each in pairs}) == len(pairs) == PAIRS
+    best = max(pairs, key=lambda each: each.score)
+    assert set(best.names) == set(TRUTH)
+    for free, coordinate in zip(best.model.free, best.coordinates, strict=True):
+        (true,) = TRUTH[best.model.names[free.index]].values()
+        assert free.value(coordinate) == pytest.approx(true, rel=0.03)
+    for residual in best.residual:
+        # The runs' own noise is 20 um.
+        assert np.sqrt(np.mean(residual**2)) < 30e-6
+
+
+def test_a_shape_found_alone_goes_into_the_pair(bench, singles):
+    hardening = next(each for each in singles if each.names == ("rate_hardening",))
+    pairs = [
+        each.build()
+        for each in proposals(bench, singles)
+        if each.names == {"rate_hardening", singles[0].names[0]}
+    ]
+    shape = next(k for k, free in enumerate(pairs[0].model.free) if free.scale is None)
+    assert any(pair.coordinates[shape] in hardening.coordinates for pair in pairs)
