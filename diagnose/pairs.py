@@ -27,6 +27,8 @@ from diagnose.response import Model, predict
 
 # Singles that pairs begin with, pairs simulated, and how often each is at most.
 BEGINNINGS, PAIRS, TURNS = 3, 8, 4
+# So many of the leading pairs are simulated from the other kind of start as well.
+TWICE = 3
 # Width of the belief about how much of a settled effect acts beside another.
 SHARE_BELIEF = 2.0
 # Shares of the worst block's distance that floors are raised to where effects are settled.
@@ -39,11 +41,13 @@ class Proposal:
 
     Attributes:
         names: Its effects.
+        from_null: Whether the second effect starts at its null, or from what it did alone.
         score: What the lines promise.
         build: Makes the hypothesis, with the way ahead of it.
     """
 
     names: frozenset[str]
+    from_null: bool
     score: float
     build: Callable[[], Hypothesis]
 
@@ -55,13 +59,20 @@ def simulated_pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothe
         bench: The case.
         singles: Effects simulated alone, best first.
     """
-    leading: dict[frozenset[str], Proposal] = {}
+    starts: dict[frozenset[str], dict[bool, Proposal]] = {}
     for each in proposals(bench, singles):
-        if len(leading) < PAIRS:
-            leading.setdefault(each.names, each)
-    starts = [each.build() for each in leading.values()]
-    bench.case.warm(predict, [each.model for each in starts])
-    return [settled(bench, each, TURNS) for each in starts]
+        if len(starts) < PAIRS or each.names in starts:
+            starts.setdefault(each.names, {}).setdefault(each.from_null, each)
+    first = [next(iter(kinds.values())).build() for kinds in starts.values()]
+    bench.case.warm(predict, [each.model for each in first])
+    found = [settled(bench, each, TURNS) for each in first]
+    found.sort(key=lambda each: -each.score)
+    # Far from the null neither start is sure to lead to the best.
+    for place, known in enumerate(found[:TWICE]):
+        for other in list(starts[frozenset(known.names)].values())[1:]:
+            again = settled(bench, other.build(), TURNS)
+            found[place] = max(found[place], again, key=lambda each: each.score)
+    return found
 
 
 def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]:
@@ -106,7 +117,9 @@ def _with_settled(
             )
             names = frozenset((*first.names, *other.names))
             order.append(
-                Proposal(names, line.score, partial(_both_settled, bench, first, other, line))
+                Proposal(
+                    names, False, line.score, partial(_both_settled, bench, first, other, line)
+                )
             )
         found.append(order)
     return found
@@ -163,6 +176,7 @@ def _with_any(
             [
                 Proposal(
                     frozenset((*first.names, name)),
+                    True,
                     line.score,
                     partial(_from_null, bench, first, variant, line),
                 )
