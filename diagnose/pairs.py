@@ -106,12 +106,12 @@ def _with_settled(
         coarse = coarseness(bench.products.blocks, singles[0].line.left, share)
         order = []
         for place, other in enumerate(others):
-            two_sided = all(np.isneginf(each) for each in _leasts(other))
+            one_sign = any(least == 0 for each in other.model.effects for least in leasts(each))
             line = fit_line(
                 products,
                 [*range(count), count + place],
                 prior=np.r_[np.full(count, STRENGTH_BELIEF), SHARE_BELIEF],
-                least=np.r_[least_changes(first), -np.inf if two_sided else 0.0],
+                least=np.r_[least_changes(first), 0.0 if one_sign else -np.inf],
                 trust=CORRECTED_ERR,
                 coarse=coarse,
             )
@@ -123,10 +123,6 @@ def _with_settled(
             )
         found.append(order)
     return found
-
-
-def _leasts(single: Hypothesis) -> list[float]:
-    return [least for effect in single.model.effects for least in leasts(effect)]
 
 
 def _did(bench: Bench, single: Hypothesis, run: int) -> np.ndarray:

@@ -1,19 +1,18 @@
 """Terrain: a surface that is not level, or does not stay so."""
 
-import math
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from drftjax.effects import places
 from drftjax.effects.stage import (
     About,
     AbstractSurface,
     Memory,
     MemorylessSurface,
     Moment,
-    shape,
     strength,
 )
 
@@ -36,7 +35,7 @@ class SurfaceProfile(MemorylessSurface):
     )
     cosine: Number = strength("m", 0.001, "amplitude in phase with x = 0")
     sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
-    length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
+    length: Number = places.wavelength()
 
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         turn = 2 * jnp.pi / self.length
@@ -59,18 +58,12 @@ class SurfaceBump(MemorylessSurface):
         form_of="surface_profile",
     )
     rise: Number = strength("m", 0.002, "height over the level around it")
-    centre: Number = shape(
-        "m",
-        0.5,
-        tuple(0.1 * k for k in range(1, 16)),
-        "place of the bump, below 0 behind x = 0",
-        least=-math.inf,
-    )
-    width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
+    centre: Number = places.centre("bump")
+    width: Number = places.width()
 
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         def level(x: Number) -> Number:
-            return self.rise * jnp.exp(-(((x - self.centre) / self.width) ** 2) / 2)
+            return self.rise * places.bell(x, self.centre, self.width)
 
         here, slope = jax.value_and_grad(level)(axle)
         return here - level(jnp.zeros_like(axle)) + slope * ahead

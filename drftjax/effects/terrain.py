@@ -1,11 +1,11 @@
 """Terrain: sand whose strength or resistance changes under the wheel, with its history or place."""
 
-import math
 from typing import ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from drftjax.effects import places
 from drftjax.effects.stage import (
     About,
     AbstractSandLoad,
@@ -73,18 +73,11 @@ class TerrainVariation(MemorylessZetaFactor):
         "zeta depends on the place: a soft or hard patch, an uneven preparation",
     )
     excess: Number = strength("-", 0.1, "excess of zeta at the patch's centre")
-    centre: Number = shape(
-        "m",
-        0.5,
-        tuple(0.1 * k for k in range(1, 16)),
-        "place of the patch, below 0 behind x = 0",
-        least=-math.inf,
-    )
-    width: Number = shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
+    centre: Number = places.centre("patch")
+    width: Number = places.width()
 
     def factor(self, moment: Moment, memory: Memory) -> Number:
-        away = (moment.position[0] - self.centre) / self.width
-        return 1 + self.excess * jnp.exp(-(away**2) / 2)
+        return 1 + self.excess * places.bell(moment.position[0], self.centre, self.width)
 
 
 class TerrainWave(MemorylessZetaFactor):
@@ -99,7 +92,7 @@ class TerrainWave(MemorylessZetaFactor):
     )
     cosine: Number = strength("-", 0.05, "amplitude in phase with x = 0")
     sine: Number = strength("-", 0.05, "amplitude a quarter wave on")
-    length: Number = shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
+    length: Number = places.wavelength()
 
     def factor(self, moment: Moment, memory: Memory) -> Number:
         turn = 2 * jnp.pi / self.length * moment.position[0]
