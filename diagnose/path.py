@@ -120,12 +120,9 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
 
     directions = np.eye(MOTION + len(INPUTS))
 
-    def node(number, carried):
-        state, table = carried
-        first = number * steps
-        middle = first + steps // 2
-        here = motion_of(state)
-        within = jax.lax.fori_loop(first, middle, advanced, state)
+    def linearised(number, begun, within):
+        """A node's row, from the state it begins with and the one in its middle."""
+        middle = number * steps + steps // 2
         values, along = jax.linearize(
             lambda motion, inputs: varied(motion, inputs, within, command(middle)),
             motion_of(within),
@@ -135,10 +132,10 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
             [along(jnp.asarray(d[:MOTION]), jnp.asarray(d[MOTION:])) for d in directions], axis=1
         )
         carry, gather = _powers(slopes[:MOTION, :MOTION], steps)
-        row = (
-            state.time,
-            here,
-            state.omega,
+        return (
+            begun.time,
+            motion_of(begun),
+            begun.omega,
             within.time,
             motion_of(within),
             within.omega,
@@ -149,13 +146,29 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
             slopes[MOTION:, :MOTION],
             slopes[MOTION:, MOTION:],
         )
-        table = jax.tree.map(lambda t, r: t.at[number].set(r), table, row)
-        return jax.lax.fori_loop(middle, first + steps, advanced, within), table
+
+    # By half nodes, so that the step stands in the program once.
+    def half(count, carried):
+        begun, table = carried
+        number, second = count // 2, count % 2
+        first = number * steps
+        state = jax.lax.fori_loop(
+            first + second * (steps // 2),
+            jnp.where(second, first + steps, first + steps // 2),
+            advanced,
+            begun,
+        )
+
+        def kept(table):
+            row = linearised(number, begun, state)
+            return jax.tree.map(lambda t, r: t.at[number].set(r), table, row)
+
+        return state, jax.lax.cond(second, lambda table: table, kept, table)
 
     inputs = len(INPUTS)
     shapes = [(), (5,), (), (), (5,), (), (3,), (5, 5), (5, 5), (5, inputs), (3, 5), (3, inputs)]
     table = tuple(jnp.zeros((size, *shape)) for shape in shapes)
-    state, table = jax.lax.fori_loop(0, nodes, node, (state, table))
+    state, table = jax.lax.fori_loop(0, 2 * nodes, half, (state, table))
     time, motion, omega, *rest = table
 
     def ended(rows, last):

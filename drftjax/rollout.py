@@ -40,16 +40,16 @@ def simulate(
     rows = commands.omega.shape[0] // every
     blocks = jax.tree.map(lambda c: c[: rows * every].reshape(rows, every, *c.shape[1:]), commands)
 
+    def advance(both: tuple[State, Output], command: Command) -> tuple[tuple[State, Output], None]:
+        return simulator.step(both[0], command, dt), None
+
+    # The step stands in the program once: its compilation is most of what a short run costs.
     @jax.checkpoint
     def row(state: State, block: Command) -> tuple[State, Output]:
-        head = jax.tree.map(lambda c: c[:-1], block)
-        last = jax.tree.map(lambda c: c[-1], block)
-
-        def advance(state: State, command: Command) -> tuple[State, None]:
-            return simulator.step(state, command, dt)[0], None
-
-        state, _ = jax.lax.scan(advance, state, head)
-        return simulator.step(state, last, dt)
+        first = jax.tree.map(lambda c: c[0], block)
+        kept = jax.eval_shape(lambda: simulator.step(state, first, dt)[1])
+        kept = jax.tree.map(lambda value: jnp.zeros(value.shape, value.dtype), kept)
+        return jax.lax.scan(advance, (state, kept), block)[0]
 
     return jax.lax.scan(row, state, blocks)
 
@@ -83,16 +83,16 @@ def sweep(
     room = commands.omega.shape[0] // every
     table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
 
-    def step(number: Int[Array, ""], state: State) -> tuple[State, Output]:
-        command = jax.tree.map(lambda c: c[number], commands)
-        return simulator.step(state, command, dt)
+    def step(number: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
+        state, output = simulator.step(both[0], jax.tree.map(lambda c: c[number], commands), dt)
+        return state, keep(output)
 
+    # The step stands in the program once: its compilation is most of what a short run costs.
     def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
         state, table = carried
         start = number * every
-        state = jax.lax.fori_loop(start, start + every - 1, lambda k, s: step(k, s)[0], state)
-        state, output = step(start + every - 1, state)
-        return state, table.at[number + 1].set(keep(output))
+        state, kept = jax.lax.fori_loop(start, start + every, step, (state, begun))
+        return state, table.at[number + 1].set(kept)
 
     return jax.lax.fori_loop(0, rows, row, (state, table))[1].T
 
