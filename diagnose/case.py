@@ -15,6 +15,7 @@ import numpy as np
 from diagnose.path import Path as Trace
 from diagnose.path import steadied, steps_in_a_node, trace
 from diagnose.response import Model, predict
+from drftjax.arrays import as_real
 from drftjax.errors import InputError
 from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, roomy
@@ -101,11 +102,13 @@ class Case:
 
         Without this every thread that needs a program first would compile it for itself.
         """
-        nothing = eqx.tree_at(lambda o: o.compared_rows, self.observed[0], jnp.asarray(0))
+        observed = self.observed[0]
+        none = jnp.zeros_like(observed.compared_rows)
+        nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
         def of(model: Model) -> None:
             at = jnp.asarray(model.null(), float)
-            program(model, self.channels, self.trials[0], nothing, jnp.asarray(0.0), at)
+            program(model, self.channels, self.trials[0], nothing, as_real(0.0), at)
 
         list(self.threads.map(of, models))
 
@@ -134,7 +137,7 @@ class Case:
             self.channels,
             self.trials[run],
             self.observed[run],
-            jnp.asarray(log_zeta),
+            as_real(log_zeta),
             jnp.asarray(coordinates, float),
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]

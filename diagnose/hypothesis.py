@@ -14,6 +14,7 @@ import numpy as np
 from diagnose.bench import Bench, Variant
 from diagnose.evidence import LINES_ERR, Line, Products, coarseness, fit_line, worth_of
 from diagnose.response import Model, respond
+from drftjax.arrays import as_real
 from drftjax.effects.catalogue import numbers, strengths
 from drftjax.effects.stage import AbstractEffect
 
@@ -209,7 +210,7 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
             case.channels,
             case.trials[run],
             case.observed[run],
-            jnp.asarray(here.log_zeta[run]),
+            as_real(here.log_zeta[run]),
             jnp.asarray(here.coordinates, float),
         )
         counts = case.counts(run)

@@ -15,6 +15,7 @@ import numpy as np
 from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
+from drftjax.arrays import as_real
 from drftjax.effects.catalogue import spoken
 from drftjax.integrator import sharpest_ramp, steady_step
 from drftjax.trial import Trial
@@ -135,7 +136,7 @@ def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
             lambda t: (t.simulator.rig.mass_z, t.start.position),
             trial,
             (
-                jnp.asarray(mass),
+                as_real(mass),
                 trial.start.position.at[1].multiply(factor),
             ),
         )
@@ -159,7 +160,7 @@ def _steady(trial: Trial) -> Trial:
         np.asarray(trial.time)[: moved[-1] + 2],
         np.asarray(trial.omega)[: moved[-1] + 2],
     )
-    return replace(trial, step=jnp.asarray(step))
+    return replace(trial, step=as_real(step))
 
 
 @eqx.filter_jit

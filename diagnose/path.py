@@ -118,7 +118,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
     def advanced(number, state):
         return simulator.step(state, command(number), dt)[0]
 
-    directions = np.eye(MOTION + len(INPUTS))
+    directions = jnp.eye(MOTION + len(INPUTS))
 
     def linearised(number, begun, within):
         """A node's row, from the state it begins with and the one in its middle."""
@@ -128,9 +128,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
             motion_of(within),
             jnp.zeros(len(INPUTS)),
         )
-        slopes = jnp.stack(
-            [along(jnp.asarray(d[:MOTION]), jnp.asarray(d[MOTION:])) for d in directions], axis=1
-        )
+        slopes = jax.vmap(along, out_axes=1)(directions[:, :MOTION], directions[:, MOTION:])
         carry, gather = _powers(slopes[:MOTION, :MOTION], steps)
         return (
             begun.time,

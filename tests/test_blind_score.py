@@ -2,7 +2,9 @@
 
 import json
 import os
+import subprocess
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -267,6 +269,44 @@ def test_processes_are_replaced_and_one_that_dies_spoils_no_more_than_its_own_se
     assert set(found) == set(sets)
     assert all(found[f"set_{each:02}"] == {"verdict": [f"run_{each}"]} for each in range(8))
     assert "died" in found["set_99"]
+
+
+WAITS = """
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+import os
+from diagnose.blind.answering import configure_helper
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, get_context("spawn"), configure_helper, (set(),)) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        time.sleep(60)
+"""
+
+
+def test_a_helping_process_ends_when_its_parent_is_killed(tmp_path):
+    (tmp_path / "waits.py").write_text(WAITS)
+    with subprocess.Popen(
+        [sys.executable, tmp_path / "waits.py"], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        helper = int(parent.stdout.readline())
+        parent.kill()
+    until = time.monotonic() + 20
+    while _lives(helper) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not _lives(helper)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    # One that ended but that nobody has asked after is a zombie.
+    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 def test_refusals_are_one_sentence(sets, tmp_path, monkeypatch, capsys):

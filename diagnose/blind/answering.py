@@ -5,9 +5,10 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from threading import Thread
 
 from drftjax.errors import InputError
 
@@ -94,7 +95,7 @@ def _answer_some(
     names: list[str], sets: Mapping[str, list[Path]], cores: set[int]
 ) -> Iterator[tuple[str, dict | str]]:
     # A fresh process, as JAX's threads do not live through a fork.
-    with ProcessPoolExecutor(1, get_context("spawn"), _configure_on, (cores,)) as process:
+    with ProcessPoolExecutor(1, get_context("spawn"), configure_helper, (cores,)) as process:
         answers = [(name, process.submit(answer_one, sets[name])) for name in names]
         for name, answer in answers:
             try:
@@ -114,10 +115,20 @@ def _shares(jobs: int) -> list[set[int]]:
     return [set(cores[job::jobs]) or {cores[job % len(cores)]} for job in range(jobs)]
 
 
-def _configure_on(cores: set[int]) -> None:
+def configure_helper(cores: set[int]) -> None:
+    """Set a helping process up, on some cores or on all; it ends when its parent does."""
+    Thread(target=_end_with_parent, daemon=True).start()
     if cores:
         os.sched_setaffinity(0, cores)
     configure()
+
+
+def _end_with_parent() -> None:
+    """Or a helper whose parent was killed would wait for its next set for ever."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def configure() -> None:

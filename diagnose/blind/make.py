@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from diagnose.blind import plant
-from diagnose.blind.answering import UNFINISHED, configure
+from diagnose.blind.answering import UNFINISHED, configure_helper
 from diagnose.blind.gap import FLOORS, Gap, Probe
 from diagnose.blind.instrument import Reading
 from diagnose.blind.plant import group_of
@@ -133,7 +133,7 @@ def make(order: Order, jobs: int = 1) -> Iterator[str]:
             yield order.name(number)
     else:
         # A fresh process, as JAX's threads do not live through a fork.
-        with ProcessPoolExecutor(jobs, get_context("spawn"), configure) as pool:
+        with ProcessPoolExecutor(jobs, get_context("spawn"), configure_helper, (set(),)) as pool:
             waiting = {
                 pool.submit(make_set, order, number, drawn[number]): number
                 for number in _in_turn(drawn)
