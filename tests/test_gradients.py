@@ -133,8 +133,7 @@ def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 run = outcome(profile(), DEFAULT_STEP)
-gradient = jax.jit(jax.grad(lambda factors: run(factors)[0]))
-gradient.lower(jnp.asarray(AT)).compile()
+gradient = jax.jit(jax.jacrev(run)).lower(jnp.asarray(AT)).compile()
 before = peak()
 gradient(jnp.asarray(AT)).block_until_ready()
 print(peak() - before)

@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from diagnose.case import Case, baseline
 from diagnose.response import Model
@@ -14,17 +13,13 @@ ZETA = 0.75
 LEFT = 30e-6
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [
+def test_what_the_set_up_knows_already_is_no_gap():
+    true = setup_of(PROFILE, ZETA)
+    true.effects = [
         {"name": "cohesion", "depth": 0.01},
         {"name": "loosening", "loss": 0.2, "decay": 0.5},
         {"name": "measurement_delay", "delay": 0.1},
-    ],
-)
-def test_what_the_set_up_knows_already_is_no_gap(effect):
-    true = setup_of(PROFILE, ZETA)
-    true.effects = [effect]
+    ]
     case = Case.of([coarse("run", recorded(true, rate=100.0), model=true)])
     (log_zeta,) = baseline(case)
     residual = case.predicted(Model(), 0, log_zeta, np.zeros(0)) - case.recorded(0)

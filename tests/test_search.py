@@ -5,7 +5,9 @@ import pytest
 
 from diagnose.diagnosis import diagnose
 from diagnose.model_file import model_toml, read_effects
+from diagnose.response import Free
 from diagnose.search import search
+from drftjax.effects.catalogue import spoken
 from drftjax.effects.drive import Backlash, SpeedLag
 from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
@@ -46,13 +48,13 @@ def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
 
 def test_a_bump_goes_by_the_name_of_the_surface():
     bump = {"name": "surface_bump", "rise": 0.002, "centre": 0.25, "width": 0.05}
-    found = diagnose(case_with(bump), (SurfaceProfile, SurfaceBump))
-    assert found.chosen.names == ("surface_bump",)
-    assert found.verdict == ("surface_profile",)
-    numbers = found.parameters["surface_profile"]
-    assert numbers["rise"].value == pytest.approx(0.002, rel=0.03)
-    assert numbers["centre"].value == pytest.approx(0.25, abs=0.005)
-    assert numbers["width"].value == pytest.approx(0.05, rel=0.05)
+    best = search(case_with(bump), (SurfaceProfile, SurfaceBump)).singles[0]
+    assert best.names == ("surface_bump",)
+    assert spoken(best.names) == ("surface_profile",)
+    rise, centre, width = map(Free.value, best.model.free, best.coordinates)
+    assert rise == pytest.approx(0.002, rel=0.03)
+    assert centre == pytest.approx(0.25, abs=0.005)
+    assert width == pytest.approx(0.05, rel=0.05)
 
 
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
