@@ -152,7 +152,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
         first = number * steps
         state = jax.lax.fori_loop(
             first + second * (steps // 2),
-            jnp.where(second, first + steps, first + steps // 2),
+            first + jnp.where(second, steps, steps // 2),
             advanced,
             begun,
         )
