@@ -100,7 +100,9 @@ class Case:
     def warm(self, program: Callable, models: Sequence[Model]) -> None:
         """Compile a program for some models side by side, rather than one by one as they come.
 
-        Without this every thread that needs a program first would compile it for itself.
+        Without this every thread that needs a program first would compile it for itself. All is of
+        the same types here as in `predicted`: JAX takes a weakly typed number, as Python's are, for
+        another program.
         """
         observed = self.observed[0]
         none = jnp.zeros_like(observed.compared_rows)

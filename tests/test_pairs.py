@@ -11,9 +11,11 @@ from drftjax.effects.catalogue import effect_class
 from tests.virtual_cases import case_with
 
 TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_coulomb": {"force": 4.0}}
-# Not the drawbar: on a wheel that only goes forward it does what friction does.
+# On a wheel that only goes forward the drawbar does what friction does: which of the two leads
+# hangs on rounding.
+ALIKE = {"vertical_viscous", "drawbar"}
 CANDIDATES = (
-    *("cohesion", "vertical_viscous", "horizontal_coulomb", "measurement_delay"),
+    *("cohesion", "vertical_viscous", "horizontal_coulomb", "drawbar", "measurement_delay"),
     *("surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
 )
 
@@ -32,24 +34,31 @@ def singles(bench):
         found[name] = max(
             found.get(name, variant), variant, key=lambda each: on_lines(bench, [each]).score
         )
-    alone = [settled(bench, proposed(bench, [each]), 4) for each in found.values()]
+    alone = [settled(bench, proposed(bench, [each]), 8) for each in found.values()]
     return sorted(alone, key=lambda each: -each.score)
 
 
-def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
-    assert next(proposals(bench, singles)).names == set(TRUTH)
+def test_what_singles_did_alone_puts_the_true_pair_and_its_like_first(bench, singles):
+    leading = list(dict.fromkeys(each.names for each in proposals(bench, singles)))[:2]
+    assert set(leading) == {frozenset(TRUTH), frozenset(ALIKE)}
 
 
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
-    pair = next(proposals(bench, singles)).build()
+    proposal = next(
+        each
+        for each in proposals(bench, singles)
+        if each.names == set(TRUTH) and not each.from_null
+    )
+    pair = proposal.build()
     assert not pair.simulated
     assert pair.ahead is not None
     there = pair.coordinates + pair.ahead[1]
     for free, coordinate in zip(pair.model.free, there, strict=True):
         (true,) = TRUTH[pair.model.names[free.index]].values()
-        # Each was fitted alone, to what both did: a start, which simulation then settles. Where an
-        # effect alone settles hangs on rounding, and moves it by a tenth.
-        assert free.value(coordinate) == pytest.approx(true, rel=0.2)
+        # Each was fitted alone, to what both did: a start, which simulation then settles (below, to
+        # three hundredths). Friction's derivative hangs on rounding where the wheel nearly sticks,
+        # which moves the damping between 1305 and 1510 from one compilation to another.
+        assert free.value(coordinate) == pytest.approx(true, rel=0.15)
 
 
 def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singles):
