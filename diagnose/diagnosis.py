@@ -258,15 +258,16 @@ def verdict_of(
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The likeliest explanation, and the groups that cannot be told apart from it.
 
-    Effects that share their weight speak together against none and unknown.
+    Effects that share their weight speak together: all of them against none and unknown, then all
+    pairs against all effects alone. A second effect that has many likenesses is no less there.
     """
     ranked = sorted(share.items(), key=lambda each: -each[1])
     effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
-    together = sum(weight for _, weight in effects)
-    verdict = ranked[0][0]
-    if effects and together >= max(share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)):
-        verdict, ranked = effects[0][0], effects
-    whole = sum(weight for _, weight in ranked)
+    if effects and _total(effects) >= max(share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)):
+        alone = [each for each in effects if len(each[0]) == 1]
+        pairs = [each for each in effects if len(each[0]) == 2]
+        ranked = max(alone, pairs, key=_total)
+    verdict, whole = ranked[0][0], _total(ranked)
     kept, total = [], 0.0
     for names, weight in ranked:
         if kept and (total >= GROUPED * whole or weight < NAMED):
@@ -274,16 +275,20 @@ def verdict_of(
         kept.append(names)
         total += weight
     groups: list[list[str]] = []
-    for place, first in enumerate(verdict):
+    for first in verdict:
         group = [first]
         for names in kept[1:]:
             others = [n for n in names if n not in verdict]
-            if len(names) == len(verdict) and place < len(names):
+            if len(names) == len(verdict):
                 same = set(names) & set(verdict)
                 if len(verdict) == 1 or (len(same) == 1 and first not in same):
                     group += [n for n in others if n not in group]
         groups.append(group)
     return verdict, groups
+
+
+def _total(ranked: Sequence[tuple[tuple[str, ...], float]]) -> float:
+    return sum(weight for _, weight in ranked)
 
 
 def _chosen(

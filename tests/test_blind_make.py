@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.blind import make, plant
+from diagnose.blind import make, plant, recipe
 from diagnose.blind.answering import runs_of
 from diagnose.blind.gap import FLOORS, Probe
 from diagnose.blind.protocol import Profile, drawn_fresh, drawn_nine
 from diagnose.blind.recipe import CATALOGUE, STRANGERS, UNKNOWN, draw, draw_stranger
 from drftjax.effects.catalogue import OURS, spoken_of
+from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, write_run
 from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
@@ -86,6 +87,17 @@ def test_shares_of_kinds_are_those_that_are_wanted(tmp_path):
     assert sum(len(each) == 2 for each in drawn) == 32
     named = {name for each in drawn for name in each}
     assert named >= {name for names in CATALOGUE.values() for name in names}
+
+
+def test_sets_of_one_kind_are_all_of_it(tmp_path):
+    drawn = {kind: make.faults(make.Order(tmp_path, 20, 3, wrong=kind)) for kind in make.WRONG[1:]}
+    assert [len(each) for each in drawn.values()] == [20] * 4
+    assert not any(drawn["none"])
+    assert all(len(each) == 1 and each[0] not in STRANGERS for each in drawn["one"])
+    assert all(len({recipe.stage_of(name) for name in each}) == 2 for each in drawn["pair"])
+    assert all(len(each) == 1 and each[0] in STRANGERS for each in drawn["unknown"])
+    with pytest.raises(InputError, match="what is wrong is 'two', must be one of mixed, none,"):
+        make.Order(tmp_path, 20, 3, wrong="two")
 
 
 def test_protocols_fit_the_rig():

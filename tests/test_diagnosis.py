@@ -192,3 +192,12 @@ def test_effects_that_share_their_weight_speak_together():
     assert verdict_of(share) == (("drawbar",), [["drawbar", "bulldozing"]])
     assert verdict_of(share | {("unknown",): 0.6})[0] == ("unknown",)
     assert verdict_of({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
+
+
+def test_likenesses_of_a_second_effect_speak_together_for_it():
+    alone = {("backlash",): 0.4, ("loosening",): 0.05}
+    beside = {("backlash", "wheel_radius"): 0.3, ("backlash", "travel_gain"): 0.25}
+    expected = ("backlash", "wheel_radius"), [["backlash"], ["wheel_radius", "travel_gain"]]
+    assert verdict_of(alone | beside) == expected
+    # They do not where one effect alone is believed more than all of them.
+    assert verdict_of(alone | {("backlash", "travel_gain"): 0.3})[0] == ("backlash",)

@@ -21,6 +21,8 @@ Examples:
   drft blind make out/blind --sets 300 --seed 7 --jobs 2
 
   drft blind make out/strong --sets 40 --protocol practice --faintest 10
+
+  drft blind make out/pairs --sets 24 --wrong pair --faintest 3
 """
 
 
@@ -38,6 +40,13 @@ def make(
     ] = "mixed",
     faintest: Annotated[float, typer.Option(help="Least gap wanted [floors].")] = 0.5,
     strongest: Annotated[float, typer.Option(help="Greatest gap wanted [floors].")] = 30.0,
+    wrong: Annotated[
+        str,
+        typer.Option(
+            help="What is wrong with every set: 'none', 'one', 'pair' or 'unknown' (an effect that "
+            "the list lacks); 'mixed': some of each."
+        ),
+    ] = "mixed",
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Make sets of runs of rigs with something wrong, or nothing, and seal what it is."""
@@ -49,7 +58,7 @@ def make(
     from diagnose.blind.make import Order
     from diagnose.blind.make import make as made
 
-    order = Order(folder, sets, seed, protocol, faintest, strongest)
+    order = Order(folder, sets, seed, protocol, faintest, strongest, wrong)
     with Progress(transient=True) as bar:
         task = bar.add_task("making sets", total=sets)
         for _ in made(order, jobs):

@@ -35,8 +35,8 @@ from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Command, Measured, RunLog, Setup
 
-# Shares of the sets; what is left has one thing wrong.
-NONE_SHARE, UNKNOWN_SHARE, PAIR_SHARE = 0.12, 0.12, 0.16
+# Shares of mixed sets; what is left has one thing wrong.
+SHARES = {"none": 0.12, "unknown": 0.12, "pair": 0.16}
 SCATTER = 0.01
 WHITE = {"x": 50e-6, "z": 20e-6}
 # The part of the noise that lasts, as a share of the white part, and how long [s].
@@ -49,6 +49,7 @@ BELIEVED_ZETA = 0.7823
 PROBED = (0, 5, 8)
 REDRAWS = 5
 PROTOCOLS = ("mixed", "practice", "random", "telling")
+WRONG = ("mixed", "none", "one", "pair", "unknown")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class Order:
         protocol: One of `PROTOCOLS`. "telling" has the rigs of "mixed", and records other runs of
             them: the nine of `diagnose.protocol`.
         faintest, strongest: Gaps [floors] that strengths are drawn between.
+        wrong: What is wrong with the sets, one of `WRONG`: nothing, one effect, two, or one that
+            the list of effects lacks; "mixed" has some of each.
     """
 
     folder: Path
@@ -70,14 +73,17 @@ class Order:
     protocol: str = "mixed"
     faintest: float = 0.5
     strongest: float = 30.0
+    wrong: str = "mixed"
 
     def __post_init__(self):
         if self.sets < 1:
             raise InputError(f"{self.sets} sets were asked for, must be one or more")
-        if self.protocol not in PROTOCOLS:
-            raise InputError(
-                f"the protocol is {self.protocol!r}, must be one of {', '.join(PROTOCOLS)}"
-            )
+        for what, given, known in (
+            ("the protocol", self.protocol, PROTOCOLS),
+            ("what is wrong", self.wrong, WRONG),
+        ):
+            if given not in known:
+                raise InputError(f"{what} is {given!r}, must be one of {', '.join(known)}")
         if not 0 < self.faintest <= self.strongest:
             raise InputError(
                 f"gaps from {self.faintest:g} to {self.strongest:g} floors were asked for; both "
@@ -94,10 +100,12 @@ def faults(order: Order) -> list[tuple[str, ...]]:
     random = np.random.default_rng([order.seed, 0])
     names = [name for stage in CATALOGUE.values() for name in stage]
     singles, strangers, pairs = _shuffled(names, random), _shuffled(list(STRANGERS), random), 0
-    counts = {share: round(order.sets * share) for share in (NONE_SHARE, UNKNOWN_SHARE, PAIR_SHARE)}
-    drawn: list[tuple[str, ...]] = [()] * round(order.sets * NONE_SHARE)
-    drawn += [(next(strangers),) for _ in range(counts[UNKNOWN_SHARE])]
-    while pairs < round(order.sets * PAIR_SHARE):
+    counts = {kind: round(order.sets * share) for kind, share in SHARES.items()}
+    if order.wrong != "mixed":
+        counts = {kind: order.sets if kind == order.wrong else 0 for kind in SHARES}
+    drawn: list[tuple[str, ...]] = [()] * counts["none"]
+    drawn += [(next(strangers),) for _ in range(counts["unknown"])]
+    while pairs < counts["pair"]:
         first, second = (str(each) for each in random.choice(names, 2, replace=False))
         if stage_of(first) != stage_of(second):
             drawn.append((first, second))
