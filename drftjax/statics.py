@@ -6,6 +6,7 @@ and the zeta(0) of Table 3 of Fuke, Ishikawa & Ishigami 2024. One that no longer
 (`REST`) carries less at the same depth, as the stress has no direction to follow.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
@@ -98,19 +99,28 @@ def sinkage_under_load(
         RuntimeError: where the load sinks the wheel deeper than its plates cover.
     """
     load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
-    simulator = simulator.prepared()
+    return _deepest(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
 
+
+# Compiled as a whole: by itself the root finder would take each call for another program.
+@eqx.filter_jit
+def _deepest(
+    simulator: Simulator,
+    zeta: Float[Array, ""],
+    load: Float[Array, ""],
+    angle: Float[Array, ""],
+    descent: float,
+) -> Float[Array, ""]:
     def missing(sinkage: Float[Array, ""], given) -> Float[Array, ""]:
         simulator, zeta, load, angle = given
         return vertical_support(simulator, sinkage, zeta, angle, descent) / load - 1
 
-    given = (simulator, as_real(zeta), load, as_real(angle))
     limit = simulator.wheel.cut().sinkage_limit
     deepest = optx.root_find(
         missing,
         optx.Bisection(rtol=SINKAGE_TOLERANCE, atol=SINKAGE_TOLERANCE),
         limit / 10,
-        given,
+        (simulator, zeta, load, angle),
         # A negative sinkage, with the grousers in the air, carries nothing.
         options={"lower": -limit / 2, "upper": limit},
         max_steps=64,

@@ -199,6 +199,9 @@ def between_rows(rows: Float[Array, "channels rows"], observed: Observed) -> Arr
 class Problem(eqx.Module):
     """Weighted residuals of a batch as a function of coordinates, with their exact derivative.
 
+    `predicted`, `residual` and `blocks` are programs of their own: what calls them in a program
+    traces the simulation no second time.
+
     Attributes:
         batch: Trials and recordings.
         parameters: What is fitted.
@@ -259,6 +262,7 @@ class Problem(eqx.Module):
 
         return of(self.shared, shared), of(self.own, own) * true_run[:, None]
 
+    @eqx.filter_jit
     def predicted(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
@@ -269,12 +273,14 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
+    @eqx.filter_jit
     def residual(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
         """(Simulated minus recorded) / noise, whitened; zero where nothing was recorded."""
         return self._over_runs(self._residual_one, shared, own)
 
+    @eqx.filter_jit
     def blocks(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:

@@ -19,6 +19,8 @@ from identify.uncertainty import Whitening
 
 # Derivatives of so many bytes are held at once; more points are taken in turns.
 CHUNK_BYTES = 2e8
+# Points are computed together by ones, fours, sixteens: few programs for any number of them.
+ROOMIER = 4
 MOST_STEPS = 40
 # Shorter steps in a row that gain nothing: what is left lies under the simulation's resolution.
 MOST_REFUSED = 6
@@ -45,8 +47,15 @@ class Ends:
 
 
 @eqx.filter_jit
-def _blocks_at(problem: Problem, points: Coordinates) -> tuple[jax.Array, jax.Array]:
+def _blocks_at_all(problem: Problem, points: Coordinates) -> tuple[jax.Array, jax.Array]:
     return jax.vmap(problem.blocks)(*points)
+
+
+def _blocks_at(problem: Problem, points: Coordinates) -> tuple[jax.Array, ...]:
+    if len(points[0]) > 1:
+        return _blocks_at_all(problem, points)
+    # The program that others need for one point, too.
+    return tuple(each[None] for each in problem.blocks(points[0][0], points[1][0]))
 
 
 class Descent:
@@ -164,7 +173,11 @@ class Descent:
         return loss, information, slope
 
     def _room(self, points: int) -> int:
-        return min(self.chunk, 2 ** (points - 1).bit_length())
+        """How many points the program for so many takes: each such number is compiled once."""
+        room = 1
+        while room < min(points, self.chunk):
+            room *= ROOMIER
+        return min(self.chunk, room)
 
     def _normal(
         self, residual: np.ndarray, blocks: np.ndarray, point: np.ndarray, shift: np.ndarray | None

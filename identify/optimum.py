@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -117,24 +115,14 @@ class Optimum:
         return slopes[:, None] * self.covariance[:size, :size] * slopes
 
 
-@eqx.filter_jit
-def _predicted(problem: Problem, coordinates: Coordinates) -> jax.Array:
-    return problem.predicted(*coordinates)
-
-
 def predicted(problem: Problem, coordinates: Coordinates) -> np.ndarray:
     """Simulated channels of every run at its recorded times [m, N, N m]."""
-    return np.asarray(_predicted(problem, coordinates))
-
-
-@eqx.filter_jit
-def _blocks(problem: Problem, coordinates: Coordinates) -> tuple[jax.Array, jax.Array]:
-    return problem.blocks(*coordinates)
+    return np.asarray(problem.predicted(*coordinates))
 
 
 def linearised(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     """Weighted residuals of every run, and their derivative by (shared, own) coordinates."""
-    residual, blocks = _blocks(problem, coordinates)
+    residual, blocks = problem.blocks(*coordinates)
     return np.asarray(residual), np.asarray(blocks)
 
 
