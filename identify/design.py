@@ -23,7 +23,7 @@ from drftjax.rollout import step_times
 from drftjax.saved import thinned
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
-from drftjax.trial import ROW_INTERVAL
+from drftjax.trial import ROW_INTERVAL, Trial
 from identify.information import (
     MARGIN,
     SMALLEST_EFFECT,
@@ -308,6 +308,11 @@ def _quantities(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:
     return [target, *(each for each in others if each.name != target.name)]
 
 
+@eqx.filter_jit
+def _derived(trials: Trial, quantities: list[Quantity], scale: Array) -> Array:
+    return map_runs(lambda trial, scale: sensitivities(trial, quantities, scale), trials, scale)
+
+
 class _Judge:
     """Evaluates set-ups: what a run of each would tell."""
 
@@ -318,11 +323,6 @@ class _Judge:
         self.quantities = quantities
         self.instrument = instrument
         self.limits = limits
-        self._derive = eqx.filter_jit(
-            lambda trials, scale: map_runs(
-                lambda trial, scale: sensitivities(trial, quantities, scale), trials, scale
-            )
-        )
 
     def setup_of(self, command: CommandSetUp, **start: float) -> SetUp:
         """The base set-up under another command, at a step that holds its derivatives."""
@@ -362,7 +362,7 @@ class _Judge:
         for first in range(0, len(trials), TOGETHER):
             some = trials[first : first + TOGETHER]
             padded = some + some[-1:] * (TOGETHER - len(some))
-            derived = np.asarray(self._derive(stack(padded), jnp.asarray(scale)))
+            derived = np.asarray(_derived(stack(padded), self.quantities, jnp.asarray(scale)))
             for place, derivatives in enumerate(derived[: len(some)], start=first):
                 options.append(self._option(names[place], setups[place], derivatives, scale[0]))
         return options
@@ -378,6 +378,7 @@ class _Judge:
         return Option(name, setup, told(), {each: told(each) for each in self.instrument.additions})
 
 
+@eqx.filter_jit
 def _descend(
     start: Float[Array, " free"], objective: Objective, steps: int
 ) -> Float[Array, " free"]:
@@ -438,8 +439,7 @@ def _descended(
             extra = [math.log(share / (1 - share)), *extra]
         points.append(np.concatenate([profile.coordinates(speeds), extra]))
     report(f"descending from {len(starts)} peak speeds, {search.steps} steps each")
-    descend = eqx.filter_jit(_descend)
-    ends = [descend(jnp.asarray(each), objective, search.steps) for each in points]
+    ends = [_descend(jnp.asarray(each), objective, search.steps) for each in points]
     options = []
     for start, end in zip(starts, map(np.asarray, ends), strict=True):
         if not np.isfinite(end).all():
