@@ -6,6 +6,7 @@ file itself does not import it.
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,22 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("there is no folder ../shared with the reference runs beside the repository")
     return folder
+
+
+@pytest.fixture
+def compiled() -> Iterator[list[str]]:
+    """Every compilation that the test causes, as it comes."""
+    from jax import monitoring
+
+    found = []
+
+    def listen(event: str, _: float, **__: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            found.append(event)
+
+    monitoring.register_event_duration_secs_listener(listen)
+    yield found
+    monitoring.unregister_event_duration_listener(listen)
 
 
 @pytest.fixture

@@ -1,28 +1,10 @@
 """The runs of one rig made ready: programs that are compiled once."""
 
-import jax
 import numpy as np
-import pytest
 
 from diagnose.response import Model, predict
 from drftjax.effects.catalogue import effect_class
 from tests.virtual_cases import case_with
-
-COMPILED = "/jax/core/compile/backend_compile_duration"
-
-
-@pytest.fixture
-def compiled():
-    """Every compilation that the test causes."""
-    found = []
-
-    def listen(event: str, _: float, **__: object) -> None:
-        if event == COMPILED:
-            found.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield found
-    jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):

@@ -85,6 +85,14 @@ def test_fits_scatter_by_the_standard_error_that_was_promised():
     assert abs(values.mean() - 1.1) < 3 * option.knows.error / math.sqrt(len(values))
 
 
+def test_another_run_of_the_same_wheel_compiles_nothing(compiled):
+    slow = promised(given(70.0), "lambda", ["zeta"])
+    compiled.clear()
+    fast = promised(given(80.0), "lambda", ["zeta"])
+    assert fast.knows.error < slow.knows.error
+    assert not compiled
+
+
 def test_every_profile_keeps_the_limits():
     limits = Limits(math.radians(300), math.radians(50), 24.0)
     profile = Profile(8, limits.speed, limits.acceleration, limits.duration, limits.rest)

@@ -170,3 +170,11 @@ def test_derivatives_of_sinkage_are_central_differences():
 def test_sinkage_that_cannot_be_is_refused(sinkage):
     with pytest.raises(InputError, match="sinkage"):
         zeta_from_sinkage(Simulator(), sinkage)
+
+
+def test_another_load_or_zeta_compiles_nothing(compiled):
+    first = float(sinkage_under_load(Simulator(), 0.75, 150.0))
+    assert compiled
+    compiled.clear()
+    assert float(sinkage_under_load(Simulator(), 0.8, 180.0)) != first
+    assert not compiled
