@@ -16,6 +16,7 @@ Structure = TypeVar("Structure", bound=msgspec.Struct)
 _UNKNOWN = re.compile(r"unknown field `(?P<field>.+?)`")
 _MISSING = re.compile(r"missing required field `(?P<field>.+?)`")
 _PLACE = re.compile(r" - at `\$\.?(?P<place>.*?)`$")
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 # The words of TOML's users for the types that msgspec names.
 _WORDS = {
     "float": "a number",
@@ -44,8 +45,14 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: is a folder, must be a file") from None
     except OSError as problem:
         raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not text; must be {'JSON' if is_json else 'TOML'}") from None
+    except UnicodeDecodeError as problem:
+        kind = "JSON" if is_json else "TOML"
+        why = f"is not text; must be {kind}"
+        if problem.object.startswith(_HDF5):
+            why = (
+                f"is an HDF5 file, must be {kind}; commands that take a run log have --like for it"
+            )
+        raise InputError(f"{path}: {why}") from None
     try:
         document = json.loads(text) if is_json else tomllib.loads(text)
     except (ValueError, RecursionError) as problem:

@@ -61,7 +61,8 @@ def test_paper_set_up_spells_out_the_defaults():
         ("", "the entry 'command' is missing"),
         ("[wheel\n", "is not TOML ("),
         ("a = " + "[" * 100_000, "is not TOML ("),
-        (b"\x89HDF\r\n\x1a\n\xff", "is not text"),
+        (b"\xff\xfe[wheel]", "is not text; must be TOML"),
+        (b"\x89HDF\r\n\x1a\n\xff", "is an HDF5 file, must be TOML; commands that take a run log"),
         (
             "[wheel]\nshape = 'round'\n" + COMMAND,
             "wheel.shape is 'round', must be one of 'gro",
