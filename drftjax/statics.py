@@ -99,12 +99,12 @@ def sinkage_under_load(
         RuntimeError: where the load sinks the wheel deeper than its plates cover.
     """
     load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
-    return _deepest(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
+    return _sinkage_under(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
 
 
 # Compiled as a whole: by itself the root finder would take each call for another program.
 @eqx.filter_jit
-def _deepest(
+def _sinkage_under(
     simulator: Simulator,
     zeta: Float[Array, ""],
     load: Float[Array, ""],

@@ -10,13 +10,12 @@ from diagnose.pairs import PAIRS, proposals, simulated_pairs
 from drftjax.effects.catalogue import effect_class
 from tests.virtual_cases import case_with
 
-TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_coulomb": {"force": 4.0}}
-# On a wheel that only goes forward the drawbar does what friction does: which of the two leads
-# hangs on rounding.
-ALIKE = {"vertical_viscous", "drawbar"}
+# A damper, not friction: what friction does a pull does as well on a wheel that only goes forward,
+# and its derivative hangs on rounding where the wheel nearly sticks.
+TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_viscous": {"damping": 60.0}}
 CANDIDATES = (
-    *("cohesion", "vertical_viscous", "horizontal_coulomb", "drawbar", "measurement_delay"),
-    *("surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
+    *("cohesion", "vertical_viscous", "horizontal_viscous", "horizontal_coulomb", "drawbar"),
+    *("measurement_delay", "surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
 )
 
 
@@ -34,31 +33,23 @@ def singles(bench):
         found[name] = max(
             found.get(name, variant), variant, key=lambda each: on_lines(bench, [each]).score
         )
-    alone = [settled(bench, proposed(bench, [each]), 8) for each in found.values()]
+    alone = [settled(bench, proposed(bench, [each]), 4) for each in found.values()]
     return sorted(alone, key=lambda each: -each.score)
 
 
-def test_what_singles_did_alone_puts_the_true_pair_and_its_like_first(bench, singles):
-    leading = list(dict.fromkeys(each.names for each in proposals(bench, singles)))[:2]
-    assert set(leading) == {frozenset(TRUTH), frozenset(ALIKE)}
+def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
+    assert next(proposals(bench, singles)).names == set(TRUTH)
 
 
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
-    proposal = next(
-        each
-        for each in proposals(bench, singles)
-        if each.names == set(TRUTH) and not each.from_null
-    )
-    pair = proposal.build()
+    pair = next(proposals(bench, singles)).build()
     assert not pair.simulated
     assert pair.ahead is not None
     there = pair.coordinates + pair.ahead[1]
     for free, coordinate in zip(pair.model.free, there, strict=True):
         (true,) = TRUTH[pair.model.names[free.index]].values()
-        # Each was fitted alone, to what both did: a start, which simulation then settles (below, to
-        # three hundredths). Friction's derivative hangs on rounding where the wheel nearly sticks,
-        # which moves the damping between 1305 and 1510 from one compilation to another.
-        assert free.value(coordinate) == pytest.approx(true, rel=0.15)
+        # Each was fitted alone, to what both did: a start, which simulation then settles.
+        assert free.value(coordinate) == pytest.approx(true, rel=0.1)
 
 
 def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singles):
