@@ -47,6 +47,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "speed_gain": ((), "a ratio of speeds"),
     "speed_lag": ((), "a drive is as late either way"),
     "speed_ripple": (("sine",), "locked to an angle, which the mirror counts the other way"),
+    "speed_harmonics": (("sine", "sine2"), "locked to an angle, too"),
     "backlash": ((), "the play is crossed from its middle either way"),
     "wheel_radius": ((), "a round rim"),
     "grouser_height": ((), "grousers have two faces alike"),

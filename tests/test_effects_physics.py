@@ -106,6 +106,17 @@ def test_speed_ripple_has_its_order_and_size_and_loses_nothing_over_a_turn():
     near(output.angle[-1], hold().angle[-1], 2e-3)
 
 
+def test_speed_harmonics_has_both_harmonics_and_loses_nothing_over_a_turn():
+    given = {"cosine": 0.03, "sine": 0.02, "cosine2": -0.01, "sine2": 0.015, "order": 7.0}
+    output = ran(True, speed_harmonics=given)
+    ripple, phase = output.omega / SPEED - 1, 7 * output.angle
+    first = 0.03 * np.cos(phase) + 0.02 * np.sin(phase)
+    second = -0.01 * np.cos(2 * phase) + 0.015 * np.sin(2 * phase)
+    # The phase is a step older than the angle read: as far as the ripple turns in a step.
+    np.testing.assert_allclose(ripple[1:], (first + second)[1:], atol=0.08 * 7 * SPEED * DT)
+    near(output.angle[-1], hold().angle[-1], 2e-3)
+
+
 @pytest.mark.parametrize("play", [0.05, 0.004])
 def test_backlash_loses_its_play_wider_or_narrower_than_the_regulariser(play):
     output = ran(False, backlash={"play": play})

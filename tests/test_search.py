@@ -8,7 +8,7 @@ from diagnose.model_file import model_toml, read_effects
 from diagnose.response import Free
 from diagnose.search import search
 from drftjax.effects.catalogue import spoken
-from drftjax.effects.drive import Backlash, SpeedLag
+from drftjax.effects.drive import Backlash, SpeedHarmonics, SpeedLag, SpeedRipple
 from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
 from drftjax.effects.surface import SurfaceBump, SurfaceProfile
@@ -55,6 +55,19 @@ def test_a_bump_goes_by_the_name_of_the_surface():
     assert rise == pytest.approx(0.002, rel=0.03)
     assert centre == pytest.approx(0.25, abs=0.005)
     assert width == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
+    given = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
+    case = case_with({"name": "speed_harmonics", **given})
+    best = search(case, (SpeedRipple, SpeedHarmonics)).singles[0]
+    assert best.names == ("speed_harmonics",)
+    assert spoken(best.names) == ("speed_ripple",)
+    numbers = dict(zip(given, map(Free.value, best.model.free, best.coordinates), strict=True))
+    assert numbers["order"] == pytest.approx(9.0, rel=0.003)
+    # A hundredth of the speed is a few times what the noise tells apart.
+    for name in ("cosine", "sine", "cosine2", "sine2"):
+        assert numbers[name] == pytest.approx(given[name], abs=0.01)
 
 
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():

@@ -78,6 +78,35 @@ class SpeedRipple(AbstractDrive):
         return (1 + self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)) * omega, ()
 
 
+class SpeedHarmonics(AbstractDrive):
+    """A periodic speed error with its second harmonic, as of a gear's pair of errors or a joint."""
+
+    about: ClassVar = About(
+        "speed_harmonics",
+        "drive",
+        "ω = (1 + cosine cos φ' + sine sin φ' + cosine2 cos 2φ' + sine2 sin 2φ') ω_cmd, "
+        "φ' = order φ",
+        "a periodic speed error that is no pure sine: with its second harmonic",
+        form_of="speed_ripple",
+    )
+    cosine: Number = strength("-", 0.03, "in-phase share of the speed")
+    sine: Number = strength("-", 0.03, "quadrature share of the speed")
+    cosine2: Number = strength("-", 0.01, "in-phase share of the second harmonic")
+    sine2: Number = strength("-", 0.01, "quadrature share of the second harmonic")
+    order: Number = shape("-", 8.0, tuple(range(1, 31)), "periods in a turn of the wheel")
+
+    def begin(self, omega: Number, angle: Number) -> Memory:
+        return ()
+
+    def turn(
+        self, omega: Number, angle: Number, dt: Number, memory: Memory
+    ) -> tuple[Number, Memory]:
+        phase = self.order * (angle + dt * omega)
+        first = self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)
+        second = self.cosine2 * jnp.cos(2 * phase) + self.sine2 * jnp.sin(2 * phase)
+        return (1 + first + second) * omega, ()
+
+
 class Backlash(AbstractDrive):
     """The wheel starts late by an angle."""
 
@@ -112,4 +141,4 @@ class Backlash(AbstractDrive):
         return (1 - loose) * omega, turned
 
 
-DRIVE = (SpeedGain, SpeedLag, SpeedRipple, Backlash)
+DRIVE = (SpeedGain, SpeedLag, SpeedRipple, SpeedHarmonics, Backlash)
