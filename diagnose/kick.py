@@ -1,8 +1,8 @@
 """What an effect does to a simulated run at each of its nodes, per unit of each strength.
 
-An effect changes either one of the inputs that a run is linearised by (zeta, forces, speed), or a
-step as a whole (what bears on plates), or the readings. Each is differentiated along the run as
-simulated without it.
+An effect changes either some of the inputs that a run is linearised by (zeta, forces, speed, the
+surface's plane), or a step as a whole (what bears on plates), or the readings. Each is
+differentiated along the run as simulated without it.
 """
 
 from dataclasses import replace
@@ -20,6 +20,7 @@ from drftjax.effects.stage import (
     AbstractDrive,
     AbstractEffect,
     AbstractLoad,
+    AbstractPlane,
     AbstractSandLoad,
     AbstractSensor,
     AbstractZetaFactor,
@@ -96,6 +97,9 @@ def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, 
     match effect:
         case AbstractZetaFactor():
             return _of_inputs(path, zeta=_zeta(effect, trial, path, node))
+        case AbstractPlane():
+            height, rise = _plane(effect, trial, path, node)
+            return _of_inputs(path, height=height, rise=rise)
         case AbstractLoad():
             force = _force(effect, trial, path, node)
             kick = _of_inputs(path, force_x=force[:, 0], force_z=force[:, 1])
@@ -145,6 +149,15 @@ def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Path, node) -> Float[A
         half = replace(moment, dt=moment.dt / 2)
         memory = effect.advance(memory, half)
         return effect.advance(memory, half), jnp.log(effect.factor(moment, memory))
+
+    return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
+
+
+def _plane(effect: AbstractPlane, trial: Trial, path: Path, node) -> tuple[Array, Array]:
+    def one(memory, moment: Moment):
+        half = replace(moment, dt=moment.dt / 2)
+        memory = effect.advance(memory, half)
+        return effect.advance(memory, half), effect.plane(moment.position[0], memory)
 
     return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
 

@@ -9,6 +9,7 @@ from drftjax.effects.load import MemorylessLoad
 from drftjax.effects.stage import (
     About,
     AbstractDrive,
+    AbstractPlane,
     Memory,
     MemorylessSurface,
     MemorylessZetaFactor,
@@ -56,28 +57,32 @@ class SpeedError(AbstractDrive):
         return omega + self.error, ()
 
 
-class HeightError(MemorylessSurface):
-    """The surface lies higher."""
+class HeightError(AbstractPlane, MemorylessSurface):
+    """The surface lies higher, and rises along x."""
 
-    about: ClassVar = About("height_error", "terrain", "h = h + error", "an unknown surface height")
-    error: Number = strength("m", 0.001, "height of the surface")
+    about: ClassVar = About(
+        "height_error", "terrain", "h = h + error + rise ahead", "an unknown surface height"
+    )
+    error: Number = strength("m", 0.001, "height of the surface under the axle")
+    rise: Number = strength("-", 0.01, "rise of the surface along x")
 
-    def height(
-        self, axle: Number, ahead: Float[Array, " plates"], memory: Memory
-    ) -> Float[Array, " plates"]:
-        return jnp.full_like(ahead, self.error)
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return self.error, self.rise
 
 
 # The inputs of a linearised run, in order.
-INPUTS = ("zeta", "force_x", "force_z", "speed", "height")
+INPUTS = ("zeta", "force_x", "force_z", "speed", "height", "rise")
 
 
-def latents(inputs: Float[Array, "5"]) -> tuple:
-    """Effects that carry these inputs: log zeta [-], forces [N], speed [rad/s] and height [m]."""
-    zeta, force_x, force_z, speed, height = inputs
+def latents(inputs: Float[Array, "6"]) -> tuple:
+    """Effects that carry these inputs.
+
+    They are log zeta [-], forces [N], speed [rad/s], height [m] and rise of the surface [-].
+    """
+    zeta, force_x, force_z, speed, height, rise = inputs
     return (
         SpeedError(error=speed),
         ZetaError(error=zeta),
-        HeightError(error=height),
+        HeightError(error=height, rise=rise),
         ForceError(x=force_x, z=force_z),
     )

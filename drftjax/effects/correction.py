@@ -23,8 +23,8 @@ from drftjax.effects.stage import (
     AbstractDrive,
     AbstractEffect,
     AbstractLoad,
+    AbstractPlane,
     AbstractSensor,
-    AbstractSurface,
     AbstractZetaFactor,
     Memory,
     Moment,
@@ -192,7 +192,7 @@ class SpeedCorrection(Curve, AbstractDrive):
         return omega + self.at(known[self.variable]), gone
 
 
-class HeightCorrection(Curve, AbstractSurface):
+class HeightCorrection(Curve, AbstractPlane):
     """The surface under the wheel lies higher by a curve."""
 
     about: ClassVar = About(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
@@ -203,10 +203,8 @@ class HeightCorrection(Curve, AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return _gone_on(memory, moment)
 
-    def height(
-        self, axle: Number, ahead: Float[Array, " plates"], memory: Memory
-    ) -> Float[Array, " plates"]:
-        return jnp.full_like(ahead, self.at(getattr(memory, self.variable)))
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return self.at(getattr(memory, self.variable)), jnp.zeros_like(axle)
 
 
 class ReadingCorrection(Curve, AbstractSensor):

@@ -244,6 +244,27 @@ class MemorylessSurface(AbstractSurface):
         return ()
 
 
+class AbstractPlane(AbstractSurface):
+    """A surface that is a plane under the whole wheel: all that the theory knows."""
+
+    @abc.abstractmethod
+    def plane(
+        self, axle: Float[Array, ""], memory: Memory
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Height of the plane under the axle [m], and how much it rises along x [-].
+
+        Args:
+            axle: Place of the axle along x [m].
+            memory: As `advance` left it.
+        """
+
+    def height(
+        self, axle: Float[Array, ""], ahead: Float[Array, " plates"], memory: Memory
+    ) -> Float[Array, " plates"]:
+        under, rise = self.plane(axle, memory)
+        return under + rise * ahead
+
+
 class AbstractLoad(AbstractEffect):
     """A further force on the axle."""
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from drftjax.effects import places
 from drftjax.effects.stage import (
     About,
-    AbstractSurface,
+    AbstractPlane,
     Memory,
     MemorylessSurface,
     Moment,
@@ -17,10 +17,9 @@ from drftjax.effects.stage import (
 )
 
 Number = Float[Array, ""]
-Each = Float[Array, " plates"]
 
 
-class SurfaceProfile(MemorylessSurface):
+class SurfaceProfile(AbstractPlane, MemorylessSurface):
     """Height waves along x; the datum is the height at x = 0.
 
     The theory knows sand with a flat surface, so the wheel is on the plane that touches the wave
@@ -37,14 +36,14 @@ class SurfaceProfile(MemorylessSurface):
     sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
     length: Number = places.wavelength()
 
-    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
         turn = 2 * jnp.pi / self.length
         across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
-        slope = turn * (self.sine * across - self.cosine * along)
-        return self.cosine * (across - 1) + self.sine * along + slope * ahead
+        rise = turn * (self.sine * across - self.cosine * along)
+        return self.cosine * (across - 1) + self.sine * along, rise
 
 
-class SurfaceBump(MemorylessSurface):
+class SurfaceBump(AbstractPlane, MemorylessSurface):
     """One bump or dip along x; the datum is the height at x = 0.
 
     As on waves, the wheel is on the plane that touches the surface under its axle.
@@ -61,25 +60,25 @@ class SurfaceBump(MemorylessSurface):
     centre: Number = places.centre("bump")
     width: Number = places.width()
 
-    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
         def level(x: Number) -> Number:
             return self.rise * places.bell(x, self.centre, self.width)
 
-        here, slope = jax.value_and_grad(level)(axle)
-        return here - level(jnp.zeros_like(axle)) + slope * ahead
+        here, rise = jax.value_and_grad(level)(axle)
+        return here - level(jnp.zeros_like(axle)), rise
 
 
-class SurfaceSlope(MemorylessSurface):
+class SurfaceSlope(AbstractPlane, MemorylessSurface):
     """The surface is inclined."""
 
     about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the surface is inclined")
     slope: Number = strength("-", 0.01, "rise of the surface along x")
 
-    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
-        return self.slope * (axle + ahead)
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return self.slope * axle, self.slope
 
 
-class Excavation(AbstractSurface):
+class Excavation(AbstractPlane):
     """Slip digs: the surface under the wheel goes down with slip distance."""
 
     about: ClassVar = About(
@@ -96,8 +95,8 @@ class Excavation(AbstractSurface):
     def advance(self, memory: Memory, moment: Moment) -> Memory:
         return memory + moment.dt * jnp.abs(moment.rim_slip())
 
-    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
-        return jnp.broadcast_to(-self.rate * memory, ahead.shape)
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return -self.rate * memory, jnp.zeros_like(axle)
 
 
 SURFACE = (SurfaceProfile, SurfaceBump, SurfaceSlope, Excavation)
