@@ -12,7 +12,7 @@ from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
-from diagnose.hypothesis import Hypothesis, left_of
+from diagnose.hypothesis import Hypothesis, foremost, left_of
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
@@ -185,7 +185,7 @@ def diagnose(
     """
     found = search(case, effects, report)
     report("predicting the runs left out")
-    leading = [*found.singles[:JUDGED_SINGLES], *found.pairs[:JUDGED_PAIRS]]
+    leading = [*foremost(found.singles, JUDGED_SINGLES), *foremost(found.pairs, JUDGED_PAIRS)]
     unseen = {each.names: predicted_unseen(found.bench, each) for each in leading}
     share = _weights(found, leading, unseen)
     verdict, groups = verdict_of(share)

@@ -15,7 +15,7 @@ from diagnose.bench import Bench, Variant
 from diagnose.evidence import LINES_ERR, Line, Products, coarseness, fit_line, worth_of
 from diagnose.response import Model, respond
 from drftjax.arrays import as_real
-from drftjax.effects.catalogue import numbers, strengths
+from drftjax.effects.catalogue import numbers, spoken, strengths
 from drftjax.effects.stage import AbstractEffect
 
 # Width of the belief about a strength, in typical sizes, and about a shape's logarithm.
@@ -217,6 +217,19 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
         return np.asarray(slope)[:, : len(counts)][:, counts]
 
     return replace(here, columns=case.each_run(of))
+
+
+def foremost(ranked: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The first ones, best first, until so many explanations are among them.
+
+    Two forms of one effect are one explanation, and take no other's place.
+    """
+    found: list[Hypothesis] = []
+    for each in ranked:
+        if len({frozenset(spoken(known.names)) for known in found}) >= count:
+            break
+        found.append(each)
+    return found
 
 
 def least_changes(here: Hypothesis) -> np.ndarray:

@@ -18,12 +18,14 @@ from diagnose.hypothesis import (
     CORRECTED_ERR,
     STRENGTH_BELIEF,
     Hypothesis,
+    foremost,
     least_changes,
     leasts,
     proposed,
     settled,
 )
 from diagnose.response import Model, predict
+from drftjax.effects.catalogue import spoken
 
 # Singles that pairs begin with, pairs simulated, and how often each is at most.
 BEGINNINGS, PAIRS, TURNS = 3, 8, 4
@@ -81,8 +83,12 @@ def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]
     Arguments as for `simulated_pairs`.
     """
     orders = []
+    # Another form of an effect begins nothing that the better one does not.
+    beginnings: dict[tuple[str, ...], Hypothesis] = {}
+    for each in foremost(singles, BEGINNINGS):
+        beginnings.setdefault(spoken(each.names), each)
     for propose in (_with_settled, _with_any):
-        of_each = [propose(bench, each, singles) for each in singles[:BEGINNINGS]]
+        of_each = [propose(bench, each, singles) for each in beginnings.values()]
         for every in zip(*of_each, strict=True):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
