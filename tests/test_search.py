@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagnose.diagnosis import diagnose
+from diagnose.hypothesis import foremost
 from diagnose.model_file import model_toml, read_effects
 from diagnose.response import Free
 from diagnose.search import search
@@ -60,7 +61,8 @@ def test_a_bump_goes_by_the_name_of_the_surface():
 def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
     given = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
     case = case_with({"name": "speed_harmonics", **given})
-    best = search(case, (SpeedRipple, SpeedHarmonics)).singles[0]
+    singles = search(case, (SpeedRipple, SpeedHarmonics, SpeedLag)).singles
+    best = singles[0]
     assert best.names == ("speed_harmonics",)
     assert spoken(best.names) == ("speed_ripple",)
     numbers = dict(zip(given, map(Free.value, best.model.free, best.coordinates), strict=True))
@@ -68,6 +70,10 @@ def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
     # A hundredth of the speed is a few times what the noise tells apart.
     for name in ("cosine", "sine", "cosine2", "sine2"):
         assert numbers[name] == pytest.approx(given[name], abs=0.01)
+    # Both forms are one explanation, and take no other's place.
+    assert {each.names for each in singles[:2]} == {("speed_harmonics",), ("speed_ripple",)}
+    assert foremost(singles, 1) == [best]
+    assert foremost(singles, 2) == list(singles)
 
 
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():

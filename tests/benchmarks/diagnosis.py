@@ -1,0 +1,64 @@
+"""How long a diagnosis of one rig's runs takes, against the whole catalogue.
+
+    python -m tests.benchmarks.diagnosis [FOLDER ...]
+
+Each folder holds the run logs of one rig. The first is diagnosed twice: at first from a cold start,
+with nothing compiled and no compiled program read from a file, then without compilation. The last
+column compares with simulating the same runs once by the reference model, in the same process.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+FOLDERS = ("../shared/blind/practice/set_12", "../shared/blind/practice/set_07")
+
+
+def main() -> None:
+    from drftjax.commands.runtime import configure_jax
+
+    configure_jax()
+    import jax
+
+    jax.config.update("jax_enable_compilation_cache", False)
+    from rich.console import Console
+    from rich.table import Table
+
+    from diagnose.case import Case
+    from diagnose.diagnosis import diagnose
+    from drftjax.effects.catalogue import catalogue
+    from identify.candidate import candidates_of
+
+    effects = tuple(catalogue().values())
+    folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
+    table = Table("runs of", "verdict", "time [s]", "CPU time [s]", "of simulating them once")
+    for folder in (folders[0], *folders):
+        begun, worked = time.perf_counter(), time.process_time()
+        found = diagnose(Case.of(candidates_of(sorted(folder.glob("*.h5")))), effects)
+        seconds, work = time.perf_counter() - begun, time.process_time() - worked
+        ratio = f"{seconds / _simulated_once(found.case):.0f}"
+        verdict = " + ".join(found.verdict)
+        table.add_row(folder.name, verdict, f"{seconds:.0f}", f"{work:.0f}", ratio)
+    console = Console(width=100)
+    console.print(f"{len(os.sched_getaffinity(0))} cores, {len(effects)} effects")
+    console.print(table)
+
+
+def _simulated_once(case) -> float:
+    """Seconds that the runs take one after another, compiled; the shortest of a few."""
+    import numpy as np
+
+    from diagnose.response import Model
+
+    def once() -> float:
+        begun = time.perf_counter()
+        for run in range(len(case.candidates)):
+            case.predicted(Model(), run, 0.0, np.zeros(0))
+        return time.perf_counter() - begun
+
+    return min(once() for _ in range(3))
+
+
+if __name__ == "__main__":
+    main()
