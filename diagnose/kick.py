@@ -17,20 +17,21 @@ from diagnose.latent import INPUTS
 from diagnose.path import FORCES, MOTION, Path, command_at_time, motion_of, state_of
 from drftjax.effects.catalogue import numbers, shapes, strengths
 from drftjax.effects.stage import (
+    AbstractAdjustment,
     AbstractDrive,
     AbstractEffect,
     AbstractLoad,
+    AbstractPlacement,
     AbstractPlane,
     AbstractSandLoad,
     AbstractSensor,
+    AbstractStressFactor,
+    AbstractSurface,
     AbstractZetaFactor,
     Moment,
 )
 from drftjax.simulator import Output
 from drftjax.trial import Trial
-
-# A step is differentiated in every so-manieth node; what plates feel changes little between.
-STRIDE = 2
 
 Variants = dict[str, Float[Array, " variants"]]
 
@@ -94,26 +95,33 @@ def kick(
 
 
 def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, ""]) -> Kick:
-    match effect:
-        case AbstractZetaFactor():
-            return _of_inputs(path, zeta=_zeta(effect, trial, path, node))
-        case AbstractPlane():
-            height, rise = _plane(effect, trial, path, node)
-            return _of_inputs(path, height=height, rise=rise)
-        case AbstractLoad():
-            force = _force(effect, trial, path, node)
-            kick = _of_inputs(path, force_x=force[:, 0], force_z=force[:, 1])
-            if isinstance(effect, AbstractSandLoad):
-                forces = jnp.pad(force, ((0, 0), (0, 1)))
-                return replace(kick, forces=forces)
-            return kick
-        case AbstractDrive():
-            return _of_inputs(path, speed=_speed(effect, trial, path, node))
-        case AbstractSensor():
-            start = path.motion[0].at[:2].set(effect.started(path.motion[0, :2]))
-            readings = _readings(effect, path, node)
-            return replace(_of_inputs(path), readings=readings, start=start[None])
-    return _of_a_step(effect, trial, path, node)
+    on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
+    # A plane is an input of the run; any other surface is not.
+    if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
+        kick = _of_a_step(effect, trial, path, node)
+    else:
+        kick = _of_its_inputs(effect, trial, path, node)
+    if isinstance(effect, AbstractSensor):
+        start = path.motion[0].at[:2].set(effect.started(path.motion[0, :2]))
+        kick = replace(kick, readings=_readings(effect, path, node), start=start[None])
+    return kick
+
+
+def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Path, node) -> Kick:
+    series: dict[str, Array] = {}
+    read = jnp.zeros((path.middle_time.shape[0], len(FORCES)))
+    if isinstance(effect, AbstractZetaFactor):
+        series["zeta"] = _zeta(effect, trial, path, node)
+    if isinstance(effect, AbstractPlane):
+        series["height"], series["rise"] = _plane(effect, trial, path, node)
+    if isinstance(effect, AbstractDrive):
+        series["speed"] = _speed(effect, trial, path, node)
+    if isinstance(effect, AbstractLoad):
+        force = _force(effect, trial, path, node)
+        series["force_x"], series["force_z"] = force[:, 0], force[:, 1]
+        if isinstance(effect, AbstractSandLoad):
+            read = read.at[:, :2].set(force)
+    return replace(_of_inputs(path, **series), forces=read)
 
 
 def _of_inputs(path: Path, **series: Float[Array, " nodes"]) -> Kick:
@@ -199,26 +207,22 @@ def _readings(effect: AbstractSensor, path: Path, node) -> Float[Array, "nodes 5
 
 
 def _of_a_step(effect: AbstractEffect, trial: Trial, path: Path, node) -> Kick:
-    """What a step ends at with the effect, in the middle of every `STRIDE`-th node."""
+    """What a step in the middle of each node ends at with the effect."""
     plain = trial.simulator
     simulator = replace(plain, effects=(*plain.effects, effect)).prepared()
     first = command_at_time(trial, path.time[0])
     memory = simulator.begin(state_of(path.motion[0], path.time[0], path.omega[0]), first).memory
-    picked = slice(0, path.middle_time.shape[0], STRIDE)
 
     def one(memory, row):
         time, motion, omega = row
         start = state_of(motion, time, omega, memory)
         after, output = simulator.step(start, command_at_time(trial, time + path.dt), path.dt)
-        later = command_at_time(trial, time + STRIDE * node)
-        memory = simulator.step(start, later, STRIDE * node)[0].memory
+        memory = simulator.step(start, command_at_time(trial, time + node), node)[0].memory
         return memory, (motion_of(after), jnp.stack([getattr(output, name) for name in FORCES]))
 
-    rows = path.middle_time[picked], path.middle[picked], path.middle_omega[picked]
+    rows = path.middle_time, path.middle, path.middle_omega
     motion, forces = jax.lax.scan(one, memory, rows)[1]
-    nodes = path.middle_time.shape[0]
-    spread = lambda series: jnp.repeat(series, STRIDE, axis=0)[:nodes]  # noqa: E731
-    return replace(_of_inputs(path), motion=spread(motion), forces=spread(forces))
+    return replace(_of_inputs(path), motion=motion, forces=forces)
 
 
 @eqx.filter_jit

@@ -5,6 +5,7 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array, Float
 
 from diagnose.case import Case, with_zeta
 from diagnose.follows import TIED, against, fitted, follows, simplest
@@ -14,6 +15,7 @@ from diagnose.stages import Stage, stages
 from drftjax.effects.catalogue import numbers
 from drftjax.effects.correction import correction, fields, known_to
 from drftjax.effects.drive import SpeedGain
+from drftjax.effects.stage import About, AbstractPlane, MemorylessZetaFactor, strength
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
 from drftjax.errors import InputError
@@ -22,7 +24,7 @@ from tests.virtual_runs import BELIEVED_ZETA, coarse, recorded, setup_of
 TRUE_ZETA = 0.75
 NOISE = 10e-6
 KNOTS = 6
-# A step is differentiated in every other node only, and plates cross corners in between.
+# A step is differentiated once a node only, and plates cross corners in between.
 LINES_ERR = 0.25
 # An error holds its signal's truth within this many standard errors nearly everywhere; responses
 # are straight lines, which takes the rest.
@@ -170,6 +172,36 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
     line = small * np.interp(case().time(0), nodes, z)
     row = case().channels.index("z")
     exact = moved[row] - plain()[0][row]
+    assert np.abs(exact).max() > 0
+    assert np.abs(exact - line).max() < LINES_ERR * np.abs(exact).max()
+
+
+class LooserAndLower(MemorylessZetaFactor, AbstractPlane):
+    """Acts in two places at once, as an effect of a user's own may."""
+
+    about = About("looser_and_lower", "terrain", "ζ = ζ (1 - loss), h = -lower", "two in one")
+    loss: Float[Array, ""] = strength("-", 0.02, "share of zeta lost")
+    lower: Float[Array, ""] = strength("m", 0.002, "how far the surface lies lower")
+
+    def factor(self, moment, memory):
+        return 1 - self.loss
+
+    def plane(self, axle, memory):
+        return -self.lower, jnp.zeros_like(axle)
+
+
+@pytest.mark.parametrize(("field", "small"), [("loss", 2e-4), ("lower", 2e-5)])
+def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
+    trial = with_zeta(case().trials[0], float(log_zeta()[0]))
+    path = case().trace(0, float(log_zeta()[0]))
+    slope = np.asarray(
+        respond_to(path, kick(LooserAndLower, trial, path, jnp.asarray(case().node(0)), {}))
+    )
+    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    column = slope[: len(nodes), READINGS.index("z"), ("loss", "lower").index(field)]
+    line = small * np.interp(case().time(0), nodes, column)
+    row = case().channels.index("z")
+    exact = with_(LooserAndLower, **{field: small})[0][row] - plain()[0][row]
     assert np.abs(exact).max() > 0
     assert np.abs(exact - line).max() < LINES_ERR * np.abs(exact).max()
 
