@@ -264,6 +264,8 @@ def test_the_list_names_every_effect_of_every_stage(drft):
 def test_one_effect_is_told_in_full_with_lines_that_a_set_up_understands(drft, tmp_path):
     answer = drft("effects", "terrain_variation")
     assert "zeta depends on the place" in answer.out
+    assert "Another form" not in answer.out
+    assert "Another form of terrain_variation" in drft("effects", "terrain_wave").out
     assert "width [m]  its standard deviation along x; 0.15 unless said" in answer.out
     lines = answer.out[answer.out.index("[[effect]]") :]
     (entry,) = read_setup(written(tmp_path, HEAD + lines)).effects

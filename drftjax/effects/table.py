@@ -71,6 +71,8 @@ def details(effect: type[AbstractEffect]) -> str:
     about = effect.about
     shown = entry_of(typical(effect))
     lines = [f"{about.name} ({about.stage}): {about.meaning}", "", f"    {about.formula}", ""]
+    if about.form_of:
+        lines += [f"Another form of {about.form_of}, by whose name a diagnosis tells it.", ""]
     for name, each in numbers(effect).items():
         if name in strengths(effect):
             size = f"0 where absent, typically {each['typical']:g}"
