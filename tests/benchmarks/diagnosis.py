@@ -32,7 +32,7 @@ def main() -> None:
 
     effects = tuple(catalogue().values())
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
-    table = Table("runs of", "verdict", "time [s]", "CPU time [s]", "of simulating them once")
+    table = Table("runs of", "verdict", "time, s", "CPU time, s", "of simulating them once")
     for folder in (folders[0], *folders):
         begun, worked = time.perf_counter(), time.process_time()
         found = diagnose(Case.of(candidates_of(sorted(folder.glob("*.h5")))), effects)

@@ -31,7 +31,7 @@ def main() -> None:
         lambda event, _, **__: compiled.append(event) if event == COMPILED else None
     )
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
-    table = Table("runs of", "runs", "time [s]", "solver steps", "programs compiled", "status")
+    table = Table("runs of", "runs", "time, s", "solver steps", "programs compiled", "status")
     for folder in (folders[0], *folders):
         candidates = candidates_of(sorted(folder.glob("*.h5")))
         compiled.clear()
