@@ -98,12 +98,13 @@ def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, 
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
-        kick = _of_a_step(effect, trial, path, node)
+        kick, read = _of_a_step(effect, trial, path, node), slice(0, 2)  # forces are read in it
     else:
-        kick = _of_its_inputs(effect, trial, path, node)
+        kick, read = _of_its_inputs(effect, trial, path, node), slice(None)
     if isinstance(effect, AbstractSensor):
+        readings = kick.readings.at[:, read].set(_readings(effect, path, node)[:, read])
         start = path.motion[0].at[:2].set(effect.started(path.motion[0, :2]))
-        kick = replace(kick, readings=_readings(effect, path, node), start=start[None])
+        kick = replace(kick, readings=readings, start=start[None])
     return kick
 
 

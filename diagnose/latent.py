@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 from drftjax.effects.load import MemorylessLoad
 from drftjax.effects.stage import (
     About,
-    AbstractDrive,
     AbstractPlane,
     Memory,
+    MemorylessDrive,
     MemorylessSurface,
     MemorylessZetaFactor,
     Moment,
@@ -42,19 +42,14 @@ class ForceError(MemorylessLoad):
         return jnp.stack([self.x, self.z])
 
 
-class SpeedError(AbstractDrive):
+class SpeedError(MemorylessDrive):
     """The wheel turns at another speed than commanded."""
 
     about: ClassVar = About("speed_error", "drive", "ω = ω + error", "an unknown drive speed error")
     error: Number = strength("rad/s", 0.02, "excess of the speed")
 
-    def begin(self, omega: Number, angle: Number) -> Memory:
-        return ()
-
-    def turn(
-        self, omega: Number, angle: Number, dt: Number, memory: Memory
-    ) -> tuple[Number, Memory]:
-        return omega + self.error, ()
+    def speed(self, omega: Number, angle: Number) -> Number:
+        return omega + self.error
 
 
 class HeightError(AbstractPlane, MemorylessSurface):

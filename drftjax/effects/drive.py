@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.stage import About, AbstractDrive, Memory, shape, strength
+from drftjax.effects.stage import About, AbstractDrive, Memory, MemorylessDrive, shape, strength
 
 # Regulariser: angle [rad] over which a drive takes up its play.
 PLAY_WIDTH = 0.01
@@ -13,7 +13,7 @@ PLAY_WIDTH = 0.01
 Number = Float[Array, ""]
 
 
-class SpeedGain(AbstractDrive):
+class SpeedGain(MemorylessDrive):
     """The wheel turns at a fixed ratio of the commanded speed."""
 
     about: ClassVar = About(
@@ -24,13 +24,8 @@ class SpeedGain(AbstractDrive):
     )
     gain: Number = strength("-", 0.03, "excess of the wheel's speed over the commanded one")
 
-    def begin(self, omega: Number, angle: Number) -> Memory:
-        return ()
-
-    def turn(
-        self, omega: Number, angle: Number, dt: Number, memory: Memory
-    ) -> tuple[Number, Memory]:
-        return (1 + self.gain) * omega, ()
+    def speed(self, omega: Number, angle: Number) -> Number:
+        return (1 + self.gain) * omega
 
 
 class SpeedLag(AbstractDrive):
@@ -55,7 +50,7 @@ class SpeedLag(AbstractDrive):
         return followed, followed
 
 
-class SpeedRipple(AbstractDrive):
+class SpeedRipple(MemorylessDrive):
     """A periodic speed error, locked to the wheel's angle through the gear."""
 
     about: ClassVar = About(
@@ -68,17 +63,12 @@ class SpeedRipple(AbstractDrive):
     sine: Number = strength("-", 0.03, "quadrature share of the speed")
     order: Number = shape("-", 8.0, tuple(range(1, 61)), "periods in a turn of the wheel")
 
-    def begin(self, omega: Number, angle: Number) -> Memory:
-        return ()
-
-    def turn(
-        self, omega: Number, angle: Number, dt: Number, memory: Memory
-    ) -> tuple[Number, Memory]:
-        phase = self.order * (angle + dt * omega)
-        return (1 + self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)) * omega, ()
+    def speed(self, omega: Number, angle: Number) -> Number:
+        phase = self.order * angle
+        return (1 + self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)) * omega
 
 
-class SpeedHarmonics(AbstractDrive):
+class SpeedHarmonics(MemorylessDrive):
     """A periodic speed error with its second harmonic, as of a gear's pair of errors or a joint."""
 
     about: ClassVar = About(
@@ -95,16 +85,11 @@ class SpeedHarmonics(AbstractDrive):
     sine2: Number = strength("-", 0.01, "quadrature share of the second harmonic")
     order: Number = shape("-", 8.0, tuple(range(1, 31)), "periods in a turn of the wheel")
 
-    def begin(self, omega: Number, angle: Number) -> Memory:
-        return ()
-
-    def turn(
-        self, omega: Number, angle: Number, dt: Number, memory: Memory
-    ) -> tuple[Number, Memory]:
-        phase = self.order * (angle + dt * omega)
+    def speed(self, omega: Number, angle: Number) -> Number:
+        phase = self.order * angle
         first = self.cosine * jnp.cos(phase) + self.sine * jnp.sin(phase)
         second = self.cosine2 * jnp.cos(2 * phase) + self.sine2 * jnp.sin(2 * phase)
-        return (1 + first + second) * omega, ()
+        return (1 + first + second) * omega
 
 
 class Backlash(AbstractDrive):

@@ -168,6 +168,31 @@ class AbstractDrive(AbstractEffect):
         """
 
 
+class MemorylessDrive(AbstractDrive):
+    """A drive whose speed depends on the present alone."""
+
+    @abc.abstractmethod
+    def speed(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Float[Array, ""]:
+        """Angular velocity handed on [rad/s].
+
+        Args:
+            omega: What is asked for, effects before this one included [rad/s].
+            angle: Wheel angle that this leads to at the end of the step [rad].
+        """
+
+    def begin(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Memory:
+        return ()
+
+    def turn(
+        self,
+        omega: Float[Array, ""],
+        angle: Float[Array, ""],
+        dt: Float[Array, ""],
+        memory: Memory,
+    ) -> tuple[Float[Array, ""], Memory]:
+        return self.speed(omega, angle + dt * omega), ()
+
+
 class AbstractPlacement(AbstractEffect):
     """Moves the wheel's plates about the axle."""
 
