@@ -13,7 +13,7 @@ from diagnose.case import Case
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, foremost, left_of
-from diagnose.left_out import conditions, predicted_unseen
+from diagnose.left_out import Unseen, at_mean_sinkage, conditions, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
@@ -69,7 +69,8 @@ class Diagnosis:
         found: The search behind it.
         chosen: The hypothesis that the verdict stands for; the reference model for none.
         before, after: By run, simulated less recorded by the reference model, and by the chosen
-            one fitted to the other conditions, shape (channels, samples).
+            one fitted to the other conditions, each run with the zeta that meets its mean sinkage,
+            shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         where: Shares of the gap by axis.
         unwritten: Where the verdict is unknown, what an effect that explains it looks like.
@@ -190,8 +191,8 @@ def diagnose(
     share = _weights(found, leading, unseen)
     verdict, groups = verdict_of(share)
     chosen = _chosen(found, leading, share, verdict)
-    before = found.none.residual
-    after = unseen.get(chosen.names, chosen.residual)
+    before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
+    after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
     floors, how = noise_floors(case, before, after, own_errors(case, found.none.log_zeta))
     gap = gaps(case, before, after, floors)
     rival = _rival(found, leading, share, verdict)
@@ -204,7 +205,7 @@ def diagnose(
         places += by_stage(lies)
         if verdict == (UNKNOWN,) and lies:
             report("what an effect that explains it would look like")
-            signal = unwritten(case, lies, found.none, floors)
+            signal = unwritten(case, lies, found.none, before, floors)
             notes += signal.sentences()
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
@@ -223,20 +224,20 @@ def diagnose(
         floors=floors,
         where=places,
         unwritten=signal,
-        steps=one_by_one(found, chosen, unseen, floors, gap) if verdict == chosen.names else [],
+        steps=one_by_one(found, chosen, before, floors, gap) if verdict == chosen.names else [],
     )
 
 
 def _weights(
     found: Found,
     leading: Sequence[Hypothesis],
-    unseen: Mapping[tuple[str, ...], list[np.ndarray]],
+    unseen: Mapping[tuple[str, ...], Unseen],
 ) -> dict[tuple[str, ...], float]:
     products = found.bench.products
     none = found.none.line
     judged = [Judged((), none.left, none.left, none.scatter, 0)]
     for each in leading:
-        left, _ = left_of(found.bench, unseen[each.names])
+        left, _ = left_of(found.bench, unseen[each.names].residual)
         line = each.line
         judged.append(Judged(each.names, left, line.left, line.scatter, len(each.coordinates)))
     total = products.number.sum(axis=0)

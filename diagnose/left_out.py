@@ -8,6 +8,7 @@ same twice, and no effect can know it.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +23,8 @@ SAME = 1e-6
 SAME_SAND = 0.2
 # A run that was stopped early repeats another where it holds this share of it.
 LEAST_SHARED = 0.5
+# A step of log zeta that one straight line is trusted for.
+LONGEST_MOVE = 0.2
 
 
 def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
@@ -65,30 +68,72 @@ def _alike(one: Candidate, other: Candidate) -> bool:
     return agree(a.omega, b.omega) and (a.vx is None or agree(a.vx, b.vx or ()))
 
 
-def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> list[np.ndarray]:
-    """Simulated less recorded of each run, from numbers fitted without its condition."""
-    count = len(hypothesis.coordinates)
-    if count == 0:
-        return hypothesis.residual
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Runs predicted from numbers fitted without their condition.
+
+    Attributes:
+        hypothesis: The effects, fitted to all runs.
+        log_zeta: Each run's own log zeta over its set-up's, shape (runs,).
+        coordinates: The effects' free numbers without each run's condition, shape (runs, numbers).
+        residual: By run, simulated less recorded, shape (channels, samples).
+    """
+
+    hypothesis: Hypothesis
+    log_zeta: np.ndarray
+    coordinates: np.ndarray
+    residual: list[np.ndarray]
+
+
+def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
+    """Each run simulated with numbers fitted without its condition."""
+    log_zeta = np.array(hypothesis.log_zeta)
+    coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
+    if len(hypothesis.coordinates) == 0:
+        return Unseen(hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = bench.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
-    places: dict[int, tuple[float, np.ndarray]] = {}
+    left_out: set[int] = set()
     for group in conditions(bench.case.candidates):
-        kept = np.setdiff1d(np.arange(len(hypothesis.log_zeta)), group)
+        kept = np.setdiff1d(np.arange(len(log_zeta)), group)
         if kept.size == 0:
             continue
         _, move = changes(hypothesis, _of_runs(products, kept))
         for run in group:
-            own = _own_zeta(products, run, move)
-            places[run] = hypothesis.log_zeta[run] + own, hypothesis.coordinates + move
+            log_zeta[run] += _own_zeta(products, run, move)
+            coordinates[run] += move
+        left_out.update(group)
 
     def of(run: int) -> np.ndarray:
-        if run not in places:
+        if run not in left_out:
             return hypothesis.residual[run]
-        case = bench.case
-        predicted = case.predicted(hypothesis.model, run, *places[run])
-        return predicted - case.recorded(run)
+        return _missed(bench, hypothesis, run, log_zeta[run], coordinates[run])
+
+    return Unseen(hypothesis, log_zeta, coordinates, bench.case.each_run(of))
+
+
+def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[np.ndarray]:
+    """Simulated less recorded where each run's own zeta meets its mean sinkage.
+
+    The zeta that suits all channels best may give one up for another, and which is a matter of
+    weights. This one is what sinkage alone tells, as on runs that no effect was fitted to: one
+    straight-line step of zeta, and a simulation there.
+    """
+    z = bench.case.channels.index("z")
+    here = unseen.hypothesis
+
+    def of(run: int) -> np.ndarray:
+        slope = here.columns[run][z, :, 0].mean()
+        move = np.clip(-unseen.residual[run][z].mean() / slope, -LONGEST_MOVE, LONGEST_MOVE)
+        return _missed(bench, here, run, unseen.log_zeta[run] + move, unseen.coordinates[run])
 
     return bench.case.each_run(of)
+
+
+def _missed(
+    bench: Bench, hypothesis: Hypothesis, run: int, log_zeta: float, coordinates: np.ndarray
+) -> np.ndarray:
+    case = bench.case
+    return case.predicted(hypothesis.model, run, log_zeta, coordinates) - case.recorded(run)
 
 
 def _of_runs(products: Products, runs: np.ndarray) -> Products:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.hypothesis import Hypothesis
-from diagnose.left_out import predicted_unseen
+from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from diagnose.search import Found
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.catalogue import spoken
@@ -34,7 +34,7 @@ class Step:
 def one_by_one(
     found: Found,
     chosen: Hypothesis,
-    unseen: Mapping[tuple[str, ...], list[np.ndarray]],
+    before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
 ) -> list[Step]:
@@ -43,7 +43,7 @@ def one_by_one(
     Args:
         found: The search.
         chosen: The explanation.
-        unseen: Residuals on runs left out, by explanation, as far as they are known.
+        before: Residuals of each run by the reference model, shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         whole: The gap with all of them, by channel.
 
@@ -52,10 +52,10 @@ def one_by_one(
     """
     if len(chosen.names) < 2:
         return []
-    case = found.bench.case
+    case, bench = found.bench.case, found.bench
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
-        return unseen.get(alone.names) or predicted_unseen(found.bench, alone)
+        return at_mean_sinkage(bench, predicted_unseen(bench, alone))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
     tried = [(each.names, left(each)) for each in parts]
@@ -67,6 +67,6 @@ def one_by_one(
     first, after = min(tried, key=lambda each: misfit(each[1]))
     second = tuple(name for name in chosen.names if name not in first)
     return [
-        Step(spoken(first), gaps(case, found.none.residual, after, floors)),
+        Step(spoken(first), gaps(case, before, after, floors)),
         Step(spoken(first + second), whole),
     ]

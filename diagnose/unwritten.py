@@ -16,7 +16,7 @@ from diagnose.case import Case
 from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
-from diagnose.left_out import predicted_unseen
+from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from diagnose.response import Model, predict
 from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import Stage
@@ -126,6 +126,7 @@ def unwritten(
     case: Case,
     found: Sequence[Stage],
     none: Hypothesis,
+    before: Sequence[np.ndarray],
     floors: Mapping[str, float],
 ) -> Unwritten:
     """The simplest unknown signal of a case, and a correction where it follows something.
@@ -134,6 +135,7 @@ def unwritten(
         case: The runs.
         found: By `stages`, best first; not empty.
         none: The reference model, settled.
+        before: What it leaves of each run, shape (channels, samples).
         floors: Noise floor of each channel.
     """
     stage, variables = simplest(case, found)
@@ -143,11 +145,16 @@ def unwritten(
         curve = fitted(case, stage, known[0][0])
     if curve is None:
         return Unwritten(stage, variables, None)
-    return Unwritten(stage, variables, corrected(case, curve, known[0][1], none, floors))
+    return Unwritten(stage, variables, corrected(case, curve, known[0][1], none, before, floors))
 
 
 def corrected(
-    case: Case, curve: Fitted, explained: float, none: Hypothesis, floors: Mapping[str, float]
+    case: Case,
+    curve: Fitted,
+    explained: float,
+    none: Hypothesis,
+    before: Sequence[np.ndarray],
+    floors: Mapping[str, float],
 ) -> Correction | None:
     """A curve fitted by free-running simulation; None where it cannot be simulated."""
     modes = _modes(curve)
@@ -157,13 +164,11 @@ def corrected(
     best = settled(bench, proposed(bench, bench.variants), TURNS)
     if not best.simulated:
         return None
-    unseen = predicted_unseen(bench, best)
+    after = at_mean_sinkage(bench, predicted_unseen(bench, best))
     (effect,) = best.model.build(best.coordinates)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    return Correction(
-        plain, explained, best.log_zeta, unseen, gaps(case, none.residual, unseen, floors)
-    )
+    return Correction(plain, explained, best.log_zeta, after, gaps(case, before, after, floors))
 
 
 def _modes(curve: Fitted) -> np.ndarray:

@@ -82,7 +82,7 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
     z = sloping_bench.case.channels.index("z")
 
     def missed(hypothesis) -> float:
-        unseen = predicted_unseen(sloping_bench, hypothesis)
+        unseen = predicted_unseen(sloping_bench, hypothesis).residual
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < 40e-6 < 10 * 40e-6 < missed(gain)

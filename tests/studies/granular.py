@@ -101,7 +101,7 @@ def explanations(found: Diagnosis) -> Table:
         table.add_column(column, justify="left" if column == "explanation" else "right")
     table.add_column("numbers")
     for each in (found.found.none, *found.found.singles, *found.found.pairs):
-        unseen = predicted_unseen(bench, each)
+        unseen = predicted_unseen(bench, each).residual
         table.add_row(
             " + ".join(each.names) or "none",
             *(shown(rms(case, part, c)) for c in "xz" for part in (each.residual, unseen)),

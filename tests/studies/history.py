@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
-from diagnose.left_out import predicted_unseen
+from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.stage import AbstractEffect
 from drftjax.runlog.record import Measured, RunLog
@@ -80,7 +80,8 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
     """What an explanation leaves of a channel on runs left out, in noise floors; NaN untried."""
     for each in (*found.found.singles, *found.found.pairs):
         if set(each.names) == set(names):
-            unseen = predicted_unseen(found.found.bench, each)
+            bench = found.found.bench
+            unseen = at_mean_sinkage(bench, predicted_unseen(bench, each))
             index = found.case.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]
