@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drftjax.errors import InputError
@@ -24,7 +25,8 @@ from hils.under_way import UnderWay, alive, announced, runs_under_way
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
 TICK = 0.1
 PATIENCE = 60.0
-TRIES, TOO_BUSY = 3, "does not answer|went SAFE|has sent no measurement"
+TRIES = 3
+TOO_BUSY = "does not answer|went SAFE|has sent no measurement|the recorder did not answer"
 # HILS (sim) and HILS (real), at ten ticks a second and with coarse plates [m].
 CLOSE = 1.5e-3
 
@@ -64,10 +66,10 @@ class Bench:
         assert self.rig.stdout.readline()
         self._seen = 0
 
-    def run(self, folder: Path, *arguments: object) -> subprocess.Popen:
+    def run(self, folder: Path, *arguments: object, profile: str = PROFILE) -> subprocess.Popen:
         """Start a run; what it says is in run.txt."""
         self.folder, self._seen = folder, len(self._rig_says.read_text())
-        (folder / "profile.toml").write_text(PROFILE)
+        (folder / "profile.toml").write_text(profile)
         return subprocess.Popen(
             [
                 *(*DRFT, "hils", "run", "--port", self.port, "--no-ui", "--yes", "--no-plot"),
@@ -78,14 +80,14 @@ class Bench:
             stderr=subprocess.STDOUT,
         )
 
-    def running(self, folder: Path, *arguments: object) -> subprocess.Popen:
+    def running(self, folder: Path, *arguments: object, **options: str) -> subprocess.Popen:
         """A run whose wheel turns.
 
         A machine that is so busy that a process waits for half a second gets another try: the
         host takes such a rig for a dead one, and the rig such a host, and both are right.
         """
         for _ in range(TRIES):
-            run = self.run(folder, *arguments)
+            run = self.run(folder, *arguments, **options)
             while run.poll() is None:
                 if "RUNNING" in self.rig_said():
                     time.sleep(0.5)  # so that something is recorded
@@ -139,6 +141,19 @@ def test_run_is_completed_recorded_and_reported(bench, tmp_path):
     assert log.setup.sinkage_static == pytest.approx(0.017, abs=0.002)
     bench.rig_says("IDLE (bye")
     assert survey_run(tmp_path / "run.h5")[1] == []
+
+
+@pytest.mark.parametrize("mode", ["hils", "free"])
+def test_wheel_turns_backward(bench, tmp_path, mode):
+    backward = PROFILE.replace("30, 30", "-30, -30")
+    run = bench.running(tmp_path, "--mode", mode, profile=backward)
+    assert bench.ends(run) == 0, bench.said()
+    log = bench.log()
+    assert log.end_reason == "completed"
+    assert -0.2 < log.measured.x[-1] < -0.05
+    # It sinks as one that turns forward does.
+    assert 0.01 < -log.measured.z.min() < 0.03
+    assert min(log.command.omega) == pytest.approx(-np.deg2rad(30))
 
 
 def test_ctrl_c_ramps_down_and_closes_the_file(bench, tmp_path):
