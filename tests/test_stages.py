@@ -1,5 +1,6 @@
 """Unknown errors found in the stage where they were put in, and what they follow."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax.numpy as jnp
@@ -15,7 +16,14 @@ from diagnose.stages import Stage, stages
 from drftjax.effects.catalogue import numbers
 from drftjax.effects.correction import correction, fields, known_to
 from drftjax.effects.drive import SpeedGain
-from drftjax.effects.stage import About, AbstractPlane, MemorylessZetaFactor, strength
+from drftjax.effects.stage import (
+    About,
+    AbstractPlane,
+    AbstractSensor,
+    AbstractStressFactor,
+    MemorylessZetaFactor,
+    strength,
+)
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
 from drftjax.errors import InputError
@@ -40,6 +48,14 @@ def case() -> Case:
         setup.integrator.step = 5e-4
         runs.append(coarse(f"run {speed:g}", recorded(setup), step=5e-4))
     return Case.of(runs)
+
+
+@cache
+def driven_case() -> Case:
+    profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
+    setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
+    run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
+    return Case.of([coarse("driven", run)])
 
 
 def log_zeta() -> np.ndarray:
@@ -206,6 +222,46 @@ def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
     assert np.abs(exact - line).max() < LINES_ERR * np.abs(exact).max()
 
 
+class StrongerAndReadSo(AbstractStressFactor, AbstractSensor):
+    """Bears on plates, and on the scale that their force is read by."""
+
+    about = About("stronger_and_read_so", "terrain", "σ = σ (1 + more), F read so", "two in one")
+    more: Float[Array, ""] = strength("-", 0.02, "share of stress, and of what is read of it")
+
+    def factor(self, motion):
+        return 1 + self.more * jnp.ones_like(motion.depth)
+
+    def begin(self, output):
+        return ()
+
+    def read(self, output, dt, memory):
+        return replace(output, fz=(1 + self.more) * output.fz), memory
+
+
+def test_an_effect_on_plates_and_on_a_scale_is_read_once():
+    more = 2e-4
+    driven = driven_case()
+    at = log_zeta()[0]
+    trial = with_zeta(driven.trials[0], float(at))
+    path = driven.trace(0, float(at))
+    node = jnp.asarray(driven.node(0))
+    slope = np.asarray(respond_to(path, kick(StrongerAndReadSo, trial, path, node, {})))
+    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    fz = slope[: len(nodes), READINGS.index("fz"), 0]
+    line = more * np.interp(driven.time(0), nodes, fz)
+    model = Model((StrongerAndReadSo,))
+    strengths = np.array([f.coordinate(more) for f in model.free])
+    row = driven.channels.index("fz")
+    exact = (
+        driven.predicted(model, 0, at, strengths)[row]
+        - driven.predicted(Model(), 0, at, np.zeros(0))[row]
+    )
+    # The wheel carries its load all along: what it weighs, read too high by that share.
+    weight = float(trial.simulator.rig.mass_z) * 9.81
+    assert np.median(exact) == pytest.approx(more * weight, rel=0.1)
+    assert np.median(line) == pytest.approx(np.median(exact), rel=0.1)
+
+
 def test_a_correction_refuses_what_its_stage_cannot_know():
     knots = list(range(KNOTS))
     with pytest.raises(InputError, match="may follow"):
@@ -224,10 +280,7 @@ def test_one_run_alone_is_described():
 
 
 def test_a_driven_carriage_has_stages_too():
-    profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
-    setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
-    run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
-    driven = Case.of([coarse("driven", run)])
+    driven = driven_case()
     at = log_zeta()[:1]
     reference = driven.predicted(Model(), 0, at[0], np.zeros(0))
     shifted = reference.copy()
