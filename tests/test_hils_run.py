@@ -24,7 +24,7 @@ from hils.under_way import UnderWay, alive, announced, runs_under_way
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
 TICK = 0.1
-PATIENCE = 60.0
+PATIENCE = 180.0  # four processes may share half a core [s]
 TRIES = 3
 TOO_BUSY = "does not answer|went SAFE|has sent no measurement|the recorder did not answer"
 # HILS (sim) and HILS (real), at ten ticks a second and with coarse plates [m].

@@ -23,7 +23,7 @@ from hils.wire import FROM_RIG, Bye, Frame, Hello, HelloAck, Measurement, RigSta
 from tests.command_line import Drft
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
-PATIENCE = 15.0  # for anything to happen at all [s]
+PATIENCE = 60.0  # for anything to happen at all [s]
 TICK, WATCHDOG = 0.01, 0.05
 # What a busy machine may add before the test is told [s]; an idle one adds some milliseconds.
 MARGIN = 1.0
