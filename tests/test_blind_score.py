@@ -242,6 +242,18 @@ def test_several_folders_are_scored_as_one(tmp_path, monkeypatch, capsys):
         run("score", folders[0], folders[0], *each)
 
 
+def test_of_many_sets_without_an_answer_some_are_named(tmp_path, monkeypatch, capsys):
+    run = _app(monkeypatch, capsys)
+    seal(tmp_path, {f"set_{number:02d}": told([]) for number in range(12)})
+    answers = {"set_00": {"verdict": ["none"], "weights": {"none": 1.0}}}
+    file = tmp_path / "answers.json"
+    file.write_text(json.dumps({"schema": SCHEMA, "schema_version": 1, "answers": answers}))
+    out = run("score", tmp_path, "--answers", file)
+    assert "without an answer: set_01, set_02" in out
+    assert "set_10 and 1 more" in out
+    assert "set_11" not in out
+
+
 def test_answers_already_in_the_file_are_kept(sets, blind, tmp_path, monkeypatch, capsys):
     run = _app(monkeypatch, capsys)
     kept = {"verdict": ["drawbar"], "weights": {"drawbar": 1.0}, "notes": ["by another program"]}

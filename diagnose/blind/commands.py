@@ -9,6 +9,9 @@ from drftjax.errors import InputError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
 
+# Of sets without an answer so many are named.
+MOST_NAMES = 10
+
 
 @app.callback()
 def blind() -> None:
@@ -155,8 +158,9 @@ def score(
     console = Console()
     for table in tables(found):
         console.print(table)
-    if found["unanswered"]:
-        typer.echo(f"without an answer: {', '.join(found['unanswered'])}")
+    if missing := found["unanswered"]:
+        more = f" and {len(missing) - MOST_NAMES} more" if len(missing) > MOST_NAMES else ""
+        typer.echo(f"without an answer: {', '.join(missing[:MOST_NAMES])}{more}")
     if output is not None:
         replace_file(output, (json.dumps(found, indent=1) + "\n").encode())
         typer.echo(f"score written to {output}")
