@@ -29,6 +29,9 @@ from drftjax.effects.catalogue import spoken
 
 # Singles that pairs begin with, pairs simulated, and how often each is at most.
 BEGINNINGS, PAIRS, TURNS = 3, 8, 4
+# While the best pair misses a block by more than so many of a model's own errors, the next ones are
+# simulated, so many rounds in all.
+FAR, ROUNDS = 5.0, 2
 # So many of the leading pairs are simulated from the other kind of start as well.
 TWICE = 3
 # Width of the belief about how much of a settled effect acts beside another.
@@ -63,12 +66,17 @@ def simulated_pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothe
     """
     starts: dict[frozenset[str], dict[bool, Proposal]] = {}
     for each in proposals(bench, singles):
-        if len(starts) < PAIRS or each.names in starts:
-            starts.setdefault(each.names, {}).setdefault(each.from_null, each)
-    first = [next(iter(kinds.values())).build() for kinds in starts.values()]
-    bench.case.warm(predict, [each.model for each in first])
-    found = [settled(bench, each, TURNS) for each in first]
-    found.sort(key=lambda each: -each.score)
+        starts.setdefault(each.names, {}).setdefault(each.from_null, each)
+    ways = list(starts.values())
+    found: list[Hypothesis] = []
+    for first in range(0, PAIRS * ROUNDS, PAIRS):
+        begun = [next(iter(kinds.values())).build() for kinds in ways[first : first + PAIRS]]
+        bench.case.warm(predict, [each.model for each in begun])
+        found += [settled(bench, each, TURNS) for each in begun]
+        found.sort(key=lambda each: -each.score)
+        # Far from the null straight lines may rank the pair that explains the runs low.
+        if not found or coarseness(bench.products.blocks, found[0].line.left, 1.0) <= FAR:
+            break
     # Far from the null neither start is sure to lead to the best.
     for place, known in enumerate(found[:TWICE]):
         for other in list(starts[frozenset(known.names)].values())[1:]:

@@ -74,3 +74,21 @@ def test_a_shape_found_alone_goes_into_the_pair(bench, singles):
     ]
     shape = next(k for k, free in enumerate(pairs[0].model.free) if free.scale is None)
     assert any(pair.coordinates[shape] in hardening.coordinates for pair in pairs)
+
+
+def test_while_the_best_pair_is_far_off_as_many_more_are_tried(bench, singles, monkeypatch):
+    def with_the_truth_late(bench, singles):
+        all_of_them = list(proposals(bench, singles))
+        others = dict.fromkeys(each.names for each in all_of_them if each.names != set(TRUTH))
+        order = [*list(others)[:PAIRS], frozenset(TRUTH), *list(others)[PAIRS:]]
+        return sorted(all_of_them, key=lambda each: order.index(each.names))
+
+    monkeypatch.setattr("diagnose.pairs.proposals", with_the_truth_late)
+    monkeypatch.setattr("diagnose.pairs.FAR", np.inf)
+    near = simulated_pairs(bench, singles)
+    assert len(near) == PAIRS
+    assert set(TRUTH) not in [set(each.names) for each in near]
+    monkeypatch.setattr("diagnose.pairs.FAR", 1.5)
+    far = simulated_pairs(bench, singles)
+    assert len(far) == 2 * PAIRS
+    assert set(far[0].names) == set(TRUTH)
