@@ -224,7 +224,11 @@ def diagnose(
         floors=floors,
         where=places,
         unwritten=signal,
-        steps=one_by_one(found, chosen, before, floors, gap) if verdict == chosen.names else [],
+        steps=(
+            one_by_one(found, chosen, unseen, before, floors, gap)
+            if verdict == chosen.names
+            else []
+        ),
     )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.bench import Bench
+from diagnose.case import LONGEST_MOVE
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import Hypothesis, changes
 from identify.candidate import Candidate
@@ -23,8 +24,6 @@ SAME = 1e-6
 SAME_SAND = 0.2
 # A run that was stopped early repeats another where it holds this share of it.
 LEAST_SHARED = 0.5
-# A step of log zeta that one straight line is trusted for.
-LONGEST_MOVE = 0.2
 
 
 def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
@@ -116,13 +115,19 @@ def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[np.ndarray]:
 
     The zeta that suits all channels best may give one up for another, and which is a matter of
     weights. This one is what sinkage alone tells, as on runs that no effect was fitted to: one
-    straight-line step of zeta, and a simulation there.
+    straight-line step of zeta, and a simulation there. A run whose sinkage no straight line in zeta
+    leads to stays as it is.
+
+    Returns:
+        By run, shape (channels, samples) [m, N, N m].
     """
     z = bench.case.channels.index("z")
     here = unseen.hypothesis
 
     def of(run: int) -> np.ndarray:
         slope = here.columns[run][z, :, 0].mean()
+        if not slope > 0:
+            return unseen.residual[run]
         move = np.clip(-unseen.residual[run][z].mean() / slope, -LONGEST_MOVE, LONGEST_MOVE)
         return _missed(bench, here, run, unseen.log_zeta[run] + move, unseen.coordinates[run])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.hypothesis import Hypothesis
-from diagnose.left_out import at_mean_sinkage, predicted_unseen
+from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
 from diagnose.search import Found
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.catalogue import spoken
@@ -34,6 +34,7 @@ class Step:
 def one_by_one(
     found: Found,
     chosen: Hypothesis,
+    unseen: Mapping[tuple[str, ...], Unseen],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
@@ -43,7 +44,8 @@ def one_by_one(
     Args:
         found: The search.
         chosen: The explanation.
-        before: Residuals of each run by the reference model, shape (channels, samples).
+        unseen: Predictions of runs left out, by explanation, as far as they are known.
+        before: Residuals of each run by the reference model, shape (channels, samples) [m, N, N m].
         floors: Noise floor of each channel [m, N, N m].
         whole: The gap with all of them, by channel.
 
@@ -52,10 +54,10 @@ def one_by_one(
     """
     if len(chosen.names) < 2:
         return []
-    case, bench = found.bench.case, found.bench
+    bench, case = found.bench, found.bench.case
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
-        return at_mean_sinkage(bench, predicted_unseen(bench, alone))
+        return at_mean_sinkage(bench, unseen.get(alone.names) or predicted_unseen(bench, alone))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
     tried = [(each.names, left(each)) for each in parts]

@@ -135,7 +135,7 @@ def unwritten(
         case: The runs.
         found: By `stages`, best first; not empty.
         none: The reference model, settled.
-        before: What it leaves of each run, shape (channels, samples).
+        before: What it leaves of each run, shape (channels, samples) [m, N, N m].
         floors: Noise floor of each channel.
     """
     stage, variables = simplest(case, found)
