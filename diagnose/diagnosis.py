@@ -32,9 +32,15 @@ if TYPE_CHECKING:
 
 SCHEMA = "drft-diagnosis"
 # Effects are named together until this much of the weight is named.
-GROUPED = 0.95
+GROUPED = 0.9
 # An effect of less weight than this is not named at all.
-NAMED = 0.02
+NAMED = 0.1
+# Effects are named at all where together they outweigh `none` by this. It holds down the rate of
+# false alarms, and is no part of the weights, which say what is likely: many rigs have an effect so
+# faint that these runs could as well have none.
+ALARM = 4.5
+# An explanation that has less weight than this needs no run that tells it from the verdict.
+RIVAL = 0.02
 # Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
 JUDGED_SINGLES, JUDGED_PAIRS = 4, 4
 
@@ -261,17 +267,22 @@ def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
 def verdict_of(
     share: Mapping[tuple[str, ...], float],
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The likeliest explanation, and the groups that cannot be told apart from it.
+    """The explanation that stands, and the groups that cannot be told apart from it.
 
     Effects that share their weight speak together: all of them against none and unknown, then all
     pairs against all effects alone. A second effect that has many likenesses is no less there.
+    `none` stands until effects or unknown outweigh it `ALARM` times.
     """
     ranked = sorted(share.items(), key=lambda each: -each[1])
     effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
-    if effects and _total(effects) >= max(share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)):
+    none, unknown = ALARM * share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)
+    if effects and _total(effects) >= max(none, unknown):
         alone = [each for each in effects if len(each[0]) == 1]
         pairs = [each for each in effects if len(each[0]) == 2]
         ranked = max(alone, pairs, key=_total)
+    else:
+        stands = (NONE,) if none >= unknown else (UNKNOWN,)
+        ranked.sort(key=lambda each: each[0] != stands)
     verdict, whole = ranked[0][0], _total(ranked)
     kept, total = [], 0.0
     for names, weight in ranked:
@@ -322,7 +333,7 @@ def _rival(
     named = {
         names: share[names]
         for names in others
-        if spoken(names) != spoken(verdict) and share[names] >= NAMED
+        if spoken(names) != spoken(verdict) and share[names] >= RIVAL
     }
     if not named or verdict == (UNKNOWN,):
         return None

@@ -44,9 +44,15 @@ def verdict(found: Diagnosis) -> str:
     alone = len(found.case.candidates) == 1
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
+        follows = "its own zeta the model follows it" if alone else "a zeta each it follows them"
+        if weight < 0.5:
+            return (
+                f"Nothing shows in {runs} that could not be chance: with {follows}. Yet an effect "
+                f"too faint to be named is likelier than none (weight of none {percent(weight)})."
+            )
         return (
             f"Nothing beyond the reference model shows in {runs} (weight {percent(weight)}): with "
-            f"{'its own zeta the model follows it' if alone else 'a zeta each it follows them'}."
+            f"{follows}."
         )
     if found.verdict == (UNKNOWN,):
         return (
@@ -89,7 +95,7 @@ def group_sentences(found: Diagnosis) -> list[str]:
     for group in found.groups:
         first, others = group[0], " or ".join(map(_worded, group[1:]))
         if others and first == NONE:
-            sentences.append(f"What these runs cannot rule out: {others}.")
+            sentences.append(f"What these runs rule out least: {others}.")
         elif others:
             sentences.append(f"These runs cannot tell {_worded(first)} from {others}.")
     return sentences

@@ -194,6 +194,16 @@ def test_effects_that_share_their_weight_speak_together():
     assert verdict_of({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
 
 
+def test_none_stands_until_it_is_far_outweighed():
+    """An alarm takes more than being likelier: the rate of false ones is held down."""
+    faint = {("drawbar",): 0.35, ("none",): 0.3, ("backlash",): 0.2, ("unknown",): 0.15}
+    assert verdict_of(faint) == (("none",), [["none", "drawbar", "backlash", "unknown"]])
+    plainer = faint | {("drawbar",): 0.6, ("none",): 0.1}
+    assert verdict_of(plainer) == (("drawbar",), [["drawbar", "backlash"]])
+    assert verdict_of({("none",): 0.2, ("unknown",): 0.8})[0] == ("none",)
+    assert verdict_of({("none",): 0.1, ("unknown",): 0.8, ("drawbar",): 0.1})[0] == ("unknown",)
+
+
 def test_likenesses_of_a_second_effect_speak_together_for_it():
     alone = {("backlash",): 0.4, ("loosening",): 0.05}
     beside = {("backlash", "wheel_radius"): 0.3, ("backlash", "travel_gain"): 0.25}
