@@ -43,7 +43,7 @@ class Event(IntEnum):
     # What ended the run early.
     LINK_LOST = 50
     INTERRUPTED = 51  # arg: the signal's number
-    STOP_ASKED = 52
+    STOP_ASKED = 52  # arg: the signal's number
     FAILED = 53
     DIVERGED = 54  # arg: the simulated height [m]
     # The recorder's own.

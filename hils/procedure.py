@@ -158,7 +158,8 @@ def run(
         link, clock: The rig.
         rows: Takes what is recorded; not begun yet.
         dialogue: Whom to talk to.
-        stop: Asks for the run's end; looked at from ARM on.
+        stop: Asks for the run's end; looked at from ARM on. From then on signals leave nothing
+            but their wish; whoever has told of the run lets them interrupt again.
         before_motion: Called once when all is ready, before ARM.
 
     Raises:
@@ -179,21 +180,19 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
-        unfinished = _close(rows, reason, stop)
+        unfinished = _close(rows, reason)
         if unfinished and report is None:
             dialogue.tell(unfinished)
     assert report is not None  # or else it was raised
     return replace(report, wish=stop.wish, unfinished=unfinished)
 
 
-def _close(rows: Rows, reason: str, stop: StopRequest) -> str:
+def _close(rows: Rows, reason: str) -> str:
     """End the recording; why it could not be finished, empty where it was."""
     try:
         rows.close(reason)
     except InputError as error:
         return str(error)
-    finally:
-        stop.moving = False
     return ""
 
 
@@ -238,7 +237,7 @@ def _run(
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
-        stop.moving = True
+        stop.uncut = True
         dialogue.enter(Phase.SETTLING)
         session.arm(standing.rest)
         log.event(Event.ARMED)

@@ -23,7 +23,7 @@ import msgspec
 
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
-from drftjax.runlog.recording_lock import part_path
+from drftjax.runlog.recording_lock import part_path, require_free
 from hils.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
 PIPE_BYTES: Final = 2**20
@@ -68,7 +68,7 @@ class Recorder:
         self._measured: Struct
         self._online: Struct
         self._event: Struct
-        _require_free(self.path)
+        require_free(self.path)
         taken, self._pipe = os.pipe()
         try:
             os.set_blocking(self._pipe, False)
@@ -174,12 +174,13 @@ class Recorder:
         if self._closed:
             return self.path if self.path.exists() else None
         self._closed = True
+        deadline = time.monotonic() + CLOSE_LIMIT
         try:
             # An end before the head would be taken for the head's length.
             if self._begun and (self._lost is None or self._full):
-                self._deliver(pack_end(end_reason), CLOSE_LIMIT)
+                self._deliver(pack_end(end_reason), deadline)
             self._let_go_of_pipe()
-            self._await("closed", CLOSE_LIMIT)
+            self._await("closed", max(0.0, deadline - time.monotonic()))
             if self._lost is not None:
                 raise self._failure(self._lost)
         finally:
@@ -196,12 +197,13 @@ class Recorder:
             self._full = True
             self._lost = "took no rows for so long that the pipe to it is full"
         except OSError:
-            said = self._answer(0.0)
-            self._lost = said[1] if said is not None and said[0] == "failed" else _UNASKED
+            self._lost = _UNASKED
+            while (said := self._answer(0.0)) is not None:  # what it has said already
+                if said[0] == "failed":
+                    self._lost = said[1]
 
-    def _deliver(self, data: bytes, limit: float) -> None:
+    def _deliver(self, data: bytes, deadline: float) -> None:
         """Write all of it, waiting for room; a pipe without a reader is left to `_await`."""
-        deadline = time.monotonic() + limit
         while data:
             try:
                 data = data[os.write(self._pipe, data) :]
@@ -214,20 +216,20 @@ class Recorder:
 
     def _await(self, word: str, limit: float) -> None:
         """Wait for the recorder to say the word; others that it says before are passed over."""
-        while (said := self._answer(limit)) is not None:
+        deadline = time.monotonic() + limit
+        while (said := self._answer(deadline)) is not None:
             if said[0] == "failed":
-                self._answer(limit)  # until it has ended, and with it what it can still write
+                self._answer(deadline)  # until it has ended, and with it what it can still write
                 raise self._failure(said[1])
             if said[0] == word:
                 return
         if self._lost in (None, _UNASKED):
-            raise self._failure(self._ending() or f"did not answer in {limit:g} s")
+            raise self._failure(self._ending() or f"did not answer in {limit:.0f} s")
         raise self._failure(self._lost)
 
-    def _answer(self, limit: float) -> tuple[str, str] | None:
-        """The recorder's next word and its reason; None where it ended or the limit passed."""
+    def _answer(self, deadline: float) -> tuple[str, str] | None:
+        """The recorder's next word and its reason; None where it ended or the deadline passed."""
         assert self._process.stdout is not None
-        deadline = time.monotonic() + limit
         with selectors.DefaultSelector() as selector:
             selector.register(self._process.stdout, selectors.EVENT_READ)
             while b"\n" not in self._answers:
@@ -251,10 +253,10 @@ class Recorder:
         self._lost = reason
         part = part_path(self.path)
         kept = ""
-        if self.path.exists():
-            kept = f"; the rows until then are in {self.path}"
-        elif part.exists():
+        if self._begun and part.exists():
             kept = f"; the rows until then are kept: drft log repair {part}"
+        elif self._begun and self.path.exists():
+            kept = f"; the rows until then are in {self.path}"
         return InputError(f"{self.path}: the recorder {reason}{kept}")
 
     def _let_go_of_pipe(self) -> None:
@@ -269,16 +271,3 @@ class Recorder:
             self._process.stdout.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(timeout=1.0)
-
-
-def _require_free(path: Path) -> None:
-    part = part_path(path)
-    if path.suffix != ".h5":
-        raise InputError(f"{path}: a run log's name must end in .h5")
-    if path.exists():
-        raise InputError(f"{path} is already there; move it away or record under another name")
-    if part.exists():
-        raise InputError(
-            f"{part} is already there, a recording at work or cut off; "
-            f"drft log repair {part}, or move it away"
-        )

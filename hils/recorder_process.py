@@ -17,7 +17,7 @@ from typing import Final
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5.recording import Recording, require_place
-from drftjax.runlog.recording_lock import part_path
+from drftjax.runlog.recording_lock import claim, give_up, part_path
 from hils.row_stream import Kind, RowStream
 from hils.sound_rows import Rows, SoundRows
 
@@ -47,6 +47,7 @@ class RecorderProcess:
         self._rows, self._answers = rows, answers
         self._stream = RowStream()
         self._sound = SoundRows()
+        self._claimed: int | None = None
         self._recording: Recording | None = None
         self._host = os.getppid()
 
@@ -73,6 +74,7 @@ class RecorderProcess:
         """Write rows until the stream ends; the reason why it did."""
         os.set_blocking(self._rows, False)
         require_place(self._path)
+        self._claimed = claim(self._path)
         self._say("ready", "")
         commit_at = sync_at = time.monotonic()
         sync: Future[None] | None = None
@@ -108,7 +110,9 @@ class RecorderProcess:
             begun = self._stream.head is not None
             found = self._stream.feed(data)
             if not begun and self._stream.head is not None:
-                self._recording = Recording(part_path(self._path), self._stream.head)
+                assert self._claimed is not None
+                part = part_path(self._path)
+                self._recording = Recording(part, self._claimed, self._stream.head)
                 self._say("begun", "")
             for kind, rows in found.items():
                 self._append(kind, rows)
@@ -128,6 +132,8 @@ class RecorderProcess:
         """Close the file; false where there is nothing to keep."""
         recording = self._recording
         if recording is None:
+            if self._claimed is not None:
+                give_up(self._claimed, self._path)
             return False
         if not recording.rows["command"] or not recording.rows["measured"]:
             recording.drop()

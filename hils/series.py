@@ -3,14 +3,16 @@
 import os
 import signal
 import subprocess
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.recording_lock import require_free
 from drftjax.runlog.replace import require_folder
 from hils.clock import MonotonicClock
 from hils.operator_dialogue import AbstractDialogue
@@ -19,12 +21,14 @@ from hils.port_link import PortLink
 from hils.procedure import Procedure, RunReport, run
 from hils.realtime import timely
 from hils.recorder import Recorder
-from hils.stop_request import StopRequest
+from hils.stop_request import StopRequest, Wish
 from hils.under_way import UnderWay, announced
 from hils.watched import unwatched, watched
 
 ENDED_EARLY = 1
 INTERRUPTED = 128 + 2
+# What the command between runs has started may take so long to end when it is told to [s].
+LONGEST_CLEARING = 10.0
 
 
 class Series(NamedTuple):
@@ -55,8 +59,6 @@ def file_names(output: Path, runs: int) -> list[Path]:
     Raises:
         InputError: where one of them is taken, or nothing can be written there.
     """
-    if output.suffix != ".h5":
-        raise InputError(f"{output}: a run log's name must end in .h5")
     digits = max(2, len(str(runs)))
     names = [output]
     if runs > 1:
@@ -64,8 +66,7 @@ def file_names(output: Path, runs: int) -> list[Path]:
             output.with_name(f"{output.stem}-{each:0{digits}d}.h5") for each in range(1, runs + 1)
         ]
     for name in names:
-        if name.exists():
-            raise InputError(f"{name} is already there; move it away or record under another name")
+        require_free(name)
     require_folder(output.parent)
     return names
 
@@ -82,23 +83,35 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
     """
     stop = StopRequest()
     with announced(series.port, series.files) as under_way, stop.on_signals():
-        for number, path in enumerate(series.files):
-            if number:
-                _prepare(series, number, dialogue)
-            if len(series.files) > 1:
-                dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
-            report = one_run(procedure, series, path, dialogue, stop, under_way)
-            for line in told(report, path):
-                dialogue.tell(line)
-            if series.plot and path.exists():
-                dialogue.tell(_drawn(path))
-            if report.unfinished:
-                raise InputError(report.unfinished)
-            if report.wish is not None:
-                return INTERRUPTED if report.wish.arg == signal.SIGINT else ENDED_EARLY
-            if not report.completed:
-                return ENDED_EARLY
+        try:
+            for number, path in enumerate(series.files):
+                if number:
+                    _prepare(series, number, dialogue)
+                if len(series.files) > 1:
+                    dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
+                report = one_run(procedure, series, path, dialogue, stop, under_way)
+                for line in told(report, path):
+                    dialogue.tell(line)
+                if series.plot and path.exists():
+                    dialogue.tell(_drawn(path))
+                if report.unfinished:
+                    raise InputError(report.unfinished)
+                wish = report.wish or stop.wish
+                if wish is not None:
+                    return _code(wish)
+                if not report.completed:
+                    return ENDED_EARLY
+                stop.uncut = False
+        except KeyboardInterrupt:
+            if stop.wish is None or _code(stop.wish) == INTERRUPTED:
+                raise
+            dialogue.tell(f"Ended: {stop.wish.reason}.")
+            return ENDED_EARLY
     return 0
+
+
+def _code(wish: Wish) -> int:
+    return INTERRUPTED if wish.arg == signal.SIGINT else ENDED_EARLY
 
 
 def one_run(
@@ -136,17 +149,34 @@ def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
         dialogue.confirm("Prepare the sand and bring the wheel back to its start")
         return
     dialogue.tell(f"Preparing the sand: {series.between}")
-    done = subprocess.run(
-        series.between,
-        shell=True,
-        check=False,
-        env={**os.environ, "DRFT_RUNS_MADE": str(number)},
-    )
-    if done.returncode:
+    made = {**os.environ, "DRFT_RUNS_MADE": str(number)}
+    with subprocess.Popen(series.between, shell=True, env=made) as shell:
+        try:
+            code = shell.wait()
+        except BaseException:
+            _end(shell.pid)
+            raise
+    if code:
         raise InputError(
-            f"the command between runs, {series.between!r}, left with code {done.returncode}; "
+            f"the command between runs, {series.between!r}, left with code {code}; "
             f"{number} of {len(series.files)} runs are made"
         )
+
+
+def _end(pid: int) -> None:
+    """End a process and all that it has started: what prepares the sand may be moving."""
+    with suppress(psutil.NoSuchProcess):
+        first = psutil.Process(pid)
+        every = [first, *first.children(recursive=True)]
+        for each in every:
+            with suppress(psutil.NoSuchProcess):
+                each.terminate()
+        try:
+            psutil.wait_procs(every, timeout=LONGEST_CLEARING)
+        finally:
+            for each in every:
+                with suppress(psutil.NoSuchProcess):
+                    each.kill()
 
 
 def _drawn(path: Path) -> str:

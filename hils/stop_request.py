@@ -8,15 +8,18 @@ from typing import NamedTuple
 
 from hils.events import Event
 
+STOP_SIGNAL = signal.SIGUSR2
 EMERGENCY_SIGNAL = signal.SIGUSR1
 EMERGENCIES = (EMERGENCY_SIGNAL, signal.SIGQUIT)
 WISHES = {
     signal.SIGINT: "interrupted by Ctrl-C",
     signal.SIGTERM: "asked to stop (SIGTERM)",
     signal.SIGHUP: "the terminal was closed",
+    STOP_SIGNAL: "stopped by the operator",
     EMERGENCY_SIGNAL: "asked for by the operator",
     signal.SIGQUIT: "Ctrl-\\",
 }
+EVENTS = {STOP_SIGNAL: Event.STOP_ASKED}
 
 
 class Wish(NamedTuple):
@@ -39,13 +42,14 @@ class StopRequest:
     Attributes:
         wish: The first wish to ramp down; None while there is none.
         emergency: Whether the rig is to rest at once, which a second wish asks for too.
-        moving: Whether the rig may move, so that a signal must not cut anything short.
+        uncut: Whether a signal must not cut anything short, as the rig may move, or the run that
+            it made is not told yet.
     """
 
     def __init__(self):
         self.wish: Wish | None = None
         self.emergency = False
-        self.moving = False
+        self.uncut = False
 
     def ask(self, wish: Wish, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
@@ -56,16 +60,16 @@ class StopRequest:
     def on_signals(self) -> Iterator[None]:
         """Within this, the signals that would end the program ask for the run's end instead.
 
-        While nothing moves they interrupt whatever is at work, such as a question.
+        While nothing moves they interrupt whatever is at work, such as a question, as well.
         """
 
         def asked(number: int, frame: FrameType | None) -> None:
-            if not self.moving:
-                raise KeyboardInterrupt
             kind = signal.Signals(number)
             emergency = kind in EMERGENCIES
-            event = Event.EMERGENCY_STOP if emergency else Event.INTERRUPTED
+            event = Event.EMERGENCY_STOP if emergency else EVENTS.get(kind, Event.INTERRUPTED)
             self.ask(Wish(WISHES[kind], event, number), emergency)
+            if not self.uncut:
+                raise KeyboardInterrupt
 
         before = {kind: signal.signal(kind, asked) for kind in WISHES}
         try:

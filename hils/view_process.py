@@ -17,7 +17,7 @@ import msgspec
 
 from hils.scene import Scenes
 from hils.screen import ENTER, LEAVE, Keyboard, write
-from hils.stop_request import EMERGENCY_SIGNAL
+from hils.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
 from hils.under_way import UnderWay, tell
 from hils.view_picture import Picture
 
@@ -46,7 +46,7 @@ class StopKey:
                 wanted.append(EMERGENCY_SIGNAL)
             elif key in STOP and not self._asked:
                 self._asked = True
-                wanted.append(signal.SIGTERM)
+                wanted.append(STOP_SIGNAL)
         return wanted
 
 

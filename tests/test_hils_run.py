@@ -168,7 +168,7 @@ def test_ctrl_c_ramps_down_and_closes_the_file(bench, tmp_path):
 @pytest.mark.parametrize(
     ("option", "reason", "state"),
     [
-        ([], "asked to stop (SIGTERM)", "IDLE (bye"),
+        ([], "stopped by the operator", "IDLE (bye"),
         (["--now"], "emergency stop: asked for by the operator", "SAFE"),
     ],
 )

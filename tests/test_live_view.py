@@ -25,7 +25,7 @@ from hils.under_way import announced
 
 said = open("said", "w", buffering=1)
 stop = StopRequest()
-stop.moving = True
+stop.uncut = True
 with announced("/dev/rig", [Path("run.h5")]) as run, stop.on_signals():
     view = LiveView(run)
     print("host", os.getpid(), file=said)
@@ -106,7 +106,7 @@ def test_held_stop_key_asks_for_one_ramp_down(started):
     host = started()
     host.terminal.sees("H_real")
     host.terminal.type("sssss")
-    assert host.said("ended") == "False asked to stop (SIGTERM)"
+    assert host.said("ended") == "False stopped by the operator"
     assert host.terminal.ends() == 0
     assert given_back(host.terminal)
 

@@ -201,10 +201,42 @@ def test_what_stands_there_is_not_overwritten(path):
     recorded(path, 3).close("completed")
     with pytest.raises(InputError, match="already there"):
         Recorder(path, example_head())
-    part_path(path.with_name("other.h5")).touch()
+    part_path(path.with_name("other.h5")).write_bytes(b"rows")
     with pytest.raises(InputError, match="drft log repair"):
         Recorder(path.with_name("other.h5"), example_head())
     with pytest.raises(InputError, match="no folder"):
         Recorder(path.parent / "nowhere" / "run.h5", example_head())
     with pytest.raises(InputError, match=r"end in \.h5"):
         Recorder(path.with_suffix(".csv"), example_head())
+
+
+def test_a_name_is_one_recorders_from_its_start_on(path):
+    """Not from its first row on: an operator's questions lie between the two."""
+    first = Recorder(path)
+    with pytest.raises(InputError, match=f"{part_path(path)} is already there, a recording"):
+        Recorder(path)
+    first.begin(example_head())
+    for number in range(10):
+        hand_over(first, number)
+    assert first.close("completed") == path
+    assert wrong_rows(read_run(path)) == 0
+
+
+def test_a_file_that_came_to_stand_there_meanwhile_is_kept_and_so_are_the_rows(path):
+    recorder = recorded(path, 10)
+    path.write_bytes(b"another run")
+    with pytest.raises(InputError, match=f"rows until then are kept: drft log repair {path}.part"):
+        recorder.close("completed")
+    assert path.read_bytes() == b"another run"
+    _, run = repair(part_path(path), path.with_name("kept.h5"))
+    assert wrong_rows(run) == 0
+    assert {each.name for each in path.parent.iterdir()} == {"run.h5", "run.h5.part", "kept.h5"}
+
+
+def test_a_recorder_killed_before_its_first_row_leaves_the_name_free(path):
+    killed = Recorder(path)
+    os.kill(killed.pid, signal.SIGKILL)
+    with pytest.raises(InputError, match=r"was ended by SIGKILL$"):
+        killed.close("not begun")
+    assert part_path(path).stat().st_size == 0
+    assert recorded(path, 3).close("completed") == path

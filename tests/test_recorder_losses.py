@@ -286,6 +286,15 @@ def test_a_full_disk_stops_the_recording_before_hdf5_meets_it(small_disk):
     assert list(small_disk.iterdir()) == [path]
 
 
+def test_the_reason_is_told_though_nobody_waited_for_the_recorder_to_begin(small_disk):
+    recorder = Recorder(small_disk / "run.h5")
+    recorder.begin(example_head())
+    fill(recorder)
+    assert recorder.reason.startswith("stopped: the disk is full: ")
+    with pytest.raises(InputError, match="the disk is full"):
+        recorder.close("stopped")
+
+
 def test_a_disk_that_is_full_from_the_start_is_refused(small_disk):
     (small_disk / "ballast").write_bytes(bytes(5 * 2**20))
     for head in (None, example_head()):

@@ -1,8 +1,11 @@
 """A series of runs: who asks for an end ends all of it, whatever is being done at that moment."""
 
 import dataclasses
+import os
 import signal
+from typing import ClassVar
 
+import psutil
 import pytest
 
 from drftjax.errors import InputError
@@ -12,7 +15,7 @@ from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport
 from hils.rows import KeptRows
 from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, told
-from hils.stop_request import Wish
+from hils.stop_request import STOP_SIGNAL, Wish
 from hils.under_way import runs_under_way
 from tests.test_hils_loop import loop_setup, make
 
@@ -52,11 +55,10 @@ def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
     def fail(rows):
         raise InputError("run.h5: the recorder could not finish")
 
-    report, rows = closed_with(fail)
+    report, _ = closed_with(fail)
     assert report.completed
     assert report.rested
     assert report.unfinished == "run.h5: the recorder could not finish"
-    assert not rows.stop.moving
 
 
 @pytest.fixture
@@ -104,12 +106,56 @@ def test_series_can_be_found_and_stopped_between_its_runs(runs, tmp_path):
         found.extend(runs_under_way())
         signal.raise_signal(signal.SIGTERM)
 
-    with pytest.raises(KeyboardInterrupt):
-        runs(between=between)
+    assert runs(between=between) == (ENDED_EARLY, 1)
     (each,) = found
     assert each.port == "/dev/rig"
     assert each.output == f"{tmp_path}/run-0.h5 to {tmp_path}/run-2.h5"
     assert runs_under_way() == []
+
+
+def test_ctrl_c_between_runs_interrupts_the_program(runs):
+    with pytest.raises(KeyboardInterrupt):
+        runs(between=lambda *_: signal.raise_signal(signal.SIGINT))
+
+
+def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_path):
+    monkeypatch.setattr("hils.under_way.BASE", tmp_path)
+
+    class Heard(Unattended):
+        lines: ClassVar[list[str]] = []
+
+        def tell(self, text):
+            if not self.lines:
+                signal.raise_signal(STOP_SIGNAL)
+            self.lines.append(text)
+
+    def one_run(procedure, series, path, dialogue, stop, under_way):
+        stop.uncut = True  # as from ARM on
+        return make().report
+
+    monkeypatch.setattr(series_module, "one_run", one_run)
+    given = Series("/dev/rig", 115_200, [tmp_path / "run.h5"], None, fifo=False)
+    code = make_series(Procedure(loop=loop_setup()), given, Heard(quiet=True))
+    assert code == ENDED_EARLY
+    assert Heard.lines[0] == "Completed."
+    assert Heard.lines[-1].startswith("Link: ")
+
+
+def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp_path):
+    """A leveller that a script drives must not go on moving."""
+    monkeypatch.setattr("hils.under_way.BASE", tmp_path)
+    monkeypatch.setattr(series_module, "one_run", lambda *_: make().report)
+    told = tmp_path / "leveller"
+    between = f"sleep 600 & echo $! > {told}; kill -USR2 {os.getpid()}; wait; echo never"
+    given = Series("/dev/rig", 115_200, [tmp_path / "a.h5", tmp_path / "b.h5"], between, fifo=False)
+    assert make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True)) == ENDED_EARLY
+    assert not psutil.pid_exists(int(told.read_text()))
+
+
+def test_a_recording_left_behind_is_refused_before_the_first_run(tmp_path):
+    (tmp_path / "run-02.h5.part").write_bytes(b"rows")
+    with pytest.raises(InputError, match=r"run-02\.h5\.part is already there"):
+        file_names(tmp_path / "run.h5", 2)
 
 
 def test_a_new_folder_is_made_and_one_that_cannot_be_is_refused_before_anything_moves(tmp_path):

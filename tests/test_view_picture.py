@@ -3,7 +3,6 @@
 import functools
 import math
 import re
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from hils.rows import KeptRows
 from hils.run_figure import plot_hils, sinkage_error
 from hils.scene import INTERVAL, WHOLE, Phase, Scene, Scenes
 from hils.simulated import QUICK, soft_rig
-from hils.stop_request import EMERGENCY_SIGNAL, StopRequest
+from hils.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
 from hils.under_way import UnderWay
 from hils.view_picture import Picture, Point, plot
 from hils.view_process import StopKey
@@ -283,14 +282,14 @@ def test_hostile_words_give_the_terminal_no_orders():
 
 def test_keys():
     for typed in (b"s", b"S", b" ", b"q"):
-        assert StopKey().press(typed) == [signal.SIGTERM]
+        assert StopKey().press(typed) == [STOP_SIGNAL]
     assert StopKey().press(b"e") == [EMERGENCY_SIGNAL]
     assert StopKey().press(b"xyz\n\x1b[A\x1bOS\x1b[15~\x1b[1;5E") == []
 
 
 def test_stop_that_was_asked_for_can_become_an_emergency_but_not_by_the_same_key():
     key = StopKey()
-    assert key.press(b"ss") + key.press(b" ") == [signal.SIGTERM]
+    assert key.press(b"ss") + key.press(b" ") == [STOP_SIGNAL]
     assert key.press(b"e") == [EMERGENCY_SIGNAL]
 
 

@@ -104,8 +104,8 @@ def test_questions_then_view_then_stop_key(start, tmp_path):
     # What was said while the view was there is on the ordinary screen.
     after = terminal.text.rpartition("\x1b[?1049l")[2]
     assert "At rest" in after
-    assert "Ended early: asked to stop" in after
-    assert read_run(tmp_path / "run.h5").end_reason.startswith("asked to stop")
+    assert "Ended early: stopped by the operator" in after
+    assert read_run(tmp_path / "run.h5").end_reason == "stopped by the operator"
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -4,10 +4,13 @@ The recorder holds a POSIX lock on the file, which the system lets go when the r
 whatever way. HDF5's own locks are of another kind (flock) and are not touched by it.
 """
 
+import errno
 import fcntl
 import os
 from contextlib import suppress
 from pathlib import Path
+
+from drftjax.errors import InputError
 
 PART: str = ".part"
 """What stands behind a run log's name while it is recorded."""
@@ -18,13 +21,67 @@ def part_path(path: Path) -> Path:
     return path.with_name(path.name + PART)
 
 
-def hold(handle: int) -> None:
+def require_free(path: Path) -> None:
+    """Refuse a run log's name that is taken, by a run log or by a recording of it.
+
+    Raises:
+        InputError: says which file is there.
+    """
+    part = part_path(path)
+    if path.suffix != ".h5":
+        raise InputError(f"{path}: a run log's name must end in .h5")
+    if path.exists():
+        raise InputError(f"{path} is already there; move it away or record under another name")
+    # An empty one was left by a recorder that was killed before its first row.
+    if part.exists() and (part.stat().st_size or is_held(part)):
+        raise _taken(part)
+
+
+def claim(path: Path) -> int:
+    """Take a run log's name for a recording, so that no other recorder can.
+
+    Args:
+        path: The final name.
+
+    Returns:
+        A descriptor of the file it is recorded into, which is empty and locked.
+
+    Raises:
+        InputError: the name is taken.
+    """
+    require_free(path)  # before the lock: it looks at the file through a descriptor of its own
+    part = part_path(path)
+    handle = os.open(part, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        hold(handle, part)
+        # Another recorder may have written into it, or given it up, before the lock was ours.
+        if os.fstat(handle).st_size or not _is_file(handle, part):
+            raise _taken(part)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def give_up(handle: int, path: Path) -> None:
+    """Let go of a name that was claimed, and remove its recording."""
+    part_path(path).unlink(missing_ok=True)
+    os.close(handle)
+
+
+def hold(handle: int, part: Path) -> None:
     """Take the lock through a file descriptor that is open for writing, for as long as it is open.
 
     The lock is also let go when this process closes any other descriptor of the same file.
+
+    Raises:
+        InputError: another process has it.
     """
-    with suppress(OSError):  # some network drives have no locks
+    try:
         fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:  # some network drives have no locks
+        if error.errno in (errno.EACCES, errno.EAGAIN):
+            raise _taken(part) from None
 
 
 def is_held(path: Path) -> bool:
@@ -40,3 +97,16 @@ def is_held(path: Path) -> bool:
     finally:
         os.close(handle)
     return False
+
+
+def _is_file(handle: int, part: Path) -> bool:
+    with suppress(OSError):
+        return os.path.samestat(os.fstat(handle), part.stat())
+    return False
+
+
+def _taken(part: Path) -> InputError:
+    return InputError(
+        f"{part} is already there, a recording at work or cut off; "
+        f"drft log repair {part}, or move it away"
+    )

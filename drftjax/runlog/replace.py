@@ -1,7 +1,8 @@
 """Putting a file in place whole, or not at all."""
 
+import errno
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile, mkstemp
@@ -16,6 +17,36 @@ def replace_file(path: Path, data: bytes) -> None:
         path: Final name; what stood there is replaced.
         data: The whole file.
     """
+    _put(path, data, lambda draft: draft.replace(path))
+
+
+def put_new_file(path: Path, data: bytes) -> None:
+    """The same where nothing stands yet: whatever came there meanwhile stays.
+
+    Args:
+        path: Final name.
+        data: The whole file.
+
+    Raises:
+        InputError: the name is taken, or cannot be written.
+    """
+
+    def link(draft: Path) -> None:
+        try:
+            path.hardlink_to(draft)
+        except FileExistsError:
+            raise
+        except OSError:  # some drives have no hard links
+            if path.exists():
+                raise FileExistsError(errno.EEXIST, "it is already there") from None
+            draft.replace(path)
+        else:
+            draft.unlink()
+
+    _put(path, data, link)
+
+
+def _put(path: Path, data: bytes, place: Callable[[Path], object]) -> None:
     folder = path.parent
     if not folder.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {folder}")
@@ -28,7 +59,7 @@ def replace_file(path: Path, data: bytes) -> None:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            Path(draft).replace(path)
+            place(Path(draft))
         except BaseException:  # an interrupt, too, leaves nothing behind
             with suppress(OSError):
                 Path(draft).unlink()

@@ -28,9 +28,7 @@ def stop(
     now: Annotated[bool, typer.Option("--now", help="Emergency stop, without a ramp.")] = False,
 ) -> None:
     """Stop the runs that are under way on this computer."""
-    import signal
-
-    from hils.stop_request import EMERGENCY_SIGNAL
+    from hils.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
     from hils.under_way import ended, runs_under_way, tell
 
     every = runs_under_way()
@@ -43,7 +41,7 @@ def stop(
             else "no run of this user's is under way on this computer"
         )
     for run in runs:  # all of them first, then wait
-        tell(run, EMERGENCY_SIGNAL if now else signal.SIGTERM)
+        tell(run, EMERGENCY_SIGNAL if now else STOP_SIGNAL)
     for run in runs:
         if not ended(run, LONGEST_END):
             raise InputError(

@@ -24,7 +24,7 @@ from drftjax.runlog.hdf5.reading import SIZE_LIMIT, survey_recording
 from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
 from drftjax.runlog.head import Head
 from drftjax.runlog.record import ONLINE_INTEGERS
-from drftjax.runlog.replace import replace_file
+from drftjax.runlog.replace import put_new_file
 from drftjax.runlog.seal import sealed
 
 ROWS_IN_CHUNK: Final = 512
@@ -54,11 +54,13 @@ class Recording:
         rows: Committed rows by group.
     """
 
-    def __init__(self, part: Path, head: Head):
+    def __init__(self, part: Path, claimed: int, head: Head):
         """Make the file, with a head and no rows.
 
         Args:
-            part: Its name; what stood there is replaced.
+            part: Its name.
+            claimed: The descriptor that it was claimed by (`recording_lock.claim`); closed when
+                the recording ends.
             head: Everything but the rows.
 
         Raises:
@@ -69,12 +71,7 @@ class Recording:
         self.rows = dict.fromkeys(_groups(head), 0)
         self._waiting: dict[str, list[NDArray[np.float64]]] = {each: [] for each in self.rows}
         self._waiting_bytes = self._written_bytes = 0
-        part.touch()
-        try:
-            self._require_room_for_rows()
-        except InputError:
-            part.unlink()
-            raise
+        self._require_room_for_rows()
         self._file = h5py.File(part, "w", libver=("v110", "v110"))
         self._columns = {each: _make_group(self._file, each, head) for each in self.rows}
         self._committed = self._file.create_dataset(
@@ -85,9 +82,10 @@ class Recording:
         put_attributes(self._file, _root_attributes(head))
         self._file.swmr_mode = True
         self._write_committed()
-        # HDF5 keeps its own descriptor; this one is for the lock and to sync by.
-        self._handle = os.open(part, os.O_RDWR)
-        recording_lock.hold(self._handle)
+        # HDF5 keeps its own descriptor; this one is for the lock, which HDF5 let go of when it
+        # opened the file, and to sync by.
+        self._handle = claimed
+        recording_lock.hold(claimed, part)
 
     def append(self, title: str, rows: NDArray[np.float64]) -> None:
         """Take rows of one group, shape (rows, columns), in the format's order of its columns."""
@@ -124,7 +122,8 @@ class Recording:
             end_reason: Why the run ended.
 
         Raises:
-            InputError: The rows are no run log, or cannot be written; the recording is kept.
+            InputError: The rows are no run log, or cannot be written, or something stands there;
+                the recording is kept.
         """
         self._file.close()
         os.close(self._handle)
@@ -132,7 +131,7 @@ class Recording:
         content = layout.accepted(content, violations)
         attributes = {**content.attributes, "complete": 1, "end_reason": end_reason}
         whole = replace(content, attributes=attributes)
-        replace_file(path, sealed(image(whole, layout.AXES)))
+        put_new_file(path, sealed(image(whole, layout.AXES)))
         self.part.unlink()
 
     def drop(self) -> None:
