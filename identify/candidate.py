@@ -13,6 +13,7 @@ from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
+from identify.effect_parameter import put_effects
 from identify.observation import Observation, observe
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
@@ -45,6 +46,7 @@ def candidate(
     run: RunLog,
     *,
     model: SetUp | None = None,
+    fitted: Sequence[str] = (),
     zeta: float | None = None,
     method: str = FIT_METHOD,
     step: float | None = None,
@@ -55,7 +57,8 @@ def candidate(
     Args:
         name: The run, as reports call it.
         run: What was recorded.
-        model: Wheel, sand and rig in place of what the run log believes of them.
+        model: Wheel, sand, rig and effects in place of what the run log believes of them.
+        fitted: Names of what will be fitted: effects whose numbers are among them are added.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator.
         step: Its step [s]; where none is given, the longest that the command allows.
@@ -68,6 +71,7 @@ def candidate(
         require_upright(run)
         observation = observe(run, keep_rest=keep_rest)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
+        put_effects(setup, fitted)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
         setup.integrator.step = (
             steady_step(setup.wheel.radius, run.command.time, run.command.omega)

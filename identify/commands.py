@@ -18,6 +18,8 @@ Examples:
   drft fit data/runs/*.h5 -o out/fit           zeta for each run, lambda shared
   drft fit runs/*.h5 --share zeta -o out/fit   one zeta for all runs
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
+  drft fit runs/*.h5 --share drawbar.force     a number of an effect (drft effects)
+  drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
   drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
@@ -51,6 +53,13 @@ def fit(
     ] = None,
     parameters: Annotated[
         Path | None, typer.Option(help="A TOML file of parameters, over --own and --share.")
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="A set-up file: wheel, sand, rig and effects in place of what the run logs "
+            "believe, such as a diagnosis's model.toml."
+        ),
     ] = None,
     autoregressive: Annotated[
         bool,
@@ -106,7 +115,7 @@ def fit(
     from drftjax.runlog.files import each_once, run_files
     from drftjax.runlog.replace import require_places
     from drftjax.scaling import LARGEST_ZETA
-    from drftjax.setup import INTEGRATORS
+    from drftjax.setup import INTEGRATORS, read_setup
     from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
@@ -158,10 +167,10 @@ def fit(
         from identify.cluster_command import fit_on_cluster
         from identify.lone_fit import Settings, terms
 
-        if zeta != "constant" or starts != 1 or profile or bootstrap:
+        if zeta != "constant" or starts != 1 or profile or bootstrap or model:
             raise InputError(
-                "--cluster fits a constant zeta, each run alone; leave --zeta, --starts, --profile "
-                "and --bootstrap out"
+                "--cluster fits a constant zeta, each run alone and as its log has it; leave "
+                "--zeta, --starts, --profile, --bootstrap and --model out"
             )
         alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
         kept, left_out = each_once(run_files(runs))
@@ -178,7 +187,15 @@ def fit(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        ready = partial(candidate, zeta=start_zeta, method=method, step=step, keep_rest=keep_rest)
+        ready = partial(
+            candidate,
+            model=None if model is None else read_setup(model),
+            fitted=[each.quantity.name for each in fitted],
+            zeta=start_zeta,
+            method=method,
+            step=step,
+            keep_rest=keep_rest,
+        )
         gathered = gather(runs, ready, tell=lambda left_out: say(left_out, "yellow"))
         candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")

@@ -37,10 +37,11 @@ def fit(
 
     Args:
         runs: Files, run logs or pairs of a set-up and a run log; one, several, or several by name.
-        model: Wheel, sand and rig in place of what the run logs believe of them; commands and
-            starts are always the runs'.
+        model: Wheel, sand, rig and effects in place of what the run logs believe of them; commands
+            and starts are always the runs'.
         parameters: Names, or `identify.own(...)` and `identify.shared(...)`. By name alone, zeta
-            and the start are each run's own, and all else is shared by the runs.
+            and the start are each run's own, and all else is shared by the runs. An effect's
+            number is NAME.NUMBER, such as "drawbar.force"; the effect is added where it is not.
         noise: How residuals scatter.
         starts: Starting points to try; see `identify.multistart`.
         keep_rest: Whether samples after the last stop are compared too.
@@ -55,7 +56,9 @@ def fit(
     wanted = [each if isinstance(each, Parameter) else _by_name(each) for each in listed]
     require_once(wanted)
     with jax.enable_x64(True):
-        candidates = candidates_of(runs, model, keep_rest=keep_rest)
+        candidates = candidates_of(
+            runs, model, fitted=[each.quantity.name for each in wanted], keep_rest=keep_rest
+        )
         result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
         return with_reach(result)
 

@@ -162,7 +162,13 @@ def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer
         # Sentences name the log, not where a copy of it lay.
         run = run_from(content, [replace(each, path=digest) for each in violations])
         each = candidate(
-            digest, run, zeta=how.zeta, method=how.method, step=how.step, keep_rest=how.keep_rest
+            digest,
+            run,
+            fitted=[term.name for term in how.parameters],
+            zeta=how.zeta,
+            method=how.method,
+            step=how.step,
+            keep_rest=how.keep_rest,
         )
         noise = Autoregressive() if how.autoregressive else White()
         result = fit([each], _parameters(settings), noise=noise)

@@ -10,56 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from drftjax.errors import InputError
-from drftjax.setup import SetUp
 from drftjax.trial import Trial
 from identify.bijector import AbstractBijector, Interval, Positive, Scaled
-
-Get = Callable[[Trial], Float[Array, ""]]
-Put = Callable[[Trial, Float[Array, ""]], Trial]
-
-
-class Quantity(eqx.Module):
-    """One number of a trial that can be fitted.
-
-    Attributes:
-        name: As users write it: its place in a set-up file.
-        unit: Its unit, "-" for none.
-        get, put: The number in a trial, and the trial with another number in its place.
-        bijector: Its natural bounds.
-    """
-
-    name: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-    get: Get = eqx.field(static=True)
-    put: Put = eqx.field(static=True)
-    bijector: AbstractBijector
-
-    @property
-    def label(self) -> str:
-        """The short name in reports, where there is one."""
-        return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
-
-    def record(self, setup: SetUp, value: float) -> None:
-        """Write the number into a set-up; the zeta of a phase is one of several, written whole."""
-        if self.name.startswith(PHASE_PREFIX):
-            return
-        section, field = self.name.split(".")
-        setattr(getattr(setup, section), field, value)
-
-    def read(self, trial: Trial) -> Float[Array, ""]:
-        """The number in this trial.
-
-        Raises:
-            InputError: where the trial's wheel, terrain or rig has no such number.
-        """
-        try:
-            return self.get(trial)
-        except AttributeError:
-            raise InputError(f"this set-up has no {self.name} to fit") from None
-
-    def write(self, trial: Trial, value: Float[Array, ""]) -> Trial:
-        """The trial with another number in this place."""
-        return self.put(trial, value)
+from identify.effect_parameter import effect_numbers, effect_quantity
+from identify.quantity import PHASE_PREFIX, PHASES, SHORT_NAMES, Quantity
 
 
 def _leaf(
@@ -124,9 +78,6 @@ QUANTITIES: dict[str, Quantity] = {
         _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
     )
 }
-# Phases of a command, in time: `identify.phases` says which is when.
-PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
-PHASE_PREFIX = "terrain.zeta."
 
 
 def _of_phase(number: int, name: str) -> Quantity:
@@ -142,10 +93,6 @@ def _of_phase(number: int, name: str) -> Quantity:
 
 PHASE_QUANTITIES = {
     PHASE_PREFIX + name: _of_phase(number, name) for number, name in enumerate(PHASES)
-}
-SHORT_NAMES = {f"zeta.{name}": PHASE_PREFIX + name for name in PHASES} | {
-    "zeta": "terrain.zeta",
-    "lambda": "terrain.inertial_coefficient",
 }
 
 
@@ -187,16 +134,19 @@ class Parameter(eqx.Module):
 
 
 def quantity(name: str) -> Quantity:
-    """A quantity by its name, such as "terrain.zeta", or by a short one, such as "zeta".
+    """A quantity by its name, such as "terrain.zeta" or "drawbar.force", or a short one, "zeta".
 
     Raises:
         InputError: for an unknown name, with the nearest known ones.
     """
     full = SHORT_NAMES.get(name, name)
     every = QUANTITIES | PHASE_QUANTITIES
+    of_effect = None if full in every else effect_quantity(full)
+    if of_effect is not None:
+        return of_effect
     if full not in every:
         short = [each for each in SHORT_NAMES if "." not in each or name.startswith("zeta.")]
-        near = get_close_matches(name, [*QUANTITIES, *short], n=3, cutoff=0.4)
+        near = get_close_matches(name, [*QUANTITIES, *short, *effect_numbers()], n=3, cutoff=0.4)
         known = " or ".join(near) if near else ", ".join(QUANTITIES)
         raise InputError(f"there is no parameter {name!r}; did you mean {known}?")
     return every[full]
@@ -231,7 +181,7 @@ def parameter(
     """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
 
     Args:
-        name: See `QUANTITIES`; "zeta" and "lambda" are short for two of them.
+        name: See `QUANTITIES`, or NAME.NUMBER of an effect; "zeta" and "lambda" are short.
         shared: One number for all runs, or one for each.
         bounds: Lowest and highest value; the quantity's natural ones where none are given.
         prior: Mean and standard error of what is believed before the runs.

@@ -1,0 +1,71 @@
+"""A number of the simulator that can be fitted: its name, its place in a trial, its bounds."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from drftjax.errors import InputError
+from drftjax.setup import SetUp
+from drftjax.trial import Trial
+from identify.bijector import AbstractBijector
+
+Get = Callable[[Trial], Float[Array, ""]]
+Put = Callable[[Trial, Float[Array, ""]], Trial]
+
+# Phases of a command, in time: `identify.phases` says which is when.
+PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
+PHASE_PREFIX = "terrain.zeta."
+SHORT_NAMES = {f"zeta.{name}": PHASE_PREFIX + name for name in PHASES} | {
+    "zeta": "terrain.zeta",
+    "lambda": "terrain.inertial_coefficient",
+}
+
+
+class Quantity(eqx.Module):
+    """One number of a trial that can be fitted.
+
+    Attributes:
+        name: As users write it: its place in a set-up file, where an effect's table goes by the
+            effect's name.
+        unit: Its unit, "-" for none.
+        get, put: The number in a trial, and the trial with another number in its place.
+        bijector: Its natural bounds.
+    """
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+    get: Get = eqx.field(static=True)
+    put: Put = eqx.field(static=True)
+    bijector: AbstractBijector
+
+    @property
+    def label(self) -> str:
+        """The short name in reports, where there is one."""
+        return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
+
+    def record(self, setup: SetUp, value: float) -> None:
+        """Write the number into a set-up; the zeta of a phase is one of several, written whole."""
+        if self.name.startswith(PHASE_PREFIX):
+            return
+        section, field = self.name.split(".")
+        entry = next((each for each in setup.effects if each.get("name") == section), None)
+        if entry is None:
+            setattr(getattr(setup, section), field, value)
+        else:
+            entry[field] = value
+
+    def read(self, trial: Trial) -> Float[Array, ""]:
+        """The number in this trial.
+
+        Raises:
+            InputError: where the trial's wheel, terrain or rig has no such number.
+        """
+        try:
+            return self.get(trial)
+        except AttributeError:
+            raise InputError(f"this set-up has no {self.name} to fit") from None
+
+    def write(self, trial: Trial, value: Float[Array, ""]) -> Trial:
+        """The trial with another number in this place."""
+        return self.put(trial, value)
