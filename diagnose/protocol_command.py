@@ -1,11 +1,16 @@
 """`drft protocol`: nine runs that tell effects apart, as set-up files for a rig."""
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drftjax.errors import InputError
+from hils.commands.run import USUAL_OMEGA_MAX
+
+if TYPE_CHECKING:
+    from drftjax.setup import SetUp
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -17,6 +22,8 @@ Examples:
   drft protocol --like run.h5 --max-travel 1.2 --max-speed 120 -o out/protocol
   drft hils run --port /dev/ttyUSB0 --mode free --profile out/protocol/3_backward.toml \\
       -o runs/backward.h5
+  drft hils run --port /dev/ttyUSB0 --mode free --omega-max 3.5 \\
+      --profile out/protocol/8_fast_light.toml -o runs/fast_light.h5
 
 Record them with the carriage free, then: drft diagnose runs/
 """
@@ -40,31 +47,78 @@ def protocol(
     if (setup is None) == (like is None):
         raise InputError("name one set-up file, or --like RUN, and not both")
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from diagnose.protocol import telling_runs
     from drftjax.commands.runtime import configure_jax
-    from drftjax.like import setup_like
     from drftjax.runlog.replace import make_folder, replace_file
-    from drftjax.setup import read_setup
     from drftjax.setup_toml import setup_toml
 
     configure_jax()
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError(f"{output} is not an empty folder; name a new one")
-    if setup is not None:
-        rig = read_setup(setup)
-    else:
-        assert like is not None
-        rig, _ = setup_like(like)
+    rig = _rig(setup, like)
     runs = list(telling_runs(rig, max_speed, max_travel))
     make_folder(output)
-    table = Table("set-up", "load [kg]", "speed [deg/s]", "lasts [s]", "tells")
+    fast = {}
+    headings = ("set-up", "load [kg]", "speed [deg/s]", "lasts [s]", "tells")
+    table = Table(*map(escape, headings))
     for number, (run, each) in enumerate(runs, start=1):
         name = f"{number}_{run.name}.toml"
         replace_file(output / name, setup_toml(each, [f"Tells {run.tells}."]).encode())
         speed = max(each.command.omega, key=abs)
+        omega = math.radians(abs(speed))
+        if omega > USUAL_OMEGA_MAX:
+            fast[name] = omega
         lasts = f"{each.command.time[-1]:.1f}"
         table.add_row(name, f"{each.rig.mass_z:.1f}", f"{speed:.0f}", lasts, run.tells)
     Console().print(table)
     typer.echo(f"nine set-ups written to {output}")
+    if fast:
+        typer.echo(_allowance(fast))
+
+
+def _rig(setup: Path | None, like: Path | None) -> "SetUp":
+    """The rig, its carriage free: one that was driven in a recorded run is let go.
+
+    Raises:
+        InputError: names the file, what it lacks and what must hold.
+    """
+    from drftjax.like import setup_like
+    from drftjax.setup import read_setup
+
+    if setup is not None:
+        rig = read_setup(setup)
+        if rig.rig.carriage != "free":
+            raise InputError(
+                f"{setup}: the carriage of [rig] is driven; these runs are of one that is free: "
+                "leave out carriage, and vx in [command], if the rig can let it go"
+            )
+        return rig
+    assert like is not None
+    rig, run = setup_like(like)
+    if rig.rig.carriage != "free":
+        if run.setup.mass_x is None:
+            raise InputError(
+                f"{like}: its carriage is driven and its /setup lacks mass_x, without which one "
+                "that is free cannot be simulated; name a set-up file with mass_x in [rig] instead"
+            )
+        rig.rig.carriage = "free"
+        typer.echo(f"note: the carriage of {like} was driven; in these runs it is to be free")
+    return rig
+
+
+def _allowance(fast: dict[str, float]) -> str:
+    """What runs that are faster than `drft hils run` allows by itself need.
+
+    Args:
+        fast: Largest angular velocity by set-up [rad/s].
+    """
+    needed = math.ceil(round(10 * max(fast.values()), 6)) / 10
+    slower = math.floor(math.degrees(USUAL_OMEGA_MAX))
+    return (
+        f"{' and '.join(fast)} need drft hils run --omega-max {needed:g}, and a rig that allows as "
+        f"much (a virtual one: omega_max = {needed:g} in [limits] of its --setup); with "
+        f"--max-speed {slower} no run does"
+    )

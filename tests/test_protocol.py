@@ -1,6 +1,8 @@
 """Nine runs that tell effects apart: what they hold, and what limits make of them."""
 
 import copy
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,12 @@ from diagnose.protocol_command import app
 from drftjax.datafiles import data_file
 from drftjax.errors import InputError
 from drftjax.integrator import sharpest_ramp
-from drftjax.setup import read_setup
+from drftjax.runlog.hdf5 import write_run
+from drftjax.runlog.record import Command, Measured, RunLog, Setup
+from drftjax.setup import SetUp, read_setup
+from hils.commands.run import USUAL_OMEGA_MAX
+from hils.guard import CommandLimits
+from hils.loop_setup import LoopSetUp, profile
 
 RIG = read_setup(data_file("paper.toml"))
 
@@ -92,3 +99,78 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path):
     result = CliRunner().invoke(app, [str(data_file("paper.toml")), "-o", str(tmp_path)])
     assert isinstance(result.exception, InputError)
     assert "not an empty folder" in str(result.exception)
+
+
+def accepted(setup: SetUp, omega_max: float) -> bool:
+    """Whether `drft hils run --omega-max` takes the set-up for its profile."""
+    try:
+        profile(LoopSetUp(setup=setup, commands=CommandLimits(omega_max, 0.3)), 1)
+    except InputError:
+        return False
+    return True
+
+
+def written_by(drft, folder: Path, *arguments: object) -> tuple[str, list[SetUp]]:
+    answer = drft("protocol", *arguments, "-o", folder)
+    assert answer.code == 0, answer
+    return answer.out, [read_setup(each) for each in sorted(folder.iterdir())]
+
+
+def test_fast_runs_are_told_with_the_limit_and_the_way_out_that_they_need(drft, tmp_path):
+    paper = data_file("paper.toml")
+    said, setups = written_by(drft, tmp_path / "nine", paper)
+    refused = [not accepted(each, USUAL_OMEGA_MAX) for each in setups]
+    assert refused == [False] * 7 + [True] * 2
+    assert all(unit in said for unit in ("load [kg]", "speed [deg/s]", "lasts [s]"))
+    assert "8_fast_light.toml and 9_fast_heavy.toml need drft hils run --omega-max 3.5" in said
+    needed = re.search(r"--omega-max (\S+),", said)
+    slower = re.search(r"--max-speed (\S+) ", said)
+    assert needed
+    assert slower
+    assert all(accepted(each, float(needed[1])) for each in setups)
+
+    said, setups = written_by(drft, tmp_path / "slower", paper, "--max-speed", slower[1])
+    assert all(accepted(each, USUAL_OMEGA_MAX) for each in setups)
+    assert "--omega-max" not in said
+
+
+def driven_run(path: Path, mass_x: float | None = None) -> Path:
+    """A run log as `drft hils run` leaves it: the carriage at the simulated speed."""
+    time = np.linspace(0.0, 1.0, 11)
+    known = Setup(
+        wheel_radius=0.15, wheel_width=0.12, mass_x=mass_x, mass_z=18.0, sinkage_static=0.0176
+    )
+    write_run(
+        path,
+        RunLog(
+            setup=known,
+            command=Command(time, 0.1 * time, 0.01 * time),
+            measured=Measured(time, x=0.005 * time**2, z=np.full(11, -0.0176)),
+            source="measured",
+            title="in the loop",
+        ),
+    )
+    return path
+
+
+def test_a_rig_whose_carriage_was_driven_by_the_loop_is_let_go(drft, tmp_path):
+    run = driven_run(tmp_path / "run.h5", mass_x=13.0)
+    said, setups = written_by(drft, tmp_path / "nine", "--like", run)
+    assert f"note: the carriage of {run} was driven" in said
+    assert {each.rig.carriage for each in setups} == {"free"}
+    assert {each.rig.mass_x for each in setups} == {13.0}
+
+
+def test_driven_carriages_that_cannot_be_let_go_are_refused_by_file(drft, tmp_path):
+    run = driven_run(tmp_path / "run.h5")
+    said = drft("protocol", "--like", run, "-o", tmp_path / "nine").refusal
+    assert said.startswith(f"{run}: ")
+    assert "lacks mass_x" in said
+    setup = tmp_path / "driven.toml"
+    setup.write_text(
+        '[rig]\ncarriage = "driven"\n[command]\ntime = [0, 1]\nomega = [0, 0]\nvx = [0, 0]\n'
+    )
+    said = drft("protocol", setup, "-o", tmp_path / "nine").refusal
+    assert said.startswith(f"{setup}: ")
+    assert "leave out carriage, and vx" in said
+    assert not (tmp_path / "nine").exists()

@@ -10,6 +10,7 @@ from hils.pace import USUAL_BAUD, require_baud
 
 # Ports whose line has no baud rate.
 WITHOUT_BAUD = ("socket://", "loop://")
+USUAL_OMEGA_MAX = 2.0  # [rad/s]
 
 EXAMPLES = """
 Examples:
@@ -76,7 +77,9 @@ def run(
     policy: Annotated[
         Literal["skip", "stop"], typer.Option(help="What follows a missed deadline.")
     ] = "skip",
-    omega_max: Annotated[float, typer.Option(help="Largest angular velocity [rad/s].")] = 2.0,
+    omega_max: Annotated[
+        float, typer.Option(help="Largest angular velocity [rad/s].")
+    ] = USUAL_OMEGA_MAX,
     vx_max: Annotated[float, typer.Option(help="Largest carriage speed [m/s].")] = 0.3,
     countdown: Annotated[
         float, typer.Option(help="From rest to the start [s].", min=0.1, max=60.0)
