@@ -21,6 +21,7 @@ from hils.wire import (
     SCHEMA,
     U16,
     U32,
+    VIRTUAL_RIG,
     Arm,
     Bye,
     Drive,
@@ -58,6 +59,29 @@ class Reason(enum.IntEnum):
     BYE = 8
     SENSOR = 9
     DRIVE = 10
+
+
+MEANINGS = {
+    Reason.NONE: "none given",
+    Reason.WATCHDOG: "watchdog: no valid command in time",
+    Reason.ANOTHER_SESSION: "a frame of another session",
+    Reason.HELLO_WHILE_ARMED: "HELLO while it was armed",
+    Reason.HOST_STOPPED: "stopped by the host",
+    Reason.COMMAND_REFUSED: "a command beyond its limits",
+    Reason.HELLO_NEEDED: "ARM without a HELLO before it",
+    Reason.HELLO_REFUSED: "a HELLO whose tick cannot be",
+    Reason.BYE: "BYE",
+    Reason.SENSOR: "a sensor failed",
+    Reason.DRIVE: "the drive failed",
+}
+
+
+def told(rig_id: int, reason: int) -> str:
+    """A rig's reason, in words where they are known: other rigs have numbers of their own."""
+    if rig_id != VIRTUAL_RIG:
+        return f"reason {reason} (see its firmware)"
+    words = {int(each): said for each, said in MEANINGS.items()}.get(reason, "unknown")
+    return f"reason {reason} ({words})"
 
 
 class RigIdentity(msgspec.Struct, frozen=True):

@@ -8,6 +8,7 @@ from drftjax.errors import InputError
 from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival, LinkQuality
 from hils.pace import watchdog_s
+from hils.rig_protocol import told
 from hils.wire import (
     READY,
     SCHEMA,
@@ -110,7 +111,7 @@ class Session:
                 return
             if self._said is None or self._said.state is RigState.FAULT:
                 break
-        raise InputError(_unready(self._link.name, self._said))
+        raise InputError(_unready(self._link.name, self._said, ack.rig_id))
 
     def check(self) -> list[Arrival]:
         """What the rig reported since the last call; once armed, refuse if it is no longer.
@@ -133,11 +134,12 @@ class Session:
             if isinstance(message, EmergencyStop):
                 self._link.send(message)
                 raise RigStopped(
-                    f"the rig on {self._link.name} made an emergency stop, reason {message.reason}"
+                    f"the rig on {self._link.name} made an emergency stop, "
+                    f"{told(ack.rig_id, message.reason)}"
                 )
         newest = self._link.newest()
         for each in reports if newest is None else [*reports, newest]:
-            self._require_ready(each)
+            self._require_ready(each, ack.rig_id)
         return reports
 
     def stop(self) -> None:
@@ -165,14 +167,14 @@ class Session:
             raise InputError(f"no session is open with the rig on {self._link.name}")
         return self._hello, self._ack
 
-    def _require_ready(self, arrival: Arrival) -> None:
+    def _require_ready(self, arrival: Arrival, rig_id: int) -> None:
         state = _state(arrival)
         if self._armed_by is None or state is None or state in READY:
             return
         if not newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
             return
         message = arrival.frame.message
-        reason = f", reason {message.reason}" if isinstance(message, StateReport) else ""
+        reason = f", {told(rig_id, message.reason)}" if isinstance(message, StateReport) else ""
         raise RigStopped(f"the rig on {self._link.name} went {state.name} by itself{reason}")
 
     def _ask(
@@ -266,7 +268,8 @@ def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
     return f"{asked}, though {got} bytes came{told}: is the baud rate the rig's, is it a rig?"
 
 
-def _unready(name: str, said: StateReport | None) -> str:
+def _unready(name: str, said: StateReport | None, rig_id: int) -> str:
     if said is None:
         return f"the rig on {name} does not answer ARM ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
-    return f"the rig on {name} is not armed: it says {said.state.name}, reason {said.reason}"
+    reason = told(rig_id, said.reason)
+    return f"the rig on {name} is not armed: it says {said.state.name}, {reason}"

@@ -13,9 +13,18 @@ import pytest
 from drftjax.errors import InputError
 from hils.clock import VirtualClock
 from hils.link import LinkLost, SoftLink
-from hils.rig_protocol import Reason, RigIdentity, RigProtocol
+from hils.rig_protocol import MEANINGS, Reason, RigIdentity, RigProtocol
 from hils.session import GAP, TRIES, RigStopped, Session, new_session
-from hils.wire import Drive, EmergencyStop, Frame, Hello, RigState, StateReport, encode
+from hils.wire import (
+    VIRTUAL_RIG,
+    Drive,
+    EmergencyStop,
+    Frame,
+    Hello,
+    RigState,
+    StateReport,
+    encode,
+)
 
 HELLO = Hello(10_000, 50)
 HOLD = Drive(0.0, 0.0, False, 50)
@@ -346,6 +355,34 @@ def test_a_rig_that_went_safe_is_told():
     table.clock.sleep_until(table.clock.now() + 0.2)
     with pytest.raises(RigStopped, match="went SAFE by itself, reason 1"):
         table.session.check()
+
+
+def test_reasons_of_the_virtual_rig_are_told_in_words():
+    def rig() -> RigProtocol:
+        return RigProtocol(RigIdentity(boot_id=1, rig_id=VIRTUAL_RIG))
+
+    table = Table(rig()).ready()
+    table.drive(0.1)
+    table.clock.sleep_until(table.clock.now() + 0.2)
+    watchdog = r"went SAFE by itself, reason 1 \(watchdog: no valid command in time\)"
+    with pytest.raises(RigStopped, match=watchdog):
+        table.session.check()
+    table = Table(rig())
+    table.session.connect(HELLO)
+    table.rig.fail(Reason.SENSOR, 3, 0.0)
+    with pytest.raises(InputError, match=r"it says FAULT, reason 9 \(a sensor failed\)"):
+        table.session.arm(HOLD)
+
+
+def test_reasons_of_another_rig_are_its_firmwares():
+    table = Table(ours()).ready()
+    table.clock.sleep_until(table.clock.now() + 0.2)
+    with pytest.raises(RigStopped, match=r"reason 1 \(see its firmware\)"):
+        table.session.check()
+
+
+def test_every_reason_has_words():
+    assert set(MEANINGS) == set(Reason)
 
 
 def test_a_state_that_only_measurements_tell_is_told():

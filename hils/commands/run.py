@@ -124,8 +124,8 @@ def run(
         tuning_ticks=tuning_ticks,
     )
     # What can be refused is refused before anything is opened.
-    loop.tuner.build(tick)
     profile_of(loop, 1)
+    loop.tuner.build(tick)
     if not port.lower().startswith(WITHOUT_BAUD):
         require_baud(baud, tick)
     procedure = Procedure(
