@@ -142,8 +142,11 @@ def _table(title: str, *columns: str) -> "Table":
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
-    for number, name in enumerate(columns):
-        table.add_column(escape(name), justify="right" if number else "left")
+    first, *numbers = columns
+    table.add_column(escape(first), overflow="fold")
+    for name in numbers:
+        # Units below, and only names of runs fold: all columns are whole in 80 characters.
+        table.add_column(escape(name.replace(" [", "\n[")), justify="right", no_wrap=True)
     return table
 
 

@@ -1,16 +1,19 @@
 """`drft crosscheck`: comparisons on series with known answers, and the command end to end."""
 
 import dataclasses
+import io
 import json
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
 from identify.candidate import candidate
 from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
+from identify.crosscheck_command import tables
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01
@@ -129,6 +132,17 @@ def test_document_is_json(checked):
     assert document["schema"] == "drft-crosscheck"
     assert document["schema_version"] == 1
     assert [run["name"] for run in document["runs"]] == ["fast", "faint"]
+
+
+def test_tables_are_whole_in_a_pipe_of_80_characters(checked):
+    named = [dataclasses.replace(run, name=f"{run.name}_on_loose_sand") for run in checked.runs]
+    said = io.StringIO()
+    for table in tables(dataclasses.replace(checked, runs=named)):
+        Console(file=said, width=80).print(table)
+    assert "…" not in said.getvalue()
+    assert "difference" in said.getvalue()
+    assert "replayed" in said.getvalue()
+    assert max(map(len, said.getvalue().splitlines())) <= 80
 
 
 # The command --------------------------------------------------------------------------------------
