@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.given import refuse_given
 from drftjax.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ run's own.
 
 @app.command(epilog=EXAMPLES)
 def evaluate(
+    context: typer.Context,
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
     ],
@@ -53,6 +55,8 @@ def evaluate(
     ] = 1e-4,
 ) -> None:
     """Hold a model with effects against runs, beside the reference model."""
+    if not tuner:
+        refuse_given(context, ("tick", "zeta_step", "tolerance"), "give --tuner too")
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

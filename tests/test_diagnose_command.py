@@ -235,6 +235,8 @@ def test_evaluate_refuses_what_is_no_model(logs, drft, tmp_path):
     bad.write_text('[command]\ntime = [0, 1]\nomega = [0, 1]\n[[effect]]\nname = "slopes"\n')
     assert "there is no effect 'slopes'" in drft("evaluate", logs, "--model", bad).refusal
     assert "no such file" in drft("evaluate", logs, "--model", tmp_path / "none.toml").refusal
+    idle = drft("evaluate", logs, "--model", "data/paper.toml", "--tick", "0.5", "--tolerance", "0")
+    assert idle.refusal == "--tick, --tolerance would be ignored: give --tuner too"
     wrong = drft("evaluate", logs, "--model", "data/paper.toml", "--json", tmp_path / "a.txt")
     assert "must end in .json" in wrong.refusal
 

@@ -281,6 +281,7 @@ def test_a_plot_shows_what_an_effect_does(drft, tmp_path):
     answer = drft("effects", "drawbar", "--plot", figure)
     assert answer.out.endswith(f"figure written to {figure}\n")
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "leave out 'loosening' or" in drft("effects", "loosening", "--markdown").refusal
     assert "must end in .png" in drft("effects", "--plot", tmp_path / "sheet.jpg").refusal
 
 

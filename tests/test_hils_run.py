@@ -198,7 +198,13 @@ def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
     [
         (["--tick", "0.0001"], "tick is 0.0001, must lie between"),
         (["--tick", "0.001", "--baud", "115200"], "is too short for 115200 baud"),
-        (["--tick", "0"], "tick is 0"),
+        (["--tick", "0"], "tick is 0, must lie between 0.0005 and 0.1 s"),
+        (["--tick", "0", "--mode", "free"], "tick is 0, must lie between 0.0005 and 0.1 s"),
+        (["--mode", "free", "--tuner", "kalman"], "--tuner would be ignored: in --mode free"),
+        (
+            ["--mode", "free", "--zeta-step", "0.1", "--tuning-ticks", "2"],
+            "--zeta-step, --tuning-ticks would be ignored",
+        ),
         (["--tuner", "pi", "--zeta-step", "0.1"], "the tuner 'pi' has no number 'zeta_step'"),
         (["--number", "noise"], "--number is 'noise', must be NAME=VALUE"),
         (["--port", "rfc2217://h:1", "--baud", "115200", "--tick", "0.001"], "is too short for"),

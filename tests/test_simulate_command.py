@@ -181,8 +181,8 @@ def test_one_source_is_asked_for(drft, short, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--rate", "0"], "--rate is 0 Hz, must lie between"),
-        (["--rate", "nan"], "--rate is nan Hz, must lie between"),
+        (["--rate", "0"], "--rate is 0 Hz, must be above 0 and at most 100000 Hz"),
+        (["--rate", "nan"], "--rate is nan Hz, must be above 0 and at most"),
         (["--step", "0"], "integrator step is 0, must lie between"),
         (["--step", "nan"], "integrator step is nan, must lie between"),
         (["--zeta", "-1"], "zeta is -1, must lie between"),

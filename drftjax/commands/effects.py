@@ -37,6 +37,8 @@ def effects(
     ] = False,
 ) -> None:
     """Effects that a set-up may have beyond the reference model, and what they do."""
+    if markdown and name is not None:
+        raise InputError(f"--markdown is a list of all effects; leave out {name!r} or --markdown")
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()

@@ -30,7 +30,11 @@ def simulate(
         typer.Option(help="A run log: the same set-up, commands and sampling times."),
     ] = None,
     source: Annotated[
-        Path | None, typer.Option("--from", help="A fit's result (JSON or HDF5): its fitted model.")
+        Path | None,
+        typer.Option(
+            "--from",
+            help="A fit's result (JSON or HDF5): its fitted model; or a set-up file (TOML).",
+        ),
     ] = None,
     run: Annotated[
         str | None, typer.Option(help="With --from: which run of the fit, by name.")
@@ -65,7 +69,7 @@ def simulate(
             "--from RESULT"
         )
     if not 0 < rate <= 1e5:
-        raise InputError(f"--rate is {rate:g} Hz, must lie between 0 and 100000 Hz")
+        raise InputError(f"--rate is {rate:g} Hz, must be above 0 and at most 100000 Hz")
     if run is not None and source is None:
         raise InputError("--run goes with --from, to name one run of a fit")
     if output is not None and output.suffix not in HDF5_ENDINGS:

@@ -20,7 +20,9 @@ Examples:
 
   drft hils rig --baud 115200 --latency 16
 
-The first line printed is the port's name. Then, in another terminal: drft hils run --port /tmp/rig
+The first line printed is the port's name. Then, in another terminal:
+
+  drft hils run --port /tmp/rig --profile data/paper.toml -o run.h5
 """
 
 
@@ -55,6 +57,10 @@ def rig(
         raise InputError(f"--baud is {baud}, must be 0 or lie between 300 and 12000000")
     if seed < 0:
         raise InputError(f"--seed is {seed}, must be 0 or more")
+    if not seconds > 0:
+        raise InputError(f"--seconds is {seconds:g} s, must be above 0 s")
+    if socket is not None and not 0 <= socket <= 65535:
+        raise InputError(f"--socket is port {socket}, must lie between 0 and 65535")
     if link is not None and socket is not None:
         raise InputError("--link names a pseudo-terminal; it does not go with --socket")
 

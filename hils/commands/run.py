@@ -5,12 +5,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from drftjax.commands.given import refuse_given
 from drftjax.errors import InputError
 from hils.pace import USUAL_BAUD, require_baud
 
 # Ports whose line has no baud rate.
 WITHOUT_BAUD = ("socket://", "loop://")
 USUAL_OMEGA_MAX = 2.0  # [rad/s]
+OF_THE_TUNER = ("tuner", "zeta_step", "tolerance", "number", "tuning_ticks")
 
 EXAMPLES = """
 Examples:
@@ -31,6 +33,7 @@ picture of the run is drawn beside the run log.
 
 
 def run(
+    context: typer.Context,
     port: Annotated[str, typer.Option(help="Serial port, or a URL such as socket://HOST:PORT.")],
     profile: Annotated[Path, typer.Option(help="A set-up file with the profile (TOML or JSON).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The run log to record (.h5).")],
@@ -97,6 +100,8 @@ def run(
     ] = True,
 ) -> None:
     """Run a rig in the loop, or with its carriage free, and record it."""
+    if mode == "free":
+        refuse_given(context, OF_THE_TUNER, "in --mode free nothing is tuned")
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
