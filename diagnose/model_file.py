@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.diagnosis import Diagnosis, Number
+from diagnose.diagnosis import SCHEMA, Diagnosis, Number
 from diagnose.promise import effects_of
 from diagnose.response import Model
 from diagnose.weights import NONE, UNKNOWN
@@ -14,10 +14,12 @@ from drftjax.effects.catalogue import spoken_of
 from drftjax.effects.correction import VARIABLES
 from drftjax.effects.entry import built, entry_of
 from drftjax.effects.stage import AbstractEffect
+from drftjax.errors import InputError
 from drftjax.runlog.content import printable
 from drftjax.saved import thinned
 from drftjax.setup import read_setup
 from drftjax.setup_toml import setup_toml
+from drftjax.structfile import read_document
 
 
 def model_toml(found: Diagnosis) -> str:
@@ -98,6 +100,8 @@ def read_effects(path: Path) -> tuple[AbstractEffect, ...]:
     Raises:
         InputError: names the file, the entry and what must hold.
     """
+    if path.suffix.lower() == ".json" and read_document(path).get("schema") == SCHEMA:
+        raise InputError(f"{path}: is a diagnosis; give its model.toml")
     setup = read_setup(path)
     return tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
 

@@ -45,7 +45,8 @@ def protocol(
 ) -> None:
     """Write nine runs to record for a diagnosis: the ones that tell effects apart."""
     if (setup is None) == (like is None):
-        raise InputError("name one set-up file, or --like RUN, and not both")
+        both = "" if setup is None else ", not both"
+        raise InputError(f"name one set-up file, or --like RUN{both}")
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table

@@ -116,8 +116,12 @@ def read_outline(path: str | Path) -> np.ndarray:
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(f"{path}: cannot be read as an outline ({problem})") from None
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"{path}: is not an outline; must be CSV, two numbers a line") from None
     corners: list[tuple[float, float]] = []
     for number, row in enumerate(rows, start=1):
         try:

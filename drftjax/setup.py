@@ -32,6 +32,8 @@ from drftjax.wheel import DEFAULT_PLATE_SIZE, AbstractWheel, GrouserWheel, Plain
 # Hours of a run at the default step; more is a slip of units, and would fill the memory.
 MOST_STEPS = 2e7
 
+FASTEST = 100.0  # that a command may turn a wheel [rad/s]
+
 INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
     "rosenbrock": Rosenbrock,
     "held pace": HeldPace,
@@ -166,10 +168,13 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
     def build(self) -> RunCommand:
         omega = np.asarray(self.omega, dtype=float)
-        omega = np.radians(omega) if self.omega_unit == "deg/s" else omega
-        require_between(
-            "command omega", _farthest(omega), -100.0, 100.0, " rad/s; are these deg/s?"
-        )
+        fastest = _farthest(omega)
+        if self.omega_unit == "deg/s":
+            most = np.degrees(FASTEST)
+            require_between("command omega", fastest, -most, most, " deg/s")
+            omega = np.radians(omega)
+        hint = " rad/s; are these deg/s?" if np.isfinite(fastest) else " rad/s"
+        require_between("command omega", _farthest(omega), -FASTEST, FASTEST, hint)
         if self.vx is not None:
             require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
@@ -255,16 +260,28 @@ def read_setup(path: str | Path) -> SetUp:
     """
     path = Path(path)
     setup = to_structure(read_document(path), SetUp, path)
-    wheel = setup.wheel
-    if wheel.outline is not None:
-        if wheel.points is not None:
-            raise InputError(f"{path}: [wheel] has both points and an outline; give one of them")
-        wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    find_outline(setup.wheel, path)
     try:
         setup.trial()
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
     return setup
+
+
+def find_outline(wheel: WheelSetUp, path: Path) -> None:
+    """Read the corners of a wheel whose outline lies beside its set-up file.
+
+    Raises:
+        InputError: names the set-up file, and that of the outline.
+    """
+    if wheel.outline is None:
+        return
+    if wheel.points is not None:
+        raise InputError(f"{path}: [wheel] has both points and an outline; give one of them")
+    try:
+        wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    except InputError as problem:
+        raise InputError(f"{path}: outline of [wheel]: {problem}") from None
 
 
 def setup_from_run(run: RunLog) -> SetUp:

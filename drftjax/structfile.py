@@ -16,7 +16,7 @@ Structure = TypeVar("Structure", bound=msgspec.Struct)
 _UNKNOWN = re.compile(r"unknown field `(?P<field>.+?)`")
 _MISSING = re.compile(r"missing required field `(?P<field>.+?)`")
 _PLACE = re.compile(r" - at `\$\.?(?P<place>.*?)`$")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+HDF5 = b"\x89HDF\r\n\x1a\n"
 # The words of TOML's users for the types that msgspec names.
 _WORDS = {
     "float": "a number",
@@ -48,7 +48,7 @@ def read_document(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as problem:
         kind = "JSON" if is_json else "TOML"
         why = f"is not text; must be {kind}"
-        if problem.object.startswith(_HDF5):
+        if problem.object.startswith(HDF5):
             why = (
                 f"is an HDF5 file, must be {kind}; commands that take a run log have --like for it"
             )

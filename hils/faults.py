@@ -295,6 +295,9 @@ def read_faults(path: str | Path) -> FaultScript:
     """
     path = Path(path)
     document = read_document(path)
+    if document and not document.keys() & {"fault", "seed"}:
+        given = ", ".join(map(repr, document))
+        raise InputError(f"{path}: holds {given}; a file of faults holds seed and [[fault]]")
     entries = document.get("fault", [])
     for number, entry in enumerate(entries if isinstance(entries, list) else [], start=1):
         what = entry.get("what") if isinstance(entry, dict) else None

@@ -41,6 +41,7 @@ class Terminal(AbstractDialogue):
         try:
             input(f"{text}, then press Enter (Ctrl-C to leave) ")
         except EOFError:
+            print(flush=True)  # the question has left the line open
             raise InputError(
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None

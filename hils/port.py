@@ -330,6 +330,10 @@ def _refusal(error: Any, name: str) -> str:
         return "permission denied; on most systems its users are in the group dialout"
     if error.errno == errno.ENOENT:
         return "there is no such port; 'drft hils ports' lists those that there are"
+    # pyserial tells a file that is no terminal by the text of what stopped it alone.
+    stopped = getattr(error.__context__, "args", ())
+    if error.errno == errno.EISDIR or stopped[:1] == (errno.ENOTTY,):
+        return "it is no serial port; 'drft hils ports' lists those that there are"
     return _cause(error)
 
 

@@ -14,7 +14,6 @@ from drftjax.arrays import require_between
 from drftjax.effects.entry import Entry, built
 from drftjax.errors import InputError
 from drftjax.integrator import HeldPace
-from drftjax.outline import read_outline
 from drftjax.setup import (
     CommandSetUp,
     IntegratorSetUp,
@@ -22,6 +21,7 @@ from drftjax.setup import (
     StartSetUp,
     TerrainSetUp,
     WheelSetUp,
+    find_outline,
 )
 from drftjax.simulator import Simulator
 from drftjax.structfile import read_document, to_structure
@@ -118,11 +118,7 @@ def read_virtual_setup(path: str | Path) -> VirtualSetUp:
     """
     path = Path(path)
     setup = to_structure(read_document(path), VirtualSetUp, path)
-    wheel = setup.wheel
-    if wheel.outline is not None:
-        if wheel.points is not None:
-            raise InputError(f"{path}: [wheel] has both points and an outline; give one of them")
-        wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    find_outline(setup.wheel, path)
     try:
         setup.simulator().prepared()
     except InputError as problem:

@@ -80,7 +80,8 @@ def design(
     from drftjax.commands.runtime import configure_jax
 
     if (setup is None) == (like is None):
-        raise InputError("name one set-up file, or --like RUN, and not both")
+        both = "" if setup is None else ", not both"
+        raise InputError(f"name one set-up file, or --like RUN{both}")
     configure_jax(devices=os.cpu_count())
     from drftjax.like import setup_like
     from drftjax.runlog.replace import require_places

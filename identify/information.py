@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from drftjax.arrays import require_between
 from drftjax.ensemble import map_runs
 from drftjax.errors import InputError
+from drftjax.runlog.layout import UNITS
 from drftjax.setup import SetUp
 from drftjax.trial import ROW_INTERVAL, Trial
 from identify.parameter import Quantity
@@ -193,7 +194,7 @@ class Instrument:
             if name not in CHANNELS:
                 raise InputError(f"there is no channel {name!r}; give one of {', '.join(CHANNELS)}")
         for name, value in self.noise.items():
-            require_between(f"the noise of {name}", value, 1e-9, 1e6)
+            require_between(f"the noise of {name}", value, 1e-9, 1e6, f" {UNITS['measured'][name]}")
         lacking = [name for name in self.channels if name not in self.noise]
         if lacking or not self.channels:
             raise InputError(

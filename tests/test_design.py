@@ -159,7 +159,9 @@ def test_a_driven_carriage_is_refused():
         (("--max-acceleration", "5000"), "acceleration"),
         (("--duration", "0"), "duration"),
         (("--loads", "220", "150"), "loads"),
-        (("--noise-z", "0"), "noise of z"),
+        (("--noise-z", "0"), "noise of z is 0, must lie between 1e-09 and 1e+06 m"),
+        (("--noise-torque", "0"), "noise of torque is 0, must lie between 1e-09 and 1e+06 N m"),
+        (("--like", "run.h5"), "name one set-up file, or --like RUN, not both"),
         (("--wanted", "0"), "wanted"),
         (("--parameter", "lamda"), "lambda"),
         (("--channel", "y"), "channel"),
@@ -172,7 +174,7 @@ def test_nonsense_is_refused_in_one_sentence(monkeypatch, capsys, tmp_path, argu
 
 
 def test_one_source_is_asked_for(monkeypatch, capsys):
-    assert "--like" in Drft(monkeypatch, capsys)("design").refusal
+    assert Drft(monkeypatch, capsys)("design").refusal == "name one set-up file, or --like RUN"
 
 
 def test_channels_keep_their_order():

@@ -235,6 +235,9 @@ def test_evaluate_refuses_what_is_no_model(logs, drft, tmp_path):
     bad.write_text('[command]\ntime = [0, 1]\nomega = [0, 1]\n[[effect]]\nname = "slopes"\n')
     assert "there is no effect 'slopes'" in drft("evaluate", logs, "--model", bad).refusal
     assert "no such file" in drft("evaluate", logs, "--model", tmp_path / "none.toml").refusal
+    (tmp_path / "diagnosis.json").write_text('{"schema": "drft-diagnosis"}')
+    diagnosis = drft("evaluate", logs, "--model", tmp_path / "diagnosis.json").refusal
+    assert diagnosis.endswith("diagnosis.json: is a diagnosis; give its model.toml")
     idle = drft("evaluate", logs, "--model", "data/paper.toml", "--tick", "0.5", "--tolerance", "0")
     assert idle.refusal == "--tick, --tolerance would be ignored: give --tuner too"
     wrong = drft("evaluate", logs, "--model", "data/paper.toml", "--json", tmp_path / "a.txt")

@@ -225,6 +225,7 @@ def test_script_is_read_from_a_file(tmp_path):
         ("[[fault]]\nwhat = {}", ["kind"]),
         ("[[fautl]]", ["'fautl'", "fault"]),
         ("fault = 3", ["fault"]),
+        ("title = 'a'\n[rig]\n", ["holds 'title', 'rig'", "holds seed and [[fault]]"]),
     ],
 )
 def test_wrong_scripts_are_refused_in_one_sentence(tmp_path, text, words):

@@ -79,6 +79,16 @@ def test_each_port_has_its_own_sentence(drft, terminal):
     assert refused.startswith("  /dev/there-is-none cannot be opened: there is no such port")
 
 
+@pytest.mark.parametrize("name", ["README.md", "docs", "/dev/null"])
+def test_a_file_or_a_folder_is_no_serial_port(drft, name):
+    answer = drft("hils", "ports", name)
+    assert answer.code == 2
+    assert answer.out.splitlines()[1] == (
+        f"  {name} cannot be opened: it is no serial port; "
+        "'drft hils ports' lists those that there are"
+    )
+
+
 def test_ports_are_asked_at_the_rate_that_a_run_takes(drft, monkeypatch):
     asked = []
 

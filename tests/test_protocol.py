@@ -166,6 +166,7 @@ def test_driven_carriages_that_cannot_be_let_go_are_refused_by_file(drft, tmp_pa
     said = drft("protocol", "--like", run, "-o", tmp_path / "nine").refusal
     assert said.startswith(f"{run}: ")
     assert "lacks mass_x" in said
+    assert drft("protocol", "-o", tmp_path).refusal == "name one set-up file, or --like RUN"
     setup = tmp_path / "driven.toml"
     setup.write_text(
         '[rig]\ncarriage = "driven"\n[command]\ntime = [0, 1]\nomega = [0, 0]\nvx = [0, 0]\n'

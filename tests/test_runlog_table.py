@@ -230,6 +230,7 @@ def test_a_table_that_is_no_text_is_refused(made, tmp_path):
     packed = gzip.compress(TABLE.encode())
     for name, data, reason in [
         ("a.csv", b"\xff\xfe\x00", "not a table of UTF-8 text"),
+        ("run.h5", b"\x89HDF\r\n\x1a\n\0", "run.h5: is an HDF5 file; must be CSV or TSV$"),
         ("a.csv.gz", TABLE.encode(), "cannot be read"),
         ("b.csv.gz", packed[:-12], "is damaged"),
         ("c.csv.gz", packed[:20] + b"\xff\xff\xff" + packed[23:], "damaged|cannot be read|UTF-8"),

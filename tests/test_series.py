@@ -1,6 +1,7 @@
 """A series of runs: who asks for an end ends all of it, whatever is being done at that moment."""
 
 import dataclasses
+import io
 import os
 import signal
 from typing import ClassVar
@@ -11,7 +12,7 @@ import pytest
 from drftjax.errors import InputError
 from hils import series as series_module
 from hils.events import Event
-from hils.operator_dialogue import Unattended
+from hils.operator_dialogue import Terminal, Unattended
 from hils.procedure import Procedure, RunReport
 from hils.rows import KeptRows
 from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, told
@@ -165,3 +166,10 @@ def test_a_new_folder_is_made_and_one_that_cannot_be_is_refused_before_anything_
     (tmp_path / "taken").write_bytes(b"")
     with pytest.raises(InputError, match="taken cannot be made a folder"):
         file_names(tmp_path / "taken" / "run.h5", 1)
+
+
+def test_a_question_that_nobody_answers_leaves_its_line_closed(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(InputError, match="nobody is at the terminal"):
+        Terminal().confirm("Let the wheel down")
+    assert capsys.readouterr().out.endswith("\n")

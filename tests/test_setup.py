@@ -109,7 +109,14 @@ def test_paper_set_up_spells_out_the_defaults():
             "command.time must increase from row to row",
         ),
         ("[command]\ntime = [0, nan]\nomega = [0, 1]\n", "time has 1 values that are not finite"),
-        ("[command]\ntime = [0, 1]\nomega = [0, nan]\n", "command omega is nan"),
+        (
+            "[command]\ntime = [0, 1]\nomega = [0, nan]\n",
+            "command omega is nan, must lie between -100 and 100 rad/s",
+        ),
+        (
+            "[command]\ntime = [0, 1]\nomega = [0, nan]\nomega_unit = 'deg/s'\n",
+            "command omega is nan, must lie between -5729.58 and 5729.58 deg/s",
+        ),
         (
             "[command]\ntime = [0, 1]\nomega = [0, 1800]\n",
             "command omega is 1800, must lie",
@@ -125,6 +132,7 @@ def test_what_a_set_up_may_not_say_is_refused_in_one_sentence(drft, tmp_path, te
     refusal = drft("simulate", path, "-o", tmp_path / "run.h5").refusal
     assert refusal.startswith(f"{path}: ")
     assert said in refusal
+    assert "are these deg/s?" not in refusal or "1800" in refusal
     assert not (tmp_path / "run.h5").exists()
 
 
@@ -226,7 +234,7 @@ def test_outline_is_found_beside_its_set_up(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (None, "corners.csv: "),
+        (None, "corners.csv: there is no such file"),
         (corners(SQUARE[::-1]), "runs clockwise"),
         ("x,z\n0,0.1\nleft,0.1\n", "must be two numbers, x and z in metres"),
         (corners([(100 * x, 100 * z) for x, z in SQUARE]), "(lengths are in metres)"),
@@ -236,7 +244,9 @@ def test_outline_is_found_beside_its_set_up(tmp_path, monkeypatch):
 def test_outline_that_is_none_is_refused_with_its_file(drft, tmp_path, text, said):
     if text is not None:
         written(tmp_path, text, "corners.csv")
-    refusal = drft("simulate", written(tmp_path, OUTLINE)).refusal
+    setup = written(tmp_path, OUTLINE)
+    refusal = drft("simulate", setup).refusal
+    assert refusal.startswith(f"{setup}: outline of [wheel]: ")
     assert str(tmp_path / "corners.csv") in refusal
     assert said in refusal
 

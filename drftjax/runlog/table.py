@@ -29,6 +29,7 @@ from drftjax.runlog.mapping import (
 )
 from drftjax.runlog.record import Command, Measured, RunLog, Setup
 from drftjax.runlog.rules import nearest
+from drftjax.structfile import HDF5
 
 ROW_LIMIT: Final = 5_000_000
 """Most rows of a table."""
@@ -136,7 +137,12 @@ def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) ->
         raise InputError(f"{path}: the table cannot be read: {reason}") from error
     except (EOFError, zlib.error) as error:
         raise InputError(f"{path}: the table is damaged: {error}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        what = (
+            "is an HDF5 file" if error.object.startswith(HDF5) else "is not a table of UTF-8 text"
+        )
+        raise InputError(f"{path}: {what}; must be CSV or TSV") from error
+    except csv.Error as error:
         raise InputError(f"{path}: is not a table of UTF-8 text: {error}") from error
 
 
