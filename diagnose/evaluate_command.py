@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.commands.given import refuse_given
 from drftjax.errors import InputError
 
@@ -33,6 +34,7 @@ run's own.
 
 
 @app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
 def evaluate(
     context: typer.Context,
     runs: Annotated[

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -38,6 +39,7 @@ NAME` simulates a fitted run again.
 
 
 @app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
 def fit(
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ The result is out/design.toml (the run to make), out/design.json and out/design.
 
 
 @app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
 def design(
     setup: Annotated[
         Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)

@@ -214,3 +214,4 @@ def test_the_program_refuses_in_one_sentence(drft, tmp_path, options, text, refu
         "hils", "paper", "--profile", profile, "--runs", 1, "-o", tmp_path / "out", *options
     )
     assert refusal in said.refusal
+    assert not (tmp_path / "out").exists()

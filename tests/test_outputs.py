@@ -103,6 +103,27 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(drft, tmp_path, comma
     assert answer.out == ""
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("fit", "README.md", "-o"),
+        ("fit", RUN, "--step", "0", "-o"),
+        ("simulate", "README.md", "--plot"),
+        ("design", PAPER, "--noise-x", "0", "-o"),
+        ("evaluate", "README.md", "--model", PAPER, "--json"),
+        ("diagnose", "README.md", "-o"),
+    ],
+    ids=lambda command: f"{command[0]} {command[-1]}",
+)
+def test_a_refused_command_leaves_no_folder_that_it_made(drft, tmp_path, command):
+    ending = {"--plot": ".png", "--json": ".json"}.get(command[-1], "")
+    for folder in (tmp_path / "new" / "deep", tmp_path / "there"):
+        (tmp_path / "there").mkdir(exist_ok=True)
+        assert drft(*command, folder / f"x{ending}").refusal
+    assert [each.name for each in tmp_path.iterdir()] == ["there"]
+    assert not list((tmp_path / "there").iterdir())
+
+
 @pytest.mark.skipif(not Path("/proc/version").exists(), reason="no /proc to write to")
 def test_a_folder_that_takes_no_file_is_refused_at_once(drft):
     answer = drft("fit", RUN, "-o", "/proc/x")

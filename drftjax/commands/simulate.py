@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -21,6 +22,7 @@ Examples:
 
 
 @app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
 def simulate(
     setup: Annotated[
         Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)

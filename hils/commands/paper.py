@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.folders import leaves_no_empty_folder
+
 EXAMPLES = """
 Examples:
 
@@ -19,6 +21,7 @@ tells what they show. Ten runs of either kind take a minute or two, in virtual t
 """
 
 
+@leaves_no_empty_folder
 def paper(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "out"
