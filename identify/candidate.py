@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
 from drftjax.errors import InputError
 from drftjax.integrator import steady_step
 from drftjax.runlog.hdf5 import read_run
@@ -14,13 +16,13 @@ from drftjax.runlog.record import RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.effect_parameter import put_effects
-from identify.observation import Observation, observe
+from identify.observation import ROUNDING, Observation, observe
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
 FIT_METHOD = "held pace"
 STEPS_A_ROW = 5
 
-# Recorded sinkage and travel are averaged over this long for the start [s].
+# Recorded sinkage and travel are averaged over so much of the rest before the run [s].
 START_WINDOW = 0.2
 
 
@@ -78,9 +80,10 @@ def candidate(
             if step is None
             else step
         )
-        rolling = _begins_in_motion(run)
-        early = observation.time <= max(0.0 if rolling else START_WINDOW, observation.time[0])
-        told = early.sum() > 1 or rolling
+        # Of a wheel that sets off sooner, no more than its rest tells the start.
+        window = min(START_WINDOW, _sets_off(run) + ROUNDING)
+        early = observation.time <= max(window, observation.time[0])
+        told = early.sum() > 1 or window < START_WINDOW
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
         if run.measured.x is not None and run.command.vx is None and told:
@@ -93,9 +96,14 @@ def candidate(
         raise InputError(f"{name}: {problem}") from None
 
 
-def _begins_in_motion(run: RunLog) -> bool:
-    vx = run.command.vx
-    return bool(run.command.omega[0] != 0 or (vx is not None and vx[0] != 0))
+def _sets_off(run: RunLog) -> float:
+    """Time from the run's start up to which neither wheel nor carriage is asked to move [s]."""
+    command = run.command
+    moving = command.omega != 0
+    if command.vx is not None:
+        moving |= command.vx != 0
+    last = max(int(np.argmax(moving)) - 1, 0)
+    return float(command.time[last] - command.time[0])
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:

@@ -293,6 +293,17 @@ def test_candidate_starts_where_the_recording_does(slow_runs):
         candidate("run", slow_runs[0], step=0.0)
 
 
+@pytest.mark.parametrize(("rest", "counted"), [(0.0, 1), (0.01, 1), (0.1, 6), (0.2, 10), (0.5, 10)])
+def test_start_is_read_before_the_wheel_sets_off(rest, counted):
+    """A wheel that sets off at once has travelled millimetres within the first 0.2 s."""
+    time = [0.0, rest, rest + 0.1, 2.0] if rest else [0.0, 0.1, 2.0]
+    omega = [0.0, 0.0, 2.0, 2.0] if rest else [0.0, 2.0, 2.0]
+    run = recorded(setup_of((time, omega)))
+    start = candidate("run", run).setup.start
+    assert start.x == run.measured.x[:counted].mean()
+    assert start.sinkage == -run.measured.z[:counted].mean()
+
+
 def test_samples_after_the_last_stop_are_left_out_unless_kept():
     command = Command(time=[2.0, 3.0, 4.0, 6.0], omega=[0.0, 1.0, 0.0, 0.0])
     measured = Measured(time=np.arange(2.0, 8.0, 0.5), z=np.zeros(12))
