@@ -7,6 +7,7 @@ with the noise and the model's error that the fit found.
 
 import copy
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import equinox as eqx
@@ -18,10 +19,12 @@ from drftjax.errors import InputError
 from drftjax.integrator import LARGEST_CHANGE, STEPS, steady_step
 from drftjax.setup import SetUp
 from drftjax.stress import REST_SPEED
+from drftjax.trial import Trial
 from identify.batch import Problem, device_mesh, make_batch
 from identify.candidate import STEPS_A_ROW
 from identify.findings import UNTOLD
 from identify.optimum import Optimum, linearised
+from identify.phases import PhaseZeta
 from identify.result import FitResult
 from identify.uncertainty import Whitening, covariance
 
@@ -34,11 +37,13 @@ def with_reach(result: FitResult) -> FitResult:
     if optimum is None:
         return result
     setups = [run.setup for run in result.runs]
-    told = [
-        reach(optimum, setups, name)
-        for name, value in result.shared.items()
-        if not value.error <= UNTOLD * abs(value.value)
-    ]
+    told = []
+    for name, value in result.shared.items():
+        if value.error <= UNTOLD * abs(value.value):
+            continue
+        # What other runs would tell is no reason to lose what these do.
+        with suppress(InputError):
+            told.append(reach(optimum, setups, name))
     return replace(result, findings=[*result.findings, *(each for each in told if each)])
 
 
@@ -99,6 +104,18 @@ def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
     return float(a * (b / a) ** way)
 
 
+def _by_phase(trial: Trial, optimum: Optimum, run: int, name: str, stretch: float) -> Trial:
+    """The trial with the fit's zeta by phase, if that was fitted; the named one's as believed."""
+    given, (shared, own) = optimum.candidates[run].trial, optimum.solution.coordinates
+    zeta = optimum.problem.placed(given, shared, own[run]).simulator.terrain.zeta
+    if not isinstance(zeta, PhaseZeta):
+        return trial
+    zeta = eqx.tree_at(lambda z: z.time, zeta, stretch * zeta.time)
+    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, zeta)
+    quantity = next(p.quantity for p in optimum.problem.parameters if p.quantity.name == name)
+    return quantity.write(trial, quantity.read(given))
+
+
 def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -> float | None:
     """Standard error of the parameter by one run so many times as fast; None if it cannot be."""
     setup = copy.deepcopy(setup)
@@ -116,6 +133,7 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
             setup.integrator.step, steady_step(setup.wheel.radius, command.time, command.omega)
         )
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
+        trial = _by_phase(trial, optimum, run, name, stretch)
     except InputError:
         return None
     observation = optimum.candidates[run].observation

@@ -22,7 +22,7 @@ from identify.multistart import Starts, best_start, starting_points
 from identify.parameter import own, shared
 from identify.path_fit import fit_paths
 from identify.phases import PhaseZeta, phases_of, with_phases, zeta_phases
-from identify.reach import _error, with_reach
+from identify.reach import _error, reach, with_reach
 from identify.uncertainty import Whitening
 
 NINETY = 1.645
@@ -286,6 +286,19 @@ def test_the_speed_named_starts_from_the_error_that_the_fit_has():
     assert same == pytest.approx(value.error, rel=REACH)
     # What is believed, 1.1, is what the error is held against, whatever the fit says.
     assert all("of the believed 1.1" in f for f in with_reach(result).findings if "from about" in f)
+
+
+def test_a_zeta_by_phase_goes_along_to_other_speeds():
+    run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4, noise=1e-4))
+    phases = [shared("zeta.stand"), own("zeta.accelerate"), own("zeta.steady")]
+    result = fit([run], [*phases, shared("lambda")])
+    told = set(with_reach(result).findings) - set(result.findings)
+    assert any(sentence.startswith("lambda could") for sentence in told)
+    # By phase there too, so that it is as unknown as in the fit.
+    setups = [result.runs[0].setup]
+    same = _error(result.optimum, 0, setups[0], LAMBDA, 1.0)
+    assert same == pytest.approx(result.shared[LAMBDA].error, rel=REACH)
+    assert reach(result.optimum, setups, "terrain.zeta.stand").startswith("zeta.stand could")
 
 
 def test_where_all_is_told_no_speed_is_named(result):
