@@ -12,6 +12,9 @@ from identify.result import SHOWN, RunFit, Value
 UNTOLD = 0.5
 # Two parameters closer than this move the runs alike.
 ALIKE = 0.999
+# Of a parameter's unit length: so much of it unseen is more than rounding, and so much of two that
+# is unseen together links them.
+LOST, LINKED = 1e-6, 0.1
 
 
 def findings(
@@ -20,6 +23,7 @@ def findings(
     runs: Sequence[RunFit],
     spread: np.ndarray,
     bounded: Sequence[str],
+    unseen: np.ndarray,
 ) -> list[str]:
     """Sentences on identifiability, bounds, scatter between runs and the noise floor.
 
@@ -29,20 +33,22 @@ def findings(
         runs: Fitted runs.
         spread: Covariance of all coordinates: shared, then each run's own.
         bounded: Labels of values that ran into a bound.
+        unseen: Directions that the runs do not see, in columns, of the same coordinates.
     """
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
         for value in shared.values()
-        if value.error > UNTOLD * abs(value.value)
+        if not value.error <= UNTOLD * abs(value.value)
     ]
     told += [
         f"{run.name}: {value.label} cannot be identified from this run: {value}"
         for run in runs
         for value in run.values.values()
-        if value.error > UNTOLD * abs(value.value)
+        if not value.error <= UNTOLD * abs(value.value)
     ]
     told += [f"{label} has run into its bound" for label in bounded]
     told += _collinear(parameters, len(shared), runs, spread)
+    told += _confused(parameters, len(runs), unseen)
     told += _scatter(runs)
     floor = noise_floor(runs)
     if floor:
@@ -69,6 +75,30 @@ def _collinear(
         for i in range(len(seen))
         for j in range(i)
         if alike[i, j] > ALIKE
+    ]
+
+
+def _confused(parameters: Sequence[Parameter], runs: int, unseen: np.ndarray) -> list[str]:
+    """Three parameters or more of which these runs see less combinations than numbers."""
+    labels = [p.quantity.label for p in parameters if p.shared]
+    labels += runs * [p.quantity.label for p in parameters if not p.shared]
+    share = unseen @ unseen.T
+    lost = np.flatnonzero(np.diag(share) > LOST)
+    size = np.sqrt(np.diag(share)[lost])
+    linked = np.abs(share[np.ix_(lost, lost)]) > LINKED * np.outer(size, size)
+    groups: list[tuple[str, ...]] = []
+    left = set(range(len(lost)))
+    while left:
+        group = new = {min(left)}
+        while new:
+            new = {i for i in left - group if linked[i, list(group)].any()}
+            group = group | new
+        left -= group
+        names = tuple(dict.fromkeys(labels[lost[i]] for i in sorted(group)))
+        if len(names) > 2 and names not in groups:
+            groups.append(names)
+    return [
+        f"these runs cannot tell {', '.join(names[:-1])} and {names[-1]} apart" for names in groups
     ]
 
 

@@ -23,6 +23,7 @@ from identify.phases import PhaseZeta, by_phase, with_phases
 from identify.result import FitResult, RunFit, Value
 from identify.solve import LEAST_GAIN, NEGLIGIBLE, solve
 from identify.start import met_sinkage
+from identify.uncertainty import unseen
 
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
@@ -242,13 +243,14 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     bounded = [p.quantity.label for p, at in ends if np.any(p.near_bound(at))]
     size = len(optimum.ordered)
     spread = optimum.covariance[:size, :size]
+    hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
     return FitResult(
         shared=shared,
         runs=runs,
         status=solution.status,
         steps=solution.steps,
         failures=failures,
-        findings=findings(problem.parameters, shared, runs, spread, bounded),
+        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden),
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
         optimum=optimum,

@@ -8,6 +8,8 @@ from identify.solve import normal_equations
 
 # Beyond this the inflation is no longer an estimate but a statement that the samples are one.
 LARGEST_CORRELATION = 0.9999
+# A direction is seen where its information is over so many times what rounding leaves of none.
+LEAST_TOLD = 100.0
 
 
 def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
@@ -45,15 +47,39 @@ def covariance(
         Covariance, shape (shared + runs * own,) squared.
     """
     known = np.diag(belief_slope**2)
-    nothing = np.zeros(blocks.shape[:3])
-    information = normal_equations(blocks, shared, nothing)[0] + known
-    noise = normal_equations(whitening.colour(blocks), shared, nothing)[0] + known
-    values, vectors = np.linalg.eigh(information)
-    held = np.maximum(values, _floor(values))
-    # A direction that is not seen has as little noise as information.
-    noise += (vectors * (held - values)) @ vectors.T
-    spread = (vectors / held) @ vectors.T
-    return spread @ noise @ spread
+    noise = normal_equations(whitening.colour(blocks), shared, np.zeros(blocks.shape[:3]))[0]
+    values, vectors, size, unseen = _directions(blocks, shared, belief_slope)
+    root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
+    stretch = root.T @ (noise + known) @ root
+    # Where rounding leaves nothing to tell, there is as little noise as information.
+    stretch[unseen], stretch[:, unseen] = 0, 0
+    # Noise stretches no direction by less than one, but what rounding leaves of it may.
+    more, along = np.linalg.eigh(stretch)
+    spread = root @ along * np.sqrt(np.maximum(more, 1))
+    return spread @ spread.T
+
+
+def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
+    """Directions that the data do not see, in columns; arguments as for `covariance`.
+
+    A coordinate's unit is what the data would tell it to, were all others known.
+    """
+    _, vectors, _, unseen = _directions(blocks, shared, belief_slope)
+    return vectors[:, unseen]
+
+
+def _directions(
+    blocks: np.ndarray, shared: int, belief_slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors of the information over each coordinate's own; the root of that
+    own; and which directions rounding alone may have made."""
+    information = normal_equations(blocks, shared, np.zeros(blocks.shape[:3]))[0]
+    information += np.diag(belief_slope**2)
+    alone = np.diag(information)
+    most = max(alone.max(initial=0), float(np.finfo(float).tiny))
+    size = np.sqrt(np.where(alone > 0, alone, most))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    return values, vectors, size, values <= LEAST_TOLD * _floor(values)
 
 
 def _floor(values: np.ndarray) -> float:

@@ -1,0 +1,78 @@
+"""Standard errors of numbers that runs tell, tell only together, or do not tell at all."""
+
+import numpy as np
+import pytest
+
+from identify.findings import findings
+from identify.parameter import own
+from identify.result import RunFit, Value
+from identify.uncertainty import Whitening, covariance, unseen
+from tests.virtual_runs import setup_of
+
+SAMPLES = 200
+# The information of three that are told together is a difference of nearly equal numbers.
+ROUNDING = 1e-6
+NAMES = ("zeta", "wheel.width", "terrain.bulk_density", "rig.mass_z")
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+
+def degenerate(seed: int) -> tuple[np.ndarray, Whitening]:
+    """Derivatives of which three see one combination, and residuals that follow one another."""
+    random = np.random.default_rng(seed)
+    one = 800 * random.standard_normal((1, 2, SAMPLES))
+    almost = one * (1 + 1e-12 * random.standard_normal(SAMPLES))
+    blocks = np.stack([one, almost, -one, 100 * random.standard_normal(one.shape)], axis=-1)
+    residual = random.standard_normal(one.shape).cumsum(axis=-1) / 5
+    phase = np.repeat(np.arange(5), SAMPLES // 5)[None]
+    counts = np.ones(one.shape, bool)
+    return blocks, Whitening.of(residual, counts, np.full(one.shape, 0.7), phase)
+
+
+def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
+    nothing = np.zeros(len(NAMES))
+    spread = covariance(blocks, whitening, 0, nothing)
+    parameters = [own(name) for name in NAMES]
+    errors = np.sqrt(np.diag(spread))
+    values = {
+        p.quantity.name: Value(1.0, float(error), "-", p.quantity.label)
+        for p, error in zip(parameters, errors, strict=True)
+    }
+    one = np.zeros((1, 1))
+    run = RunFit("run", setup_of(), values, one[0], one[0] == 0, ("z",), one, one, one)
+    return findings(parameters, {}, [run], spread, [], unseen(blocks, 0, nothing))
+
+
+def test_no_variance_is_negative_and_what_is_told_is_told_as_without_the_others():
+    for seed in range(50):
+        blocks, whitening = degenerate(seed)
+        variance = np.diag(covariance(blocks, whitening, 0, np.zeros(4)))
+        assert np.all(variance[:3] > 1e4)
+        fewer = covariance(blocks[..., [0, 3]], whitening, 0, np.zeros(2))
+        assert variance[3] == pytest.approx(fewer[1, 1], rel=ROUNDING)
+
+
+def test_numbers_that_only_count_together_are_named_together():
+    sentences = told(*degenerate(1))
+    together = "these runs cannot tell zeta, wheel.width and terrain.bulk_density apart"
+    assert sentences.count(together) == 1
+    for name in NAMES[:3]:
+        assert any(f"{name} cannot be identified" in sentence for sentence in sentences)
+    assert not any("rig.mass_z" in sentence for sentence in sentences)
+
+
+def test_a_number_that_no_sample_sees_does_not_hide_the_others():
+    blocks, whitening = degenerate(2)
+    blocks[..., 1:3] = 0
+    variance = np.diag(covariance(blocks, whitening, 0, np.zeros(4)))
+    assert variance[0] < 1e-3
+    assert np.all(variance[1:3] > 1e4)
+    assert not any("apart" in sentence for sentence in told(blocks, whitening))
+
+
+@pytest.mark.parametrize("error", [np.nan, np.inf])
+def test_an_error_that_is_no_number_tells_nothing(error):
+    value = Value(0.75, error, "-", "lambda")
+    nothing = np.zeros((0, 0))
+    (sentence,) = findings([], {"terrain.inertial_coefficient": value}, [], nothing, [], nothing)
+    assert sentence.startswith("lambda cannot be identified from these runs")
