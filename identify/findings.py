@@ -49,7 +49,16 @@ def findings(
     told += [f"{label} has run into its bound" for label in bounded]
     told += _collinear(parameters, len(shared), runs, spread)
     told += _confused(parameters, len(runs), unseen)
-    told += _scatter(runs)
+    return [*told, *between(runs)]
+
+
+def between(runs: Sequence[RunFit]) -> list[str]:
+    """Sentences on what runs differ by, each by its own values and repeats beyond them.
+
+    Runs that could not be simulated to the end are left out.
+    """
+    runs = [run for run in runs if run.status != "diverged"]
+    told = _scatter(runs)
     floor = noise_floor(runs)
     if floor:
         each = ", ".join(f"{c} {v * SHOWN[c][1]:.3g} {SHOWN[c][0]}" for c, v in floor.items())

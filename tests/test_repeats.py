@@ -11,6 +11,8 @@ from diagnose.floor import noise_floors
 from diagnose.left_out import conditions
 from drftjax.setup import SetUp
 from identify.candidate import Candidate, candidate
+from identify.findings import between
+from identify.result import RunFit, Value
 from tests.virtual_runs import recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.0], [0.0, 0.0, 0.5, 0.5])
@@ -91,3 +93,31 @@ def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
         {"x": apart / np.sqrt(2), "z": np.hypot(apart / np.sqrt(2), 3e-4)}
     )
     assert "whole and whole" in how
+
+
+def fitted(name: str, zeta: float, wrong: float = 0.0, status: str = "converged") -> RunFit:
+    """A run fitted to a recording that it misses by `wrong` in z [m]."""
+    time = np.linspace(0.0, 2.0, 101)
+    error = np.inf if status == "diverged" else 1e-4
+    recorded, simulated = np.zeros((1, 101)), np.full((1, 101), wrong)
+    return RunFit(
+        name=name,
+        setup=setup_of(PROFILE),
+        values={"terrain.zeta": Value(zeta, error, "-", "zeta")},
+        time=time,
+        counts=time <= 2.0,
+        channels=("z",),
+        recorded=recorded,
+        before=simulated,
+        after=simulated,
+        status=status,
+    )
+
+
+def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
+    runs = [fitted("a", 0.70), fitted("b", 0.75, 2e-4), fitted("c", 0.80)]
+    told = between(runs)
+    assert [sentence.split(" ")[0] for sentence in told] == ["zeta", "repeated"]
+    assert "scatters by 6.7 %" in told[0]
+    assert "z 0.141 mm" in told[1]
+    assert between([*runs, fitted("lost", 0.78, 0.1, "diverged")]) == told
