@@ -122,6 +122,7 @@ def _together(
     encoded: Mapping[str, bytes], digests: Mapping[str, str], failures: Mapping[str, str]
 ) -> "FitResult":
     """Lone fits as one result."""
+    from identify.findings import between
     from identify.lone_result import decoded
     from identify.result import FitResult
 
@@ -138,7 +139,13 @@ def _together(
             said.append(f"{name}: the solver is {lone.status} after {lone.steps} steps")
         told += said
     return FitResult(
-        shared={}, runs=runs, status=status, steps=steps, failures=dict(failures), findings=told
+        shared={},
+        runs=runs,
+        status=status,
+        steps=steps,
+        failures=dict(failures),
+        # What is said of all stands before what is said of each, which may be cut short.
+        findings=[*between(runs), *told],
     )
 
 

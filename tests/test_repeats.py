@@ -11,8 +11,10 @@ from diagnose.floor import noise_floors
 from diagnose.left_out import conditions
 from drftjax.setup import SetUp
 from identify.candidate import Candidate, candidate
+from identify.cluster_command import _together
 from identify.findings import between
-from identify.result import RunFit, Value
+from identify.lone_result import encoded
+from identify.result import FitResult, RunFit, Value
 from tests.virtual_runs import recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.0], [0.0, 0.0, 0.5, 0.5])
@@ -121,3 +123,14 @@ def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
     assert "scatters by 6.7 %" in told[0]
     assert "z 0.141 mm" in told[1]
     assert between([*runs, fitted("lost", 0.78, 0.1, "diverged")]) == told
+
+
+def test_runs_fitted_on_a_cluster_are_compared_as_in_one_process():
+    runs = [fitted("a", 0.70), fitted("b", 0.75, 2e-4), fitted("c", 0.80)]
+    lone = [FitResult({}, [run], "converged", 5, {}, [f"{run.name} is fine"]) for run in runs]
+    together = _together(
+        {run.name: encoded(each) for run, each in zip(runs, lone, strict=True)},
+        {run.name: 64 * run.name for run in runs},
+        {},
+    )
+    assert together.findings == [*between(runs), "a is fine", "b is fine", "c is fine"]
