@@ -161,8 +161,6 @@ def fit(
     fitted += [parameter(n, shared=False) for n in own_names]
     fitted = fitted if parameters is None else read_parameters(parameters)
     require_once(fitted)
-    if zeta == "phases":
-        fitted = [each for each in fitted if each.quantity.name != "terrain.zeta"]
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
@@ -215,7 +213,7 @@ def fit(
             result = fit_paths(candidates)
         else:
             if zeta == "phases":
-                fitted = [*zeta_phases(candidates), *fitted]
+                fitted = zeta_phases(candidates, fitted)
             result = with_reach(fit_runs(candidates, fitted, report, noise, starts=starts))
         for name in profile or []:
             bar.update(task, description=f"profile of {name}")

@@ -15,7 +15,7 @@ from drftjax.saved import thinned
 from drftjax.scaling import AbstractZeta, ConstantZeta
 from drftjax.setup import SetUp, ZetaKnots
 from identify.candidate import Candidate
-from identify.parameter import PHASE_PREFIX, PHASES, Parameter, parameter
+from identify.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
 # A speed that changes by less than this share of the run's largest in a second is steady [1/s].
 STEADY_CHANGE = 0.01
@@ -80,10 +80,20 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
     return found
 
 
-def zeta_phases(candidates: Sequence[Candidate], shared: bool = False) -> list[Parameter]:
-    """One zeta for each phase in which any run has samples to compare."""
+def zeta_phases(
+    candidates: Sequence[Candidate], parameters: Sequence[Parameter] = ()
+) -> list[Parameter]:
+    """One zeta for each phase in which any run has samples to compare, before the parameters.
+
+    Zeta among these goes: what is known of it, and whether runs share it, holds for each phase. A
+    phase that is a parameter by itself stays as it is.
+    """
     present = {name for each in candidates for name in _compared(each)}
-    return [parameter(PHASE_PREFIX + name, shared=shared) for name in PHASES if name in present]
+    others = {p.quantity.name: p for p in parameters}
+    whole = others.pop("terrain.zeta", parameter("zeta", shared=False))
+    phases = [quantity(PHASE_PREFIX + name) for name in PHASES if name in present]
+    new = [dataclasses.replace(whole, quantity=q) for q in phases if q.name not in others]
+    return [*new, *others.values()]
 
 
 def _compared(each: Candidate) -> set[str]:

@@ -72,6 +72,8 @@ class Profile:
 
 def require_fitted(name: str, parameters: Sequence[Parameter], by_phase: bool = False) -> None:
     """Refuse a profile of what is not fitted."""
+    if by_phase:
+        parameters = [p for p in parameters if p.quantity.name != "terrain.zeta"]
     known = list(dict.fromkeys(p.quantity.label for p in parameters))
     known += [f"zeta.{phase}" for phase in PHASES] if by_phase else []
     if name not in known and name not in (p.quantity.name for p in parameters):

@@ -218,6 +218,15 @@ def test_zeta_by_phase_reads_each_phase(phased):
     assert np.interp(1.8, knots.time, knots.value) == 4.0
 
 
+def test_what_is_known_of_zeta_is_known_of_each_phase(phased, runs):
+    steady, load = own("zeta.steady"), own("rig.drawbar_load")
+    known = {"bounds": (0.5, 0.9), "prior": (0.7, 0.1), "start": 0.8}
+    fitted = zeta_phases([phased], [load, shared("zeta", **known), steady])
+    names = ("stand", "accelerate", "decelerate")
+    assert repr(fitted) == repr([*(shared(f"zeta.{n}", **known) for n in names), load, steady])
+    assert repr(zeta_phases(runs, [load])[-2:]) == repr([own("zeta.steady"), load])
+
+
 def test_zeta_of_every_phase_is_found(phased):
     fitted = zeta_phases([phased])
     # What a wheel at rest does is not compared, so its zeta is not fitted.
@@ -356,6 +365,13 @@ def test_command_fits_zeta_over_time(drft, log, tmp_path, way):
         assert np.interp(1.2, zeta.time, zeta.value) == pytest.approx(0.74, rel=0.02)
 
 
+def test_command_carries_the_bounds_of_zeta_over_to_its_phases(drft, log, tmp_path):
+    toml = tmp_path / "fit.toml"
+    toml.write_text('[[parameter]]\nname = "zeta"\nbounds = [0.3, 0.7]\n')
+    refusal = drft("fit", log, "--zeta", "phases", "--parameters", toml).refusal
+    assert "terrain.zeta.stand is 0.7823, where no fit within its bounds" in refusal
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -363,6 +379,7 @@ def test_command_fits_zeta_over_time(drft, log, tmp_path, way):
         (["--zeta", "path", "--share", "lambda"], "--zeta path fits zeta(t) alone"),
         (["--starts", "0"], "number of starts is 0"),
         (["--bootstrap", "3"], "number of draws is 3"),
+        (["--zeta", "phases", "--profile", "zeta"], "'zeta' is asked for, which is not fitted"),
         (["--profile", "lamda"], "'lamda' is asked for, which is not fitted; did you mean lambda"),
     ],
 )
