@@ -59,12 +59,17 @@ class Quantity(eqx.Module):
         """The number in this trial.
 
         Raises:
-            InputError: where the trial's wheel, terrain or rig has no such number.
+            InputError: where the trial's wheel, terrain or rig has no such number, or several.
         """
         try:
-            return self.get(trial)
+            value = self.get(trial)
         except AttributeError:
             raise InputError(f"this set-up has no {self.name} to fit") from None
+        if value.ndim:
+            raise InputError(
+                f"its {self.name} is {value.size} values over time, must be one number to be fitted"
+            )
+        return value
 
     def write(self, trial: Trial, value: Float[Array, ""]) -> Trial:
         """The trial with another number in this place."""

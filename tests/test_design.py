@@ -173,6 +173,16 @@ def test_nonsense_is_refused_in_one_sentence(monkeypatch, capsys, tmp_path, argu
     assert said in Drft(monkeypatch, capsys)("design", path, *arguments).refusal
 
 
+def test_a_zeta_at_knots_is_refused_in_one_sentence(monkeypatch, capsys, tmp_path):
+    path = tmp_path / "knots.toml"
+    path.write_text(
+        "[terrain]\nzeta = {time = [0, 2], value = [0.78, 0.7]}\n"
+        "[command]\ntime = [0, 1, 2]\nomega = [0, 0.1, 0]\n"
+    )
+    refusal = Drft(monkeypatch, capsys)("design", path).refusal
+    assert refusal == "its terrain.zeta is 2 values over time, must be one number to be fitted"
+
+
 def test_one_source_is_asked_for(monkeypatch, capsys):
     assert Drft(monkeypatch, capsys)("design").refusal == "name one set-up file, or --like RUN"
 

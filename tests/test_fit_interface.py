@@ -1,5 +1,6 @@
 """`identify.fit`: files, run logs and models in; values, covariance, summaries and figures out."""
 
+import copy
 import dataclasses
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import identify
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Measured
+from drftjax.setup import ZetaKnots
 from identify.candidate import candidates_of
 from identify.fitting import fit as fit_candidates
 from identify.solve import solve
@@ -122,6 +124,14 @@ def test_what_cannot_be_fitted_is_said_in_a_sentence(runs, given, parameters, sa
     given = runs["first"] if given == "first" else given
     with pytest.raises(InputError, match=said):
         identify.fit(given, parameters=parameters)
+
+
+def test_a_zeta_at_knots_is_no_number_to_fit(runs, model):
+    model = copy.deepcopy(model)
+    model.terrain.zeta = ZetaKnots([0.0, 1.0, 1.5], [0.78, 0.74, 0.7])
+    said = r"run 1: its terrain\.zeta is 3 values over time, must be one number to be fitted"
+    with pytest.raises(InputError, match=said):
+        identify.fit((model, runs["first"]), parameters="zeta")
 
 
 # How runs end -----------------------------------------------------------------------------------
