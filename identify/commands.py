@@ -7,6 +7,7 @@ import typer
 
 from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
+from identify.stem import stem_of
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -239,7 +240,4 @@ def fit(
 
 
 def _stem(output: Path) -> Path:
-    """The result's name without the ending that one of its files has."""
-    if output.is_dir() or not output.name:
-        raise InputError(f"{output} is a folder; name the result too, such as {output / 'fit'}")
-    return output.with_suffix("") if output.suffix in (".json", ".h5", ".png") else output
+    return stem_of(output, (".json", ".h5", ".png"))

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from identify.stem import files_of, stem_of
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
@@ -99,9 +101,10 @@ def crosscheck(
         console.print(f"written: {', '.join(str(each) for each in written)}")
 
 
-def result_files(stem: Path) -> tuple[Path, Path]:
-    """`stem`.json and `stem`.png: the numbers and the figure."""
-    return stem.with_suffix(".json"), stem.with_suffix(".png")
+def result_files(output: Path) -> list[Path]:
+    """The numbers and the figure, by the stem that was asked for."""
+    endings = (".json", ".png")
+    return files_of(stem_of(output, endings), endings)
 
 
 def write(result: "CrossCheck", stem: Path) -> list[Path]:

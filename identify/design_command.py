@@ -8,6 +8,7 @@ import typer
 
 from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
+from identify.stem import files_of, stem_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,7 +132,8 @@ def design(
 
 def result_files(output: Path) -> list[Path]:
     """The run to make, the numbers and the figure, by the stem that was asked for."""
-    return [output.with_name(f"{output.name}{ending}") for ending in (".toml", ".json", ".png")]
+    endings = (".toml", ".json", ".png")
+    return files_of(stem_of(output, endings), endings)
 
 
 def _write(result: "Design", output: Path) -> list[Path]:

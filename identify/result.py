@@ -18,6 +18,7 @@ from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import SetUp
+from identify.stem import files_of
 from identify.summary import summary_html, summary_text
 
 if TYPE_CHECKING:
@@ -339,7 +340,7 @@ class FitResult:
 
 def result_files(stem: Path) -> tuple[Path, Path, Path]:
     """`stem`.json, `stem`.h5 and `stem`.png: a fit's values, its channels and its figure."""
-    text, binary, picture = (stem.with_name(stem.name + end) for end in (".json", ".h5", ".png"))
+    text, binary, picture = files_of(stem, (".json", ".h5", ".png"))
     return text, binary, picture
 
 

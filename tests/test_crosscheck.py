@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
 from identify.candidate import candidate
 from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
-from identify.crosscheck_command import tables
+from identify.crosscheck_command import result_files, tables
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01
@@ -175,11 +176,21 @@ def test_command_end_to_end(drft, tmp_path):
     assert run["rmse"]["offline"]["z"] < 1e-4
 
 
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [("fit", "fit"), ("fit.v2", "fit.v2"), ("fit_0.5", "fit_0.5"), ("fit.png", "fit")],
+)
+def test_stem_keeps_its_dots(given, name):
+    expected = [Path(f"out/{name}.json"), Path(f"out/{name}.png")]
+    assert result_files(Path("out") / given) == expected
+
+
 def test_wrong_input_is_one_sentence(drft, tmp_path):
     missing = tmp_path / "none.h5"
     answer = drft("crosscheck", missing)
     assert answer.refusal.startswith(f"{missing}: cannot be read")
     assert "left out" not in answer.out
     assert drft("crosscheck", missing, "--tick", "0").refusal.startswith("tick is 0, must lie")
+    assert "is a folder; name the result too" in drft("crosscheck", missing, "-o", ".").refusal
     assert "zeta-step is -1" in drft("crosscheck", missing, "--zeta-step", "-1").refusal
     assert "tolerance is nan" in drft("crosscheck", missing, "--tolerance", "nan").refusal

@@ -165,6 +165,7 @@ def test_a_driven_carriage_is_refused():
         (("--wanted", "0"), "wanted"),
         (("--parameter", "lamda"), "lambda"),
         (("--channel", "y"), "channel"),
+        (("-o", "."), "is a folder; name the result too"),
     ],
 )
 def test_nonsense_is_refused_in_one_sentence(monkeypatch, capsys, tmp_path, arguments, said):
