@@ -18,8 +18,10 @@ from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import Hypothesis, changes
 from identify.candidate import Candidate
 
-# Loads [kg, N] and commands [rad/s, m/s] are the same within this.
+# Loads [kg, N] and commands [rad/s] are the same within this.
 SAME = 1e-6
+# Carriages whose speed was tuned to the sinkage repeat each other within this share of their top.
+SAME_PACE = 0.02
 # Runs whose sands are believed to differ by more than this in log zeta do not repeat each other.
 SAME_SAND = 0.2
 # A run that was stopped early repeats another where it holds this share of it.
@@ -27,16 +29,32 @@ LEAST_SHARED = 0.5
 
 
 def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
-    """Runs of the same command and load, by number; one that was stopped early is among them."""
+    """Runs of the same command and load, by number; one that was stopped early is among them.
+
+    Each run is held against the longest of a group, so that the order of the runs is no matter.
+    """
     groups: list[list[int]] = []
-    for number, each in enumerate(candidates):
+    for number in sorted(range(len(candidates)), key=lambda each: _rank(candidates[each])):
         for group in groups:
-            if _alike(candidates[group[0]], each):
+            if _alike(candidates[group[0]], candidates[number]):
                 group.append(number)
                 break
         else:
             groups.append([number])
-    return groups
+    return sorted(sorted(group) for group in groups)
+
+
+def _rank(one: Candidate) -> tuple[float, ...]:
+    """What orders runs, whatever they are called: the longest first."""
+    command, rig, sand = one.setup.command, one.setup.rig, one.setup.terrain.zeta
+    zeta = sand if isinstance(sand, float) else np.inf
+    load = (rig.mass_x, rig.mass_z, rig.drawbar_load)
+    return (-_lasts(one), zeta, *load, *(command.vx or ()), *command.omega)
+
+
+def _lasts(one: Candidate) -> float:
+    time = one.setup.command.time
+    return time[-1] - time[0]
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
@@ -52,7 +70,7 @@ def _alike(one: Candidate, other: Candidate) -> bool:
     a, b = one.setup.command, other.setup.command
     if (a.vx is None) != (b.vx is None):
         return False
-    ends = a.time[-1] - a.time[0], b.time[-1] - b.time[0]
+    ends = _lasts(one), _lasts(other)
     if min(ends) < LEAST_SHARED * max(ends):
         return False
     # Straight lines agree where they agree at the corners of both.
@@ -60,11 +78,12 @@ def _alike(one: Candidate, other: Candidate) -> bool:
     corners = np.union1d(*times)
     corners = corners[corners <= min(ends)]
 
-    def agree(first: Sequence[float], second: Sequence[float]) -> bool:
-        values = (np.interp(corners, t, v) for t, v in zip(times, (first, second), strict=True))
-        return np.allclose(*values, rtol=0, atol=SAME)
+    def agree(first: Sequence[float], second: Sequence[float], share: float = 0.0) -> bool:
+        values = [np.interp(corners, t, v) for t, v in zip(times, (first, second), strict=True)]
+        top = float(np.abs(values).max())
+        return np.allclose(*values, rtol=0, atol=max(SAME, share * top))
 
-    return agree(a.omega, b.omega) and (a.vx is None or agree(a.vx, b.vx or ()))
+    return agree(a.omega, b.omega) and (a.vx is None or agree(a.vx, b.vx or (), SAME_PACE))
 
 
 @dataclass(frozen=True, eq=False)

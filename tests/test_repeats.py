@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,6 +78,28 @@ def test_another_command_load_length_or_sand_is_another_condition(whole, other):
 def test_runs_at_two_carriage_speeds_are_two_conditions(whole):
     slow, fast = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.05, 0.06))
     assert conditions([slow, fast, slow]) == [[0, 2], [1]]
+
+
+def test_carriages_tuned_to_their_sinkage_repeat_each_other(whole):
+    # What two runs of a rig in the loop differ by, each tuned by its own sinkage.
+    one, again = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.0777, 0.0778))
+    assert conditions([one, again]) == [[0, 1]]
+
+
+@pytest.mark.parametrize("what", ["lengths", "sands", "paces"])
+def test_the_order_of_the_runs_is_no_matter(whole, what):
+    # The first and the last of three are no repeats, though each is one of the middle run.
+    brief = changed(whole, command_time=[0.0, 0.3, 0.8], command_omega=[0.0, 0.0, 0.25])
+    runs = {
+        "lengths": [whole, stopped(whole, 1.5), brief],
+        "sands": [changed(whole, terrain_zeta=zeta) for zeta in (0.7, 0.82, 0.96)],
+        "paces": [changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.05, 0.0507, 0.0514)],
+    }[what]
+    found = set()
+    for order in itertools.permutations(range(3)):
+        groups = conditions([runs[k] for k in order])
+        found.add(frozenset(frozenset(order[k] for k in group) for group in groups))
+    assert found == {frozenset([frozenset([0, 1]), frozenset([2])])}
 
 
 def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
