@@ -1,14 +1,15 @@
 """A diagnosis as a model: a set-up file with the effects that were found."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from diagnose.diagnosis import SCHEMA, Diagnosis, Number
+from diagnose.diagnosis import SCHEMA, Diagnosis, Number, conditions_of
 from diagnose.promise import effects_of
 from diagnose.response import Model
+from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import spoken_of
 from drftjax.effects.correction import VARIABLES
@@ -77,7 +78,11 @@ def _head(found: Diagnosis) -> list[str]:
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
-        lines.append("No effect that is known explains these runs; a curve fitted to them does.")
+        on = "runs left out" if len(conditions_of(found.case)) > 1 else "these very runs"
+        lines += [
+            "No effect that is known explains these runs. A curve fitted to them changes the gap",
+            f"on {on}, in noise floors: {_in_floors(found.correction.gap)}.",
+        ]
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
     lines += [
@@ -86,6 +91,13 @@ def _head(found: Diagnosis) -> list[str]:
         "  drft evaluate --model model.toml OTHER_RUNS",
     ]
     return lines
+
+
+def _in_floors(gaps: Mapping[str, Gap]) -> str:
+    return ", ".join(
+        f"{channel} from {gap.before / gap.floor:.1f} to {gap.after / gap.floor:.1f}"
+        for channel, gap in gaps.items()
+    )
 
 
 def _scatter(zeta: np.ndarray) -> str:

@@ -154,6 +154,13 @@ def test_the_model_file_simulates_and_closes_the_gap_of_a_fresh_run(
     assert z["after"] < 0.3 * z["before"]
 
 
+def test_the_model_file_says_what_the_curve_leaves(found, files):
+    head = (files / "model.toml").read_text()
+    assert "No effect that is known explains these runs. A curve fitted to them changes" in head
+    z = found.correction.gap["z"]
+    assert f"z from {z.before / z.floor:.1f} to {z.after / z.floor:.1f}" in head
+
+
 def test_what_does_not_help_is_not_offered_and_the_page_says_so(found):
     tried = found.unwritten.tried
     same = {c: dataclasses.replace(gap, after=gap.before) for c, gap in tried.gap.items()}
