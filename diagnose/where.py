@@ -41,12 +41,16 @@ ROUNDING = 1e-6
 SLIP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.5)
 UNSEEN = "not recorded"
 SLOWER, OTHER = "slower than once a turn", "other orders of the drive"
-# What a sentence names holds this share of the gap at least; and how many it names at most.
-LEAST_TOLD, MOST_TOLD = 0.25, 3
+ONCE, UNPARTED = "once a turn", "once a turn or slower"
+# In fewer turns than these a drift passes for a period.
+FEWEST_TURNS = 3.0
+# What a sentence names holds this share of the gap at least, what is most of it that; and how many
+# it names at most.
+LEAST_TOLD, MOST, MOST_TOLD = 0.25, 0.5, 3
 # Share of the gap that a marked order (once a turn, grousers, a line) holds where nothing is there.
 MARKED = 0.05
 # Bins of the orders that say nothing in a sentence.
-NOTHING_SAID = (SLOWER, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
+NOTHING_SAID = (SLOWER, UNPARTED, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
 
 
 @dataclass(frozen=True)
@@ -161,7 +165,7 @@ def by_stage(found: Sequence[Stage]) -> list[Share]:
 
 
 def sentence(shares: Sequence[Share]) -> str:
-    """Where most of the gap lies, in one plain sentence.
+    """Where the gap lies, in one plain sentence.
 
     The bins that hold most beyond the time spent in them are named, at most three.
     """
@@ -189,7 +193,13 @@ def sentence(shares: Sequence[Share]) -> str:
             chosen.setdefault(kind, part)
     if not chosen:
         return "The gap is spread about evenly over runs, phases and states."
-    return "Most of the gap lies " + "; ".join(_in_words(each) for each in chosen.values()) + "."
+    said = []
+    for much, least, below in (("Most", MOST, np.inf), ("Much", LEAST_TOLD, MOST)):
+        places = [_in_words(each) for each in chosen.values() if least <= each.share < below]
+        if places:
+            whole = f"{much.lower()} of it" if said else f"{much} of the gap lies"
+            said.append(f"{whole} {'; '.join(places)}")
+    return "; ".join(said) + "."
 
 
 def _in_words(part: Share) -> str:
@@ -393,11 +403,13 @@ def _by_order(runs: Sequence[_Run]) -> _Cut:
     hertz = _shared_hertz(runs)
     grousers = runs[0].motion.grousers
     drive = _shared_order(runs, grousers) if hertz is None else None
-    edges, names = _orders(grousers, drive)
+    edges, parted = _orders(grousers, drive)
+    told = [_parted(run, parted) for run in runs]
     fixed = f"at {hertz:.2g} Hz, whatever the speed" if hertz is not None else "at fixed hertz"
-    labels = [*dict.fromkeys(names), fixed, STANDS]
+    labels = [*dict.fromkeys(itertools.chain(*sorted(told, key=lambda each: UNPARTED in each)))]
+    labels += [fixed, STANDS]
     power = []
-    for run in runs:
+    for run, names in zip(runs, told, strict=True):
         motion = run.motion
         stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
         stands |= np.r_[True, np.diff(motion.turning) <= 0]
@@ -426,7 +438,7 @@ def _by_order(runs: Sequence[_Run]) -> _Cut:
 
 def _orders(grousers: int, drive: float | None) -> tuple[tuple[float, ...], list[str]]:
     """Edges between bands of periods in a turn, and the name of each band."""
-    marks = [(1.0, "once a turn")]
+    marks = [(1.0, ONCE)]
     if grousers > 1:
         passing = f"grouser passing ({grousers} a turn)"
         marks += [(float(grousers), passing), (2.0 * grousers, passing)]
@@ -442,6 +454,13 @@ def _orders(grousers: int, drive: float | None) -> tuple[tuple[float, ...], list
         edges.append(ORDER_TO)
         names.append(OTHER)
     return tuple(edges), [*names, f"over {ORDER_TO:g} a turn"]
+
+
+def _parted(run: _Run, names: Sequence[str]) -> list[str]:
+    """Names of the bands in one run."""
+    if np.ptp(run.motion.turning) >= FEWEST_TURNS * 2 * np.pi:
+        return list(names)
+    return [UNPARTED if name in (SLOWER, ONCE) else name for name in names]
 
 
 def _series(run: _Run, unit: float):

@@ -138,6 +138,46 @@ def test_a_line_is_named_by_what_it_is_locked_to(order, hertz, label):
     assert label in sentence(shares)
 
 
+def test_in_few_turns_a_drift_is_no_period():
+    case = case_of(*(run_of(speed, 12.0) for speed in (0.5, 1.5)))
+    assert max(np.ptp(motion_of_run(case, run).turning) for run in (0, 1)) < 3 * 2 * np.pi
+    residual = nothing(case)
+    for run, each in enumerate(residual):
+        each[case.channels.index("z")] = 1e-4 * case.time(run)
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    found = on(shares, "order")
+    assert "once a turn" not in found
+    assert found["once a turn or slower"] > 1 - LEAK
+    assert "a turn" not in sentence(shares)
+
+
+def test_runs_of_few_turns_beside_one_of_many_are_booked_apart():
+    case = case_of(run_of(0.5, 20.0), run_of(1.5, 20.0))
+    residual = nothing(case)
+    for run, each in enumerate(residual):
+        each[case.channels.index("z")] = wave(case, run, 1.0)
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    found = on(shares, "order")
+    assert found["once a turn"] == pytest.approx(0.5, abs=LEAK)
+    assert found["once a turn or slower"] == pytest.approx(0.5, abs=LEAK)
+
+
+def part(label: str, share: float, time: float = 0.1) -> Share:
+    return Share("phase", label, share, (share, share), time)
+
+
+def test_most_is_half_at_least():
+    much = [part("steady", 0.3, 0.6), part("accelerate", 0.4), part("stand", 0.3, 0.3)]
+    assert sentence(much).startswith("Much of the gap lies in the phase “accelerate” (40%")
+    load = [Share("load", f"{m} kg", s, (s, s), 0.5) for m, s in ((18, 0.8), (14, 0.2))]
+    assert sentence(load).startswith("Most of the gap lies at 18 kg (80%")
+    both = sentence([*much, *load])
+    assert both.startswith("Most of the gap lies at 18 kg (80%")
+    assert "; much of it in the phase “accelerate” (40%" in both
+
+
 def test_a_driven_carriage_has_a_slip_and_forces():
     case = case_of(run_of(0.5, vx=True))
     residual = nothing(case)
