@@ -24,6 +24,9 @@ STEPS_A_ROW = 5
 
 # Recorded sinkage and travel are averaged over so much of the rest before the run [s].
 START_WINDOW = 0.2
+# A wheel still settles where a straight line through that rises by more than so many standard
+# errors: instruments' slow errors reach ten.
+SETTLING = 30.0
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ def candidate(
         window = min(START_WINDOW, _sets_off(run) + ROUNDING)
         early = observation.time <= max(window, observation.time[0])
         told = early.sum() > 1 or window < START_WINDOW
+        if _settles(observation, early):
+            early = observation.time <= observation.time[0]
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
         if run.measured.x is not None and run.command.vx is None and told:
@@ -104,6 +109,18 @@ def _sets_off(run: RunLog) -> float:
         moving |= command.vx != 0
     last = max(int(np.argmax(moving)) - 1, 0)
     return float(command.time[last] - command.time[0])
+
+
+def _settles(observation: Observation, early: np.ndarray) -> bool:
+    """Whether the wheel moves by more than its instruments' noise in these samples."""
+    time = observation.time[early] - observation.time[early].mean()
+    error = observation.noise * np.sqrt(time @ time)
+    rises = [
+        abs(time @ values[early]) > SETTLING * least
+        for name, values, least in zip(observation.channels, observation.values, error, strict=True)
+        if name in ("x", "z")
+    ]
+    return early.sum() > 2 and any(rises)
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:

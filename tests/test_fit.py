@@ -304,6 +304,18 @@ def test_start_is_read_before_the_wheel_sets_off(rest, counted):
     assert start.sinkage == -run.measured.z[:counted].mean()
 
 
+@pytest.mark.parametrize("noise", [0.0, 20e-6])
+def test_start_of_a_wheel_that_still_settles_is_its_first_sample(noise):
+    setup = setup_of(([0.0, 0.5, 1.0, 2.0], [0.0, 0.0, 0.5, 0.5]))
+    setup.start.sinkage -= 1.2e-3
+    run = recorded(setup, noise=noise)
+    start = candidate("run", run).setup.start
+    assert start.sinkage == -run.measured.z[0]
+    assert start.x == run.measured.x[0]
+    # A mean over 0.2 s is that much deeper.
+    assert -run.measured.z[:10].mean() > start.sinkage + 0.3e-3
+
+
 def test_samples_after_the_last_stop_are_left_out_unless_kept():
     command = Command(time=[2.0, 3.0, 4.0, 6.0], omega=[0.0, 1.0, 0.0, 0.0])
     measured = Measured(time=np.arange(2.0, 8.0, 0.5), z=np.zeros(12))
