@@ -282,7 +282,8 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
     error = np.minimum(1.645 * path.error, 10.0)
     band = (path.value - error, path.value + error)
     axes.fill_between(path.time, *band, color="C0", alpha=0.2, lw=0, label="90 % band")
-    axes.set_ylim(min(low, np.nanmin(told)) - 0.01, max(high, np.nanmax(told)) + 0.01)
+    inside = np.r_[low, high, path.value[path.told]]
+    axes.set_ylim(inside.min() - 0.01, inside.max() + 0.01)
     axes.set_ylabel("zeta [-]")
     late = "-" if run.tuner.lag is None else f"{run.tuner.lag:.2f} s"
     axes.set_title(f"{run.name}  difference {run.tuner.difference:.4f}, lag {late}", fontsize=8)

@@ -14,7 +14,7 @@ from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
 from identify.candidate import candidate
 from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
-from identify.crosscheck_command import result_files, tables
+from identify.crosscheck_command import plot, result_files, tables
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01
@@ -144,6 +144,18 @@ def test_tables_are_whole_in_a_pipe_of_80_characters(checked):
     assert "difference" in said.getvalue()
     assert "replayed" in said.getvalue()
     assert max(map(len, said.getvalue().splitlines())) <= 80
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
+    run = checked.runs[0]
+    offline = dataclasses.replace(run.offline, told=np.zeros_like(run.offline.told))
+    untold = dataclasses.replace(
+        checked, runs=[dataclasses.replace(run, offline=offline), checked.runs[1]]
+    )
+    left, *_ = plot(untold).axes
+    low, high = left.get_ylim()
+    assert low < run.zeta.min() < run.zeta.max() < high
 
 
 # The command --------------------------------------------------------------------------------------
