@@ -15,6 +15,7 @@ from drftjax.saved import thinned
 from drftjax.scaling import AbstractZeta, ConstantZeta
 from drftjax.setup import SetUp, ZetaKnots
 from identify.candidate import Candidate
+from identify.observation import ROUNDING
 from identify.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
 # A speed that changes by less than this share of the run's largest in a second is steady [1/s].
@@ -97,7 +98,8 @@ def zeta_phases(
 
 
 def _compared(each: Candidate) -> set[str]:
-    time = each.observation.time[each.observation.counts]
+    # A sample at the end of a phase belongs to it, whatever its clock rounds.
+    time = each.observation.time[each.observation.counts] - ROUNDING
     return {
         name for begin, end, name in phases_of(each.setup) if np.any((time > begin) & (time <= end))
     }

@@ -207,6 +207,17 @@ def test_phases_follow_the_command(phased):
     ]
 
 
+@pytest.mark.parametrize("late", [0.0, 1e-11])
+def test_a_phase_begins_later_than_clocks_round(phased, late):
+    time = phased.observation.time.copy()
+    last = int(np.flatnonzero(phased.observation.counts)[-1])
+    time[last] = 2.05 + late
+    counts = np.arange(len(time)) <= last
+    observation = dataclasses.replace(phased.observation, time=time, counts=counts)
+    fitted = zeta_phases([dataclasses.replace(phased, observation=observation)])
+    assert fitted[-1].quantity.label == "zeta.decelerate"
+
+
 def test_zeta_by_phase_reads_each_phase(phased):
     (each,) = with_phases([phased], zeta_phases([phased]))
     zeta = each.trial.simulator.terrain.zeta
