@@ -12,6 +12,7 @@ import numpy as np
 from drftjax.errors import InputError
 from drftjax.trial import Trial
 from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
+from identify.bijector import Interval
 from identify.candidate import Candidate
 from identify.descent import Descent
 from identify.findings import findings
@@ -168,8 +169,13 @@ def _of_one_kind(
 
 def _require_start(parameter: Parameter, trial: Trial) -> None:
     if not np.isfinite(parameter.coordinate(trial)):
-        quantity = parameter.quantity
+        quantity, within = parameter.quantity, parameter.bijector
         value = float(quantity.read(trial))
+        if isinstance(within, Interval):
+            raise InputError(
+                f"its {quantity.name} is {value:g}, outside the bounds {within.low:g} to "
+                f"{within.high:g}; give a start within them"
+            )
         raise InputError(f"its {quantity.name} is {value:g}, where no fit within its bounds starts")
 
 

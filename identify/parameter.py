@@ -195,13 +195,17 @@ def parameter(
     bijector = what.bijector
     if bounds is not None:
         low, high = bounds
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise InputError(f"the bounds of {name} are {low:g} to {high:g}; both must be finite")
+        if not low < high:
             raise InputError(
                 f"the bounds of {name} are {low:g} to {high:g}; the first must be less"
             )
-        if start is not None and not low < start < high:
-            raise InputError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
         bijector = Interval(low, high)
+    if start is not None and isinstance(bijector, Interval):
+        low, high = bijector.low, bijector.high
+        if not low < start < high:
+            raise InputError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
     elif start is not None and isinstance(bijector, Positive) and start <= 0:
         raise InputError(f"{name} starts at {start:g}, must be positive")
     mean, error = prior or (0.0, math.inf)

@@ -361,6 +361,28 @@ def test_unknown_parameter_shows_the_nearest():
         parameter("qqqqqqq", shared=True)
 
 
+@pytest.mark.parametrize(
+    ("name", "known", "said"),
+    [
+        ("lambda", {"start": 100.0}, "lambda starts at 100, outside its bounds -20 to 50"),
+        ("zeta", {"bounds": (0.3, np.inf)}, "zeta are 0.3 to inf; both must be finite"),
+        ("zeta", {"bounds": (0.9, 0.3)}, "zeta are 0.9 to 0.3; the first must be less"),
+        ("zeta", {"bounds": (0.3, 0.9), "start": 1.0}, "outside its bounds 0.3 to 0.9"),
+        ("zeta", {"start": 0.0}, "zeta starts at 0, must be positive"),
+    ],
+)
+def test_bounds_and_starts_that_cannot_be_are_said_as_they_were_given(name, known, said):
+    with pytest.raises(InputError, match=said):
+        parameter(name, shared=True, **known)
+
+
+def test_bounds_that_leave_the_set_up_out_are_shown(slow_runs):
+    bounded = parameter("zeta", shared=True, bounds=(1.0, 2.0))
+    said = r"its terrain\.zeta is 0\.7823, outside the bounds 1 to 2; give a start within them"
+    with pytest.raises(InputError, match=said):
+        fit([coarse("run", slow_runs[0])], [bounded])
+
+
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_every_quantity_is_read_and_written_in_its_place(name):
     trial = setup_of().trial()

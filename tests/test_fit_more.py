@@ -380,7 +380,7 @@ def test_command_carries_the_bounds_of_zeta_over_to_its_phases(drft, log, tmp_pa
     toml = tmp_path / "fit.toml"
     toml.write_text('[[parameter]]\nname = "zeta"\nbounds = [0.3, 0.7]\n')
     refusal = drft("fit", log, "--zeta", "phases", "--parameters", toml).refusal
-    assert "terrain.zeta.stand is 0.7823, where no fit within its bounds" in refusal
+    assert "terrain.zeta.stand is 0.7823, outside the bounds 0.3 to 0.7" in refusal
 
 
 @pytest.mark.parametrize(
