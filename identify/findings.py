@@ -8,8 +8,6 @@ from identify.parameter import Parameter
 from identify.repeats import noise_floor
 from identify.result import SHOWN, RunFit, Value
 
-# A standard error of so much of the value, or more, tells little but the order of size.
-UNTOLD = 0.5
 # Two parameters closer than this move the runs alike.
 ALIKE = 0.999
 # Of a parameter's unit length: so much of it unseen is more than rounding, and so much of two that
@@ -38,13 +36,13 @@ def findings(
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
         for value in shared.values()
-        if not value.error <= UNTOLD * abs(value.value)
+        if not value.told
     ]
     told += [
         f"{run.name}: {value.label} cannot be identified from this run: {value}"
         for run in runs
         for value in run.values.values()
-        if not value.error <= UNTOLD * abs(value.value)
+        if not value.told
     ]
     told += [f"{label} has run into its bound" for label in bounded]
     told += _collinear(parameters, len(shared), runs, spread)

@@ -152,6 +152,12 @@ def quantity(name: str) -> Quantity:
     return every[full]
 
 
+def typical(name: str) -> float:
+    """A typical change of a quantity that may be zero, in its unit; zero for any other."""
+    known = (QUANTITIES | PHASE_QUANTITIES).get(SHORT_NAMES.get(name, name))
+    return known.bijector.scale if known and isinstance(known.bijector, Scaled) else 0.0
+
+
 def own(name: str, **known: Any) -> Parameter:
     """A parameter that each run has for itself; see `parameter`."""
     return parameter(name, shared=False, **known)

@@ -22,10 +22,9 @@ from drftjax.stress import REST_SPEED
 from drftjax.trial import Trial
 from identify.batch import Problem, device_mesh, make_batch
 from identify.candidate import STEPS_A_ROW
-from identify.findings import UNTOLD
 from identify.optimum import Optimum, linearised
 from identify.phases import PhaseZeta
-from identify.result import FitResult
+from identify.result import UNTOLD, FitResult
 from identify.uncertainty import Whitening, covariance
 
 FACTORS = (2.0, 4.0, 8.0, 16.0)
@@ -39,7 +38,7 @@ def with_reach(result: FitResult) -> FitResult:
     setups = [run.setup for run in result.runs]
     told = []
     for name, value in result.shared.items():
-        if value.error <= UNTOLD * abs(value.value):
+        if value.told:
             continue
         # What other runs would tell is no reason to lose what these do.
         with suppress(InputError):

@@ -18,6 +18,7 @@ from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import SetUp
+from identify.parameter import typical
 from identify.stem import files_of
 from identify.summary import summary_html, summary_text
 
@@ -35,7 +36,9 @@ SHOWN = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "to
 UNITS = {"x": "m", "z": "m", "fx": "N", "fz": "N", "torque": "N m"}
 
 
-# A standard error of so many times the value leaves nothing worth a place in a table.
+# A standard error of so much of the value, or more, tells little but the order of size; one of so
+# many times the value leaves nothing worth a place in a table.
+UNTOLD = 0.5
 NOTHING_TOLD = 100.0
 
 
@@ -54,9 +57,19 @@ class Value:
     unit: str
     label: str
 
+    @property
+    def size(self) -> float:
+        """What the error is held against: the value, or what it typically changes by if more."""
+        return max(abs(self.value), typical(self.label))
+
+    @property
+    def told(self) -> bool:
+        """Whether the runs tell more than its order of size."""
+        return self.error <= UNTOLD * self.size
+
     def cell(self) -> str:
         """Value and error, as a table shows them."""
-        if not self.error < NOTHING_TOLD * abs(self.value):
+        if not self.error < NOTHING_TOLD * self.size:
             return "not told"
         return f"{self.value:.5g} ± {self.error:.2g}"
 

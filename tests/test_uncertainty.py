@@ -76,3 +76,30 @@ def test_an_error_that_is_no_number_tells_nothing(error):
     nothing = np.zeros((0, 0))
     (sentence,) = findings([], {"terrain.inertial_coefficient": value}, [], nothing, [], nothing)
     assert sentence.startswith("lambda cannot be identified from these runs")
+
+
+@pytest.mark.parametrize(
+    ("label", "value", "error", "told"),
+    [
+        # A run without load tells its load to 0.035 N.
+        ("rig.drawbar_load", 0.0018, 0.035, True),
+        ("rig.drawbar_load", 0.0018, 0.9, False),
+        ("rig.drawbar_load", 4.0, 1.9, True),
+        ("start.sinkage", 1e-6, 1e-4, True),
+        ("lambda", 0.0018, 0.035, False),
+        ("zeta", 0.75, 0.38, False),
+        ("zeta.steady", 0.75, 0.37, True),
+    ],
+)
+def test_an_error_is_held_against_the_value_or_what_it_typically_changes_by(
+    label, value, error, told
+):
+    each = Value(value, error, "-", label)
+    assert each.told == told
+    nothing = np.zeros((0, 0))
+    assert (findings([], {label: each}, [], nothing, [], nothing) == []) == told
+
+
+def test_a_value_near_zero_has_a_place_in_the_table():
+    assert Value(1e-5, 0.035, "N", "rig.drawbar_load").cell() == "1e-05 ± 0.035"
+    assert Value(1e-5, 0.035, "-", "lambda").cell() == "not told"
