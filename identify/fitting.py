@@ -242,6 +242,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
                 before=before[index, picked, :length],
                 after=after[index, picked, :length],
                 status=states[index],
+                believed=(each.setup.wheel, each.setup.rig),
             )
         )
     ends = [*zip(problem.shared, shared_coordinates, strict=True)]

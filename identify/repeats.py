@@ -5,15 +5,28 @@ from itertools import pairwise
 
 import numpy as np
 
+from drftjax.runlog.record import Command
+from identify.observation import ROUNDING
 from identify.result import RunFit
+
+# Numbers of set-ups and commands are the same within this share of their size, and within so much
+# where they are zero: what files of different makers round.
+SAME, NOUGHT = 1e-6, 1e-9
+# A run that was stopped early repeats another where it holds this share of it.
+LEAST_SHARED = 0.5
 
 
 def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
-    """Groups of two or more runs with the same command, set-up and recorded times, by index."""
+    """Groups of two or more runs with the same command and believed set-up, by index.
+
+    Clocks may differ, and one run may have been stopped earlier than another.
+    """
     groups: list[list[int]] = []
+    commands = [run.setup.command.build() for run in runs]
     for index, run in enumerate(runs):
         for group in groups:
-            if _same(run, runs[group[0]]):
+            first = group[0]
+            if _same_built(run, runs[first]) and _same_command(commands[index], commands[first]):
                 group.append(index)
                 break
         else:
@@ -21,30 +34,56 @@ def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _same(run: RunFit, other: RunFit) -> bool:
-    ours, theirs = run.setup.command, other.setup.command
-    return (
-        run.channels == other.channels
-        and np.array_equal(run.time, other.time)
-        and (ours.time, ours.omega, ours.vx) == (theirs.time, theirs.omega, theirs.vx)
-        and run.setup.wheel == other.setup.wheel
-        and (run.setup.rig.mass_x, run.setup.rig.mass_z)
-        == (other.setup.rig.mass_x, other.setup.rig.mass_z)
+def _same_built(run: RunFit, other: RunFit) -> bool:
+    """Whether two runs of the same channels are believed to be of one wheel and rig."""
+    ours, theirs = (each.believed or (each.setup.wheel, each.setup.rig) for each in (run, other))
+    return run.channels == other.channels and all(
+        bool(abs(a - b) <= SAME * max(abs(a), abs(b)) + NOUGHT)
+        if isinstance(a := getattr(one, name), float)
+        and isinstance(b := getattr(another, name), float)
+        else a == getattr(another, name)
+        for one, another in zip(ours, theirs, strict=True)
+        for name in one.__struct_fields__
     )
+
+
+def _same_command(a: Command, b: Command) -> bool:
+    """Whether two commands agree for as long as both go on."""
+    if (a.vx is None) != (b.vx is None):
+        return False
+    ours, theirs = a.time - a.time[0], b.time - b.time[0]
+    end = min(ours[-1], theirs[-1])
+    if end < LEAST_SHARED * max(ours[-1], theirs[-1]):
+        return False
+    # Straight lines agree where they agree at the corners of both.
+    corners = np.union1d(ours, theirs)
+    corners = corners[corners <= end]
+
+    def agree(first: np.ndarray, second: np.ndarray) -> bool:
+        top = max(float(np.abs(first).max()), float(np.abs(second).max()))
+        apart = np.interp(corners, ours, first) - np.interp(corners, theirs, second)
+        return bool(np.abs(apart).max() <= SAME * top + NOUGHT)
+
+    return agree(a.omega, b.omega) and (a.vx is None or b.vx is None or agree(a.vx, b.vx))
 
 
 def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     """What two repeats differ by beyond their own fitted values, per run and channel [m, N, N m].
 
     Half the power of the difference of two runs' residuals is what neither model nor sand, the
-    same for both, can account for. Empty where no run was repeated.
+    same for both, can account for. One is read between its samples where the clocks differ. Empty
+    where no run was repeated.
     """
     powers: dict[str, list[float]] = {}
     for group in repeated(runs):
         for first, second in pairwise(group):
             a, b = runs[first], runs[second]
-            both = a.counts & b.counts
-            apart = (a.after - a.recorded) - (b.after - b.recorded)
-            for channel, difference in zip(a.channels, apart, strict=True):
-                powers.setdefault(channel, []).append(float(np.mean(difference[both] ** 2)) / 2)
+            told = b.time[b.counts]
+            both = a.counts & (a.time >= told[0] - ROUNDING) & (a.time <= told[-1] + ROUNDING)
+            if not both.any():
+                continue
+            for channel, residual in a.residuals.items():
+                beside = np.interp(a.time[both], told, b.residuals[channel][b.counts])
+                power = float(np.mean((residual[both] - beside) ** 2)) / 2
+                powers.setdefault(channel, []).append(power)
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}

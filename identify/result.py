@@ -17,7 +17,7 @@ from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
-from drftjax.setup import SetUp
+from drftjax.setup import RigSetUp, SetUp, WheelSetUp
 from identify.parameter import typical
 from identify.stem import files_of
 from identify.summary import summary_html, summary_text
@@ -95,6 +95,7 @@ class RunFit:
             one; "stalled", where more was to gain; "diverged", where it could no longer be
             simulated and was put aside, so that it does not bear on the others.
         path: zeta(t), where that was fitted.
+        believed: Its wheel and rig before the fit, where these are kept.
     """
 
     name: str
@@ -108,6 +109,7 @@ class RunFit:
     after: np.ndarray
     status: str = "converged"
     path: Any = None  # a ZetaPath; decoders of results evaluate annotations, and need none of it
+    believed: tuple[WheelSetUp, RigSetUp] | None = None
 
     @property
     def residuals(self) -> dict[str, np.ndarray]:

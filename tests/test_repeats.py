@@ -14,7 +14,8 @@ from drftjax.setup import SetUp
 from identify.candidate import Candidate, candidate
 from identify.cluster_command import _together
 from identify.findings import between
-from identify.lone_result import encoded
+from identify.lone_result import decoded, encoded
+from identify.repeats import noise_floor, repeated
 from identify.result import FitResult, RunFit, Value
 from tests.virtual_runs import recorded, setup_of
 
@@ -137,6 +138,62 @@ def fitted(name: str, zeta: float, wrong: float = 0.0, status: str = "converged"
         after=simulated,
         status=status,
     )
+
+
+def altered(run: RunFit, delay: float = 0.0, samples: int | None = None, **numbers) -> RunFit:
+    """The same run by another clock, of fewer samples, or with other numbers in its set-up."""
+    kept = slice(samples)
+    setup = copy.deepcopy(run.setup)
+    for name, value in numbers.items():
+        part, field = name.split("_", 1)
+        setattr(getattr(setup, part), field, value)
+    channels = {n: getattr(run, n)[:, kept] for n in ("recorded", "before", "after")}
+    time, counts = run.time[kept] + delay, run.counts[kept]
+    return dataclasses.replace(run, setup=setup, time=time, counts=counts, **channels)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"delay": 1e-3},
+        {"samples": -1},
+        {"command_omega": [0.0, 0.0, 0.5 + 1e-12, 0.5]},
+        {"command_time": [7.0, 7.3, 8.3, 9.0]},
+        {"rig_mass_z": 18.837 * (1 + 1e-9)},
+    ],
+)
+def test_clocks_and_roundings_make_no_other_run(other):
+    run = fitted("a", 0.7)
+    assert repeated([run, altered(run, **other)]) == [[0, 1]]
+    # What differs by half a millimetre differs by it, whatever the clocks.
+    off = fitted("b", 0.7, 5e-4)
+    floor = noise_floor([run, altered(off, **other)])
+    assert floor == pytest.approx({"z": 5e-4 / np.sqrt(2)})
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"rig_drawbar_load": 30.0},
+        {"rig_mass_z": 18.85},
+        {"rig_carriage": "driven"},
+        {"wheel_grouser_height": 0.017},
+        {"command_omega": [0.0, 0.0, 0.5, 0.51]},
+    ],
+)
+def test_fits_of_another_load_wheel_or_command_are_no_repeats(other):
+    run = fitted("a", 0.7)
+    assert repeated([run, altered(run, **other)]) == []
+
+
+def test_a_rig_is_compared_as_it_was_believed_to_be():
+    run = fitted("a", 0.7)
+    other = altered(run, rig_mass_z=18.9)
+    believed = (run.setup.wheel, run.setup.rig)
+    fits = [dataclasses.replace(each, believed=believed) for each in (run, other)]
+    assert repeated(fits) == [[0, 1]]
+    (again,) = decoded(encoded(FitResult({}, fits[1:], "converged", 1, {}))).run.believed[1:]
+    assert again == run.setup.rig
 
 
 def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
