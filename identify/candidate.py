@@ -27,6 +27,8 @@ START_WINDOW = 0.2
 # A wheel still settles where a straight line through that rises by more than so many standard
 # errors: instruments' slow errors reach ten.
 SETTLING = 30.0
+# What a measured or rounded command moves by while the wheel rests [m]: less than scales tell.
+STILL = 1e-5
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def candidate(
             else step
         )
         # Of a wheel that sets off sooner, no more than its rest tells the start.
-        window = min(START_WINDOW, _sets_off(run) + ROUNDING)
+        window = min(START_WINDOW, _sets_off(run, setup.wheel.radius) + ROUNDING)
         early = observation.time <= max(window, observation.time[0])
         told = early.sum() > 1 or window < START_WINDOW
         if _settles(observation, early):
@@ -101,13 +103,15 @@ def candidate(
         raise InputError(f"{name}: {problem}") from None
 
 
-def _sets_off(run: RunLog) -> float:
+def _sets_off(run: RunLog, radius: float) -> float:
     """Time from the run's start up to which neither wheel nor carriage is asked to move [s]."""
     command = run.command
-    moving = command.omega != 0
-    if command.vx is not None:
-        moving |= command.vx != 0
-    last = max(int(np.argmax(moving)) - 1, 0)
+    speeds = np.stack(
+        [radius * command.omega, 0 * command.omega if command.vx is None else command.vx]
+    )
+    steps = np.diff(command.time) * (speeds[:, 1:] + speeds[:, :-1]) / 2
+    gone = np.abs(np.cumsum(steps, axis=1)).max(axis=0) > STILL
+    last = int(np.argmax(gone)) if gone.any() else len(gone)
     return float(command.time[last] - command.time[0])
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.saved import thinned
 from identify.batch import Problem
 from identify.candidate import Candidate
+from identify.corners import cornered
 from identify.parameter import Parameter
 from identify.solve import Coordinates, Solution
 from identify.uncertainty import Whitening, covariance
@@ -138,7 +138,7 @@ def phases_of(candidates: tuple[Candidate, ...], counts: np.ndarray) -> np.ndarr
     """Number of the phase of the command (a straight piece of it) that each sample falls in."""
     phases = np.zeros((counts.shape[0], counts.shape[2]), int)
     for index, each in enumerate(candidates):
-        knots = np.asarray(thinned(each.setup.command).time)
+        knots = np.asarray(cornered(each.setup.command).time)
         time = each.observation.time + knots[0]
         phases[index, : len(time)] = np.searchsorted(knots, time, side="right")
     return phases

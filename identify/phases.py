@@ -11,10 +11,10 @@ from jaxtyping import Array, Float, Int
 
 from drftjax.command import Command, with_zeros
 from drftjax.errors import InputError
-from drftjax.saved import thinned
 from drftjax.scaling import AbstractZeta, ConstantZeta
 from drftjax.setup import SetUp, ZetaKnots
 from identify.candidate import Candidate
+from identify.corners import SCATTER, cornered
 from identify.observation import ROUNDING
 from identify.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
@@ -54,22 +54,23 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
     """Start, end [s] from the run's start, and name of each phase of a command, in order.
 
     The wheel's speed decides, either way, or the carriage's where the wheel never turns. One that
-    turns back slows down and speeds up again.
+    turns back slows down and speeds up again. What a measured speed scatters by is no phase.
     """
-    command = thinned(setup.command).build() if setup.command.vx is None else setup.command.build()
+    command = cornered(setup.command).build()
     turns = command.omega.any() or command.vx is None
     moving = command.omega if turns else command.vx
     assert moving is not None
+    top = max(float(np.abs(moving).max()), np.finfo(float).tiny)
+    moving = np.where(np.abs(moving) <= SCATTER * top, 0.0, moving)
     time, moving = with_zeros(command.time - command.time[0], moving)
     speed = np.abs(moving)
-    top = max(float(speed.max()), np.finfo(float).tiny)
     found: list[tuple[float, float, str]] = []
     moved = False
     for begin, end, first, last in zip(time, time[1:], speed, speed[1:], strict=False):
         change = (last - first) / (end - begin) / top
         if first == 0 and last == 0:
             name = "rest" if moved else "stand"
-        elif abs(change) < STEADY_CHANGE:
+        elif abs(change) < STEADY_CHANGE or abs(last - first) <= SCATTER * top:
             name = "steady"
         else:
             name = "accelerate" if change > 0 else "decelerate"

@@ -1,0 +1,64 @@
+"""The corners of a command: where it bends, for all that was measured or rounded in between."""
+
+import numpy as np
+
+from drftjax.saved import thinned
+from drftjax.setup import CommandSetUp
+
+# What a measured or rounded speed is off by, as a share of the largest of its run.
+SCATTER = 0.02
+
+
+def cornered(command: CommandSetUp) -> CommandSetUp:
+    """The command as few straight lines, none further from its knots than `SCATTER`.
+
+    Knots that are left out lie on the lines; those that are kept are as they were.
+    """
+    command = thinned(command)
+    channels = [np.asarray(c, float) for c in (command.omega, command.vx) if c is not None]
+    largest = [max(float(np.abs(c).max()), np.finfo(float).tiny) for c in channels]
+    time = np.asarray(command.time, float)
+    values = np.stack([c / most for c, most in zip(channels, largest, strict=True)])
+    kept = _fewer(time, values, _split(time, values))
+
+    def at(column: list[float]) -> list[float]:
+        return [column[knot] for knot in kept]
+
+    vx = None if command.vx is None else at(command.vx)
+    return CommandSetUp(at(command.time), at(command.omega), vx, command.omega_unit)
+
+
+def _off(time: np.ndarray, values: np.ndarray, first: int, last: int) -> np.ndarray:
+    """How far the knots between two lie from the line that joins these."""
+    between = slice(first + 1, last)
+    share = (time[between] - time[first]) / (time[last] - time[first])
+    line = values[:, first, None] + share * (values[:, last] - values[:, first])[:, None]
+    return np.abs(values[:, between] - line).max(axis=0)
+
+
+def _split(time: np.ndarray, values: np.ndarray) -> list[int]:
+    """Knots that lines must pass: each stretch is split where it is furthest from straight."""
+    kept, left = {0, len(time) - 1}, [(0, len(time) - 1)]
+    while left:
+        first, last = left.pop()
+        off = _off(time, values, first, last)
+        if off.max(initial=0.0) > SCATTER:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            left += [(first, middle), (middle, last)]
+    return sorted(kept)
+
+
+def _fewer(time: np.ndarray, values: np.ndarray, kept: list[int]) -> list[int]:
+    """The same without knots that the line between their neighbours passes as well.
+
+    A split falls anywhere on a level stretch, where scatter is largest.
+    """
+    while True:
+        off = [
+            _off(time, values, before, after).max()
+            for before, after in zip(kept, kept[2:], strict=False)
+        ]
+        if not off or min(off) > SCATTER:
+            return kept
+        del kept[1 + int(np.argmin(off))]
