@@ -54,11 +54,16 @@ def _fewer(time: np.ndarray, values: np.ndarray, kept: list[int]) -> list[int]:
 
     A split falls anywhere on a level stretch, where scatter is largest.
     """
-    while True:
-        off = [
-            _off(time, values, before, after).max()
-            for before, after in zip(kept, kept[2:], strict=False)
-        ]
-        if not off or min(off) > SCATTER:
-            return kept
-        del kept[1 + int(np.argmin(off))]
+
+    def off(place: int) -> float:
+        return float(_off(time, values, kept[place - 1], kept[place + 1]).max())
+
+    kept = list(kept)
+    least = [off(place) for place in range(1, len(kept) - 1)]
+    while least and min(least) <= SCATTER:
+        place = 1 + int(np.argmin(least))
+        del kept[place], least[place - 1]
+        for beside in (place - 1, place):
+            if 0 < beside < len(kept) - 1:
+                least[beside - 1] = off(beside)
+    return kept

@@ -77,4 +77,5 @@ def test_a_measured_command_rests_while_it_scatters_about_zero():
     assert starts[0] == starts[1]
     creeping = np.maximum(noisy(0.0), 0.01)
     creeps = dataclasses.replace(run, command=Command(time=DENSE, omega=creeping))
+    assert run.measured.x is not None
     assert candidate("run", creeps).setup.start.x == run.measured.x[0]
