@@ -154,7 +154,8 @@ def quantity(name: str) -> Quantity:
 
 def typical(name: str) -> float:
     """A typical change of a quantity that may be zero, in its unit; zero for any other."""
-    known = (QUANTITIES | PHASE_QUANTITIES).get(SHORT_NAMES.get(name, name))
+    full = SHORT_NAMES.get(name, name)
+    known = (QUANTITIES | PHASE_QUANTITIES).get(full) or effect_quantity(full)
     return known.bijector.scale if known and isinstance(known.bijector, Scaled) else 0.0
 
 

@@ -94,3 +94,11 @@ def test_every_number_of_the_catalogue_can_be_fitted(model):
         assert np.isfinite(each.bijector.coordinate(value)), name
         moved = each.write(trial, value + 0.01)
         assert float(each.read(moved)) == pytest.approx(float(value) + 0.01, rel=ROUNDING), name
+
+
+def test_effect_that_is_not_there_is_told_to_be_small(model):
+    """An error well under its typical size says something, though it is more than the value."""
+    found = identify.fit(made_with(seed=3), model, ["zeta", "drawbar.force"])
+    force = found.values["drawbar.force"]
+    assert abs(force.value) < FAR * force.error < 5.0
+    assert not any("drawbar.force cannot be identified" in said for said in found.findings)
