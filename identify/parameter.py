@@ -213,8 +213,8 @@ def parameter(
         low, high = bijector.low, bijector.high
         if not low < start < high:
             raise InputError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
-    elif start is not None and isinstance(bijector, Positive) and start <= 0:
-        raise InputError(f"{name} starts at {start:g}, must be positive")
+    elif start is not None and isinstance(bijector, Positive) and not 0 < start < math.inf:
+        raise InputError(f"{name} starts at {start:g}, must be positive and finite")
     mean, error = prior or (0.0, math.inf)
     if not error > 0 or not math.isfinite(mean):
         raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be positive")

@@ -369,6 +369,7 @@ def test_unknown_parameter_shows_the_nearest():
         ("zeta", {"bounds": (0.9, 0.3)}, "zeta are 0.9 to 0.3; the first must be less"),
         ("zeta", {"bounds": (0.3, 0.9), "start": 1.0}, "outside its bounds 0.3 to 0.9"),
         ("zeta", {"start": 0.0}, "zeta starts at 0, must be positive"),
+        ("zeta", {"start": np.inf}, "zeta starts at inf, must be positive and finite"),
     ],
 )
 def test_bounds_and_starts_that_cannot_be_are_said_as_they_were_given(name, known, said):
