@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnose.bench import Bench
 from diagnose.case import Case
+from diagnose.caveats import caveats
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, foremost, left_of
@@ -204,7 +205,7 @@ def diagnose(
     rival = _rival(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
-    notes = [how, *_warnings(case)]
+    notes = [how, *caveats(case)]
     signal = None
     if verdict != (NONE,):
         lies = stages(case, found.none.log_zeta)
@@ -362,24 +363,6 @@ def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]
         unit = numbers(effect)[free.field]["unit"]
         fields[free.field] = Number(value, float(scale * spread), unit)
     return found
-
-
-def _warnings(case: Case) -> list[str]:
-    """What these runs cannot say, whatever comes of them."""
-    notes = []
-    if len(case.candidates) == 1:
-        notes.append(
-            "One run only: nothing can be predicted that was not fitted, and no repeat shows what "
-            "is chance; what follows is a description of this run, not a finding."
-        )
-    elif len(conditions_of(case)) == 1:
-        notes.append(
-            "All runs have one command and load: no run of another condition checks the effect."
-        )
-    for missing in ("x", "z"):
-        if missing not in case.channels:
-            notes.append(f"No run has {missing}: effects that show in it cannot be told apart.")
-    return notes
 
 
 def conditions_of(case: Case) -> list[list[int]]:

@@ -20,6 +20,7 @@ from drftjax.effects.catalogue import spoken
 from drftjax.integrator import sharpest_ramp, steady_step
 from drftjax.trial import Trial
 from identify.candidate import STEPS_A_ROW
+from identify.observation import comparable
 
 CHANNELS = ("x", "z", "fx", "fz", "torque")
 UNITS = {"x": "mm", "z": "mm", "fx": "N", "fz": "N", "torque": "N m"}
@@ -77,7 +78,7 @@ def next_run(
 
     Returns:
         Plain values: `tells` the two apart, `run` to make, and `channel` to record on a run as
-        made; either is None where nothing helps.
+        made, among those that a diagnosis compares; either is None where nothing helps.
     """
     floor = {"fx": FORCE_FLOOR, "fz": FORCE_FLOOR, "torque": TORQUE_FLOOR} | dict(floors)
     base = _typical(case)
@@ -98,8 +99,11 @@ def next_run(
                 )
             )
     recorded = set(case.channels)
+    missing = (
+        set(comparable(driven=case.candidates[base].setup.rig.carriage == "driven")) - recorded
+    )
     new = [p for p in proposals if p.channel in recorded and p.run != variations[0][0]]
-    now = [p for p in proposals if p.channel not in recorded and p.run == variations[0][0]]
+    now = [p for p in proposals if p.channel in missing and p.run == variations[0][0]]
     return {
         "tells": ["+".join(spoken(each.names) or ("none",)) for each in (first, second)],
         "run": _best(new),

@@ -30,6 +30,7 @@ class Observation:
         values: What was recorded [m, N, N m], shape (channels, samples).
         noise: Standard deviation of the instrument's white noise, shape (channels,).
         counts: True for samples that are compared, shape (samples,).
+        unused: Channels that were recorded and are not compared.
     """
 
     time: np.ndarray
@@ -37,6 +38,7 @@ class Observation:
     values: np.ndarray
     noise: np.ndarray
     counts: np.ndarray
+    unused: tuple[str, ...] = ()
 
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
         """Values and noise by the channel's name."""
@@ -44,6 +46,11 @@ class Observation:
             name: (values, float(noise))
             for name, values, noise in zip(self.channels, self.values, self.noise, strict=True)
         }
+
+
+def comparable(driven: bool) -> tuple[str, ...]:
+    """Channels that are compared where they are recorded, with a driven or a free carriage."""
+    return DRIVEN_CHANNELS if driven else FREE_CHANNELS
 
 
 def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
@@ -60,8 +67,9 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     Raises:
         InputError: where the run has none of them, never moves, or was not recorded meanwhile.
     """
-    wanted = FREE_CHANNELS if run.command.vx is None else DRIVEN_CHANNELS
-    channels = tuple(each for each in wanted if getattr(run.measured, each) is not None)
+    wanted = comparable(driven=run.command.vx is not None)
+    recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
+    channels = tuple(each for each in wanted if each in recorded)
     if not channels:
         raise InputError(f"nothing to compare; /measured has none of {', '.join(wanted)}")
     vx = run.command.vx
@@ -75,7 +83,8 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     counts = time <= (end if keep_rest else min(end, _last_motion(run))) + ROUNDING
     if not counts.any():
         raise InputError("nothing to compare; no sample lies within the commanded profile")
-    return Observation(time, channels, values, np.array(noise), counts)
+    unused = tuple(each for each in recorded if each not in wanted)
+    return Observation(time, channels, values, np.array(noise), counts, unused)
 
 
 def _last_motion(run: RunLog) -> float:

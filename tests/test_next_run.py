@@ -10,6 +10,7 @@ from drftjax.integrator import STEPS
 from tests.virtual_cases import case_with
 
 FLOORS = {"x": 80e-6, "z": 30e-6}
+NAMES = ("drawbar", "horizontal_coulomb")
 
 
 @pytest.fixture(scope="module")
@@ -17,15 +18,22 @@ def pulled():
     return case_with({"name": "drawbar", "force": -3.0})
 
 
-def test_it_names_the_run_that_parts_two_explanations(pulled):
+@pytest.fixture(scope="module")
+def advice(pulled):
     # Both push back, or on, all the while as long as the carriage only goes forward.
-    names = ("drawbar", "horizontal_coulomb")
-    singles = {each.names: each for each in search(pulled, [*map(effect_class, names)]).singles}
-    first, second = (singles[(name,)] for name in names)
-    advice = next_run(pulled, first, second, FLOORS)
-    assert advice["tells"] == list(names)
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    return next_run(pulled, *(singles[(name,)] for name in NAMES), FLOORS)
+
+
+def test_it_names_the_run_that_parts_two_explanations(advice):
+    assert advice["tells"] == list(NAMES)
     assert "backward" in advice["run"]["run"]
     assert advice["run"]["floors"] > TELLING
+
+
+def test_no_channel_is_asked_for_that_a_diagnosis_would_not_compare(advice):
+    # Torque parts a pull from friction on the very runs made, but not in a diagnosis.
+    assert advice["channel"] is None
 
 
 def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):

@@ -1,0 +1,47 @@
+"""What a case's runs cannot say, whatever comes of them."""
+
+from diagnose.case import Case
+from diagnose.left_out import conditions
+from identify.observation import comparable
+
+
+def caveats(case: Case) -> list[str]:
+    """What these runs cannot say, in sentences."""
+    return [*_of_conditions(case), *_of_channels(case)]
+
+
+def _of_conditions(case: Case) -> list[str]:
+    if len(case.candidates) == 1:
+        return [
+            "One run only: nothing can be predicted that was not fitted, and no repeat shows what "
+            "is chance; what follows is a description of this run, not a finding."
+        ]
+    if len(conditions(case.candidates)) == 1:
+        return [
+            "All runs have one command and load: no run of another condition checks the effect."
+        ]
+    return []
+
+
+def _of_channels(case: Case) -> list[str]:
+    """Channels that are given, lack in all runs or in some, or are not compared."""
+    driven = case.candidates[0].setup.rig.carriage == "driven"
+    notes = []
+    if driven:
+        notes.append(
+            "The carriage was driven: x is given, and effects show in sinkage, forces and torque."
+        )
+    for channel in comparable(driven):
+        lacking = [c.name for c in case.candidates if channel not in c.observation.channels]
+        if len(lacking) == len(case.candidates):
+            notes.append(f"No run has {channel}: effects that show in it cannot be told apart.")
+        elif lacking:
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            notes.append(f"{', '.join(lacking)} {lack} {channel}, which other runs have.")
+    unused = sorted({channel for c in case.candidates for channel in c.observation.unused})
+    if unused and not driven:
+        was = "was" if len(unused) == 1 else "were"
+        notes.append(
+            f"{', '.join(unused)} {was} recorded and not compared: of a free carriage x and z are."
+        )
+    return notes
