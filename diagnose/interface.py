@@ -12,7 +12,7 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
 from diagnose.model_file import effects_found, read_effects
-from diagnose.runs import gather, of_one_wheel
+from diagnose.runs import from_one_start, gather, of_one_wheel
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -120,7 +120,8 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
     candidates = candidates_of(runs)
     if not candidates:
         raise InputError("there is no run: give files, folders or run logs")
-    return of_one_wheel(candidates)
+    kept = of_one_wheel(candidates)
+    return Gathered(from_one_start(kept.candidates), kept.left_out)
 
 
 def diagnosed(

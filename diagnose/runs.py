@@ -1,15 +1,19 @@
 """Run logs on their way into a diagnosis: found, read in a guarded way, and of one wheel."""
 
+import copy
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from drftjax.errors import InputError
-from identify.candidate import Candidate
+from identify.candidate import STEPS_A_ROW, Candidate
 from identify.gathering import Gathered
 from identify.gathering import gather as gather_runs
 
 # Wheels are the same where their lengths agree to so many places of a millimetre.
 PLACES = 3
+# x counts from where the runs start if they start farther from zero than this [m].
+AT_ZERO = 0.01
 
 
 def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) -> Gathered:
@@ -26,7 +30,7 @@ def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) 
     kept = of_one_wheel(gathered.candidates)
     for why in kept.left_out.values():
         tell(f"left out: {why}")
-    return Gathered(kept.candidates, gathered.left_out | kept.left_out)
+    return Gathered(from_one_start(kept.candidates), gathered.left_out | kept.left_out)
 
 
 def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
@@ -51,6 +55,34 @@ def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
         for each in runs
     }
     return Gathered(kept, others)
+
+
+def from_one_start(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Runs whose x counts from the start nearest to zero.
+
+    All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
+    x = 0; those that set-ups hold already have places of the recorded x, and nothing is moved.
+    """
+    starts = [each.setup.start.x for each in candidates]
+    nearest = min(starts, key=abs)
+    known = any(each.setup.effects for each in candidates)
+    recorded = all("x" in each.observation.channels for each in candidates)
+    if known or not recorded or abs(nearest) <= AT_ZERO:
+        return list(candidates)
+    return [_moved(each, -nearest) for each in candidates]
+
+
+def _moved(each: Candidate, way: float) -> Candidate:
+    setup, observation = copy.deepcopy(each.setup), each.observation
+    setup.start.x += way
+    values = observation.values.copy()
+    values[observation.channels.index("x")] += way
+    return dataclasses.replace(
+        each,
+        setup=setup,
+        trial=setup.trial(STEPS_A_ROW * setup.integrator.step),
+        observation=dataclasses.replace(observation, values=values),
+    )
 
 
 def _kind(each: Candidate) -> str:
