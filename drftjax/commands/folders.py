@@ -10,11 +10,11 @@ def leaves_no_empty_folder(command: Callable[..., None]) -> Callable[..., None]:
     """The command, but a folder for its results that it made goes again if it stays empty."""
 
     @wraps(command)
-    def tidy(**arguments: object) -> None:
-        places = [each for each in arguments.values() if isinstance(each, Path)]
+    def tidy(*given: object, **named: object) -> None:
+        places = [each for each in (*given, *named.values()) if isinstance(each, Path)]
         new = {folder for each in places for folder in (each, *each.parents) if not folder.exists()}
         try:
-            command(**arguments)
+            command(*given, **named)
         finally:
             for folder in sorted(new, reverse=True):  # those inside others first
                 with suppress(OSError):
