@@ -33,15 +33,17 @@ def _of_channels(case: Case) -> list[str]:
         )
     for channel in comparable(driven):
         lacking = [c.name for c in case.candidates if channel not in c.observation.channels]
-        if len(lacking) == len(case.candidates):
+        # Torque of a free carriage is more than most rigs record.
+        if len(lacking) == len(case.candidates) and (driven or channel != "torque"):
             notes.append(f"No run has {channel}: effects that show in it cannot be told apart.")
-        elif lacking:
+        elif lacking and len(lacking) < len(case.candidates):
             lack = "lacks" if len(lacking) == 1 else "lack"
             notes.append(f"{', '.join(lacking)} {lack} {channel}, which other runs have.")
     unused = sorted({channel for c in case.candidates for channel in c.observation.unused})
     if unused and not driven:
         was = "was" if len(unused) == 1 else "were"
         notes.append(
-            f"{', '.join(unused)} {was} recorded and not compared: of a free carriage x and z are."
+            f"{', '.join(unused)} {was} recorded and not compared: of a free carriage x, z and "
+            "torque are."
         )
     return notes

@@ -8,7 +8,7 @@ from drftjax.errors import InputError
 from drftjax.runlog.record import RunLog
 
 CHANNELS = ("x", "z", "fx", "fz", "torque")
-FREE_CHANNELS = ("x", "z")
+FREE_CHANNELS = ("x", "z", "torque")
 DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 
 # An instrument's noise cannot be told finer than this [m, N, N m].
@@ -56,7 +56,8 @@ def comparable(driven: bool) -> tuple[str, ...]:
 def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     """The channels of a run that its simulation predicts.
 
-    With a free carriage these are x and z, with a driven one z and the forces: x is then given.
+    With a free carriage these are x, z and torque, with a driven one z, the forces and torque: x is
+    then given.
 
     Args:
         run: What was recorded.

@@ -31,9 +31,10 @@ def test_it_names_the_run_that_parts_two_explanations(advice):
     assert advice["run"]["floors"] > TELLING
 
 
-def test_no_channel_is_asked_for_that_a_diagnosis_would_not_compare(advice):
-    # Torque parts a pull from friction on the very runs made, but not in a diagnosis.
-    assert advice["channel"] is None
+def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
+    assert advice["channel"]["channel"] == "torque"
+    assert advice["channel"]["floors"] > TELLING
+    assert advice["channel"]["unit"] == "N m"
 
 
 def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):
