@@ -71,9 +71,11 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     wanted = comparable(driven=run.command.vx is not None)
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)
-    if not channels:
-        raise InputError(f"nothing to compare; /measured has none of {', '.join(wanted)}")
     vx = run.command.vx
+    # Torque alone does not say how deep a free wheel is.
+    needed = ("x", "z") if vx is None else wanted
+    if not set(needed) & set(channels):
+        raise InputError(f"nothing to compare; /measured has none of {', '.join(needed)}")
     if not np.any(run.command.omega) and (vx is None or not np.any(vx)):
         raise InputError("the commanded profile never moves the wheel")
     values = np.stack([getattr(run.measured, each) for each in channels])
