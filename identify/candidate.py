@@ -25,8 +25,8 @@ STEPS_A_ROW = 5
 # Recorded sinkage and travel are averaged over so much of the rest before the run [s].
 START_WINDOW = 0.2
 # A wheel still settles where a straight line through that rises by more than so many standard
-# errors: instruments' slow errors reach ten.
-SETTLING = 30.0
+# errors (instruments' slow errors reach ten), and by more than so much in that time [m].
+SETTLING, SETTLED = 30.0, 2e-4
 # What a measured or rounded command moves by while the wheel rests [m]: less than scales tell.
 STILL = 1e-5
 
@@ -117,14 +117,18 @@ def _sets_off(run: RunLog, radius: float) -> float:
 
 def _settles(observation: Observation, early: np.ndarray) -> bool:
     """Whether the wheel moves by more than its instruments' noise in these samples."""
+    if early.sum() < 3:
+        return False
     time = observation.time[early] - observation.time[early].mean()
-    error = observation.noise * np.sqrt(time @ time)
-    rises = [
-        abs(time @ values[early]) > SETTLING * least
-        for name, values, least in zip(observation.channels, observation.values, error, strict=True)
-        if name in ("x", "z")
-    ]
-    return early.sum() > 2 and any(rises)
+    spread = time @ time
+    for name, values, noise in zip(
+        observation.channels, observation.values, observation.noise, strict=True
+    ):
+        slope = abs(time @ values[early]) / spread
+        least = max(SETTLING * noise / np.sqrt(spread), SETTLED / np.ptp(time))
+        if name in ("x", "z") and slope > least:
+            return True
+    return False
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:
