@@ -232,6 +232,7 @@ class FitResult:
             "status": self.status,
             "steps": self.steps,
             "shared": msgspec.to_builtins(self.shared),
+            "covariance": {"of": list(self.labels), "values": self.covariance.tolist()},
             "starts": msgspec.to_builtins(self.starts),
             "profiles": [
                 {

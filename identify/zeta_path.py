@@ -1,8 +1,8 @@
 r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
 
-The run is simulated with zeta linear between knots, and the logarithms u of its values there are
-fitted to recorded sinkage and, once that is met, to travel too. The prior is a discrete cubic
-smoothing spline's,
+The logarithm of zeta is a natural cubic spline through knots, simulated as short straight lines;
+its values u at the knots are fitted to recorded sinkage and, once that is met, to travel too. The
+prior is a discrete cubic smoothing spline's,
 
 $$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
 
@@ -40,6 +40,7 @@ from identify.evidence import (
     smoothness_prior,
 )
 from identify.observation import SMALLEST_NOISE, Observation
+from identify.spline import between, cardinal
 
 CHANNELS = ("z", "x")
 KNOT_SPACING = 1.0
@@ -82,7 +83,7 @@ class ZetaPath:
     Attributes:
         name: The run, as reports call it.
         time: Knots from the run's start [s], shape (knots,).
-        value: zeta there [-].
+        value: zeta there [-]; its logarithm is a natural cubic spline between them.
         error: Standard errors [-]; infinite where no sample depends on a knot.
         told: Whether the knot's own samples tell anything of it.
         weight: Weight w of the squared second differences of log zeta.
@@ -108,8 +109,8 @@ class ZetaPath:
     setup: SetUp
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """zeta at `time` [s]."""
-        return np.interp(time, self.time, self.value)
+        """zeta at `time` [s], on the spline through the knots."""
+        return np.exp(cardinal(self.time, np.asarray(time)) @ np.log(self.value))
 
     def contradiction(self) -> str | None:
         """In words, that no zeta(t) meets both sinkage and travel; None where one does."""
@@ -148,26 +149,32 @@ def zeta_paths(
 def _paths_of_alike(candidates: Sequence[Candidate], knot_spacing: float) -> list[ZetaPath]:
     """`zeta_paths` of runs that have the same channels."""
     grids = [_knots(each, knot_spacing) for each in candidates]
-    most = max(len(grid) for grid in grids)
+    longest = max(grids, key=len)
+    most, lines = len(longest), len(between(longest))
     trials = [
-        _with_knots(each.trial, _padded(grid, most))
+        _drawn(each.trial, _padded(between(grid), lines))
         for each, grid in zip(candidates, grids, strict=True)
     ]
     batch = make_batch(trials, [_compared(each) for each in candidates])
     fits = [
-        _Fit(each, batch, number, len(grid))
+        _Fit(each, batch, number, grid)
         for number, (each, grid) in enumerate(zip(candidates, grids, strict=True))
     ]
+    curves = np.zeros((len(fits), lines, most))
+    for curve, grid in zip(curves, grids, strict=True):
+        drawn = cardinal(grid, between(grid))
+        curve[: len(drawn), : len(grid)] = drawn
+    curves = jnp.asarray(curves)
     while not all(fit.settled for fit in fits):
         # Knots after a run's last one bear on nothing.
         coordinates = jnp.asarray(
             [np.insert(f.coordinates, [f.knots] * (most - f.knots), 0.0) for f in fits]
         )
-        predicted, derivative = map(np.asarray, _evaluate(batch, coordinates))
+        predicted, derivative = map(np.asarray, _evaluate(batch, curves, coordinates))
         for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
             if not fit.settled:
                 fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
-    return [fit.path(grid) for fit, grid in zip(fits, grids, strict=True)]
+    return [fit.path() for fit in fits]
 
 
 def _knots(each: Candidate, spacing: float) -> np.ndarray:
@@ -201,16 +208,22 @@ def _instruments(observation: Observation, spacing: float) -> dict[str, Instrume
     }
 
 
-def _padded(grid: np.ndarray, length: int) -> np.ndarray:
-    """Further knots after the run, which nothing depends on."""
-    return np.concatenate([grid, grid[-1] + np.arange(1.0, length - len(grid) + 1)])
+def _padded(ends: np.ndarray, length: int) -> np.ndarray:
+    """Further ends of lines after the run, which nothing depends on."""
+    return np.concatenate([ends, ends[-1] + np.arange(1.0, length - len(ends) + 1)])
 
 
-def _with_knots(trial: Trial, grid: np.ndarray) -> Trial:
-    start = trial.simulator.terrain.zeta
+def _drawn(trial: Trial, ends: np.ndarray) -> Trial:
+    """The trial with straight lines of zeta that end here [s]."""
+    return eqx.tree_at(
+        lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, _believed_zeta(trial, ends))
+    )
+
+
+def _believed_zeta(trial: Trial, time: np.ndarray) -> np.ndarray:
+    zeta = trial.simulator.terrain.zeta
     first = Command(trial.omega[0], trial.vx[0], trial.omega[0])  # no set-up's zeta reads it
-    zeta = [float(start(jnp.asarray(t), first)) for t in grid]
-    return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(grid, zeta))
+    return np.array([float(zeta(jnp.asarray(t), first)) for t in time])
 
 
 def _compared(each: Candidate) -> Observation:
@@ -240,34 +253,48 @@ def _moves(trial: Trial, grid: np.ndarray) -> np.ndarray:
 # The simulation and its derivative ----------------------------------------------------------------
 
 
-def placed(trial: Trial, coordinates: Float[Array, " all"]) -> Trial:
-    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD]."""
-    knots = trial.simulator.terrain.zeta.value.shape[0]  # pyright: ignore
+def placed(
+    trial: Trial, curve: Float[Array, "ends knots"], coordinates: Float[Array, " all"]
+) -> Trial:
+    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD].
+
+    Args:
+        trial: A trial whose zeta is straight lines.
+        curve: The spline that they draw, from `identify.spline.cardinal`.
+        coordinates: Log zeta at the spline's knots, and the start's two.
+    """
+    knots = curve.shape[1]
     trial = eqx.tree_at(
-        lambda t: t.simulator.terrain.zeta.value, trial, jnp.exp(coordinates[:knots])
+        lambda t: t.simulator.terrain.zeta.value, trial, jnp.exp(curve @ coordinates[:knots])
     )
     moved = trial.start.position + START_SPREAD * coordinates[knots:]
     return eqx.tree_at(lambda t: t.start.position, trial, moved)
 
 
 def predicted(
-    trial: Trial, observed: Observed, channels: tuple[str, ...], coordinates: Float[Array, " all"]
+    trial: Trial,
+    observed: Observed,
+    channels: tuple[str, ...],
+    curve: Float[Array, "ends knots"],
+    coordinates: Float[Array, " all"],
 ) -> Float[Array, "channels samples"]:
     """Simulated channels of one run at its recorded times [m]."""
-    return sampled(placed(trial, coordinates).run(), observed, channels)
+    return sampled(placed(trial, curve, coordinates).run(), observed, channels)
 
 
 @eqx.filter_jit
-def _evaluate(batch: Batch, coordinates: Float[Array, "runs all"]):
-    def one(trial: Trial, observed: Observed, at: Float[Array, " all"]):
+def _evaluate(
+    batch: Batch, curves: Float[Array, "runs ends knots"], coordinates: Float[Array, "runs all"]
+):
+    def one(trial: Trial, observed: Observed, curve: Float[Array, "ends knots"], at: Array):
         def both(at):
-            values = predicted(trial, observed, batch.channels, at)
+            values = predicted(trial, observed, batch.channels, curve, at)
             return values, values
 
         derivative, values = jax.jacfwd(both, has_aux=True)(at)
         return values, derivative
 
-    return jax.vmap(one)(batch.trials, batch.observed, coordinates)
+    return jax.vmap(one)(batch.trials, batch.observed, curves, coordinates)
 
 
 # One run's Gauss-Newton ---------------------------------------------------------------------------
@@ -276,17 +303,16 @@ def _evaluate(batch: Batch, coordinates: Float[Array, "runs all"]):
 class _Fit:
     """One run on its way: where it is, and what its last linearisation said."""
 
-    def __init__(self, candidate: Candidate, batch: Batch, number: int, knots: int):
+    def __init__(self, candidate: Candidate, batch: Batch, number: int, grid: np.ndarray):
         self.candidate = candidate
-        self.knots = knots
+        self.grid, self.knots = grid, len(grid)
         self.trial: Trial = jax.tree.map(lambda leaf: leaf[number], batch.trials)
         self.channels = batch.channels
         self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
         self.values = np.asarray(batch.observed.values[number])[:, self.counts]
-        zeta = np.asarray(self.trial.simulator.terrain.zeta.value)[:knots]  # pyright: ignore
+        zeta = _believed_zeta(candidate.trial, grid)
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
-        grid = np.asarray(self.trial.simulator.terrain.zeta.time)[:knots]  # pyright: ignore
         self.moves = _moves(candidate.trial, grid)
         self.instruments = _instruments(_compared(candidate), grid[1] - grid[0])
         self.near = False
@@ -422,7 +448,7 @@ class _Fit:
         own = np.diag(self.last.information)[: self.knots]
         return 1 / np.sqrt(np.maximum(own, np.finfo(float).tiny))
 
-    def path(self, grid: np.ndarray) -> ZetaPath:
+    def path(self) -> ZetaPath:
         assert self.last is not None
         own = self._own_error()
         told = self.moves & (own <= TELLS_NOTHING)
@@ -430,13 +456,13 @@ class _Fit:
         # The prior would draw its line on through a standstill, and be sure of it.
         spread = np.where(told, spread, np.hypot(spread, np.maximum(own, TELLS_NOTHING)))
         value = np.exp(self.coordinates[: self.knots])
-        trial = placed(
-            eqx.tree_at(lambda t: t.simulator.terrain.zeta, self.trial, KnotZeta(grid, value)),
-            jnp.asarray(self.coordinates),
-        )
+        ends = between(self.grid)
+        curve, coordinates = map(jnp.asarray, (cardinal(self.grid, ends), self.coordinates))
+        trial = placed(_drawn(self.trial, ends), curve, coordinates)
         place = np.asarray(trial.start.position)
+        drawn = np.asarray(trial.simulator.terrain.zeta.value)  # pyright: ignore
         terrain = replace_struct(
-            self.candidate.setup.terrain, zeta=ZetaKnots(grid.tolist(), value.tolist())
+            self.candidate.setup.terrain, zeta=ZetaKnots(ends.tolist(), drawn.tolist())
         )
         start = replace_struct(
             self.candidate.setup.start, x=float(place[0]), sinkage=float(-place[1])
@@ -445,7 +471,7 @@ class _Fit:
         rmse = np.sqrt(np.mean(self.residual**2, axis=1)).tolist()
         return ZetaPath(
             name=self.candidate.name,
-            time=grid,
+            time=self.grid,
             value=value,
             error=np.where(spread < 1e6, value * spread, np.inf),
             told=told,

@@ -126,6 +126,17 @@ def test_table_and_document_give_the_same_numbers(fitted):
     assert f"lambda = {shared['value']:.5g} ± {shared['error']:.2g}" in fitted.answer.out
 
 
+def test_document_holds_the_covariance_of_all_values(fitted):
+    document = fitted.document
+    covariance = np.array(document["covariance"]["values"])
+    errors = {"lambda": document["shared"]["terrain.inertial_coefficient"]["error"]}
+    for run in document["runs"]:
+        errors[f"zeta of {run['name']}"] = run["values"]["terrain.zeta"]["error"]
+    assert document["covariance"]["of"] == [*errors]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [*errors.values()])
+    np.testing.assert_allclose(covariance, covariance.T)
+
+
 def test_root_mean_squares_are_those_of_the_arrays(fitted):
     document, result = fitted.document, read_result(fitted.hdf5, FIT_SCHEMA)
     powers = {kind: {"x": [], "z": []} for kind in ("before", "after")}

@@ -14,6 +14,7 @@ from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
 from identify.candidate import Candidate, candidate
 from identify.evidence import WEIGHTS, Instrument, Noise, Products, posterior
+from identify.spline import LINES, between, cardinal
 from identify.zeta_path import ZetaPath, predicted, zeta_paths
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 
@@ -23,6 +24,7 @@ PLATE_SIZE, STEP = 8e-3, 1e-3
 TIME, OMEGA = (0.0, 0.5, 2.0, 4.0, 5.5, 6.0), (0.0, 0.0, 45.0, 45.0, 0.0, 0.0)
 LATE_TIME, LATE_OMEGA = (0.0, 3.0, 4.0, 5.0, 5.9, 6.0), (0.0, 0.0, 30.0, 30.0, 0.0, 0.0)
 KNOTS = np.linspace(0.0, 5.5, 7)
+FINE = np.linspace(0.0, 5.5, 111)
 SPACING = 5.5 / 6
 RUNS = 4
 # Steps have corners, where plates begin to lead, and derivatives jump there: differences over so
@@ -36,11 +38,11 @@ BAND = 1.645
 
 def path_of(number: int):
     values = 0.75 + 0.05 * np.sin(0.9 * KNOTS + number) + 0.01 * (number % 3)
-    return lambda t: np.interp(t, KNOTS, values)
+    return lambda t: np.exp(cardinal(KNOTS, t) @ np.log(values))
 
 
 def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=()) -> Candidate:
-    setup = known_setup(name, path, KNOTS, time, omega, PLATE_SIZE)
+    setup = known_setup(name, path, FINE, time, omega, PLATE_SIZE)
     setup.integrator = IntegratorSetUp("held pace", STEP)
     setup.effects = [*effects]
     run = known_run(setup, np.random.default_rng(seed))
@@ -74,6 +76,31 @@ def test_known_path_lies_within_its_band(paths):
     assert np.median([each.error[2:5] for each in paths[:RUNS]]) < 2e-3
 
 
+def test_between_knots_the_path_is_a_curve(paths):
+    """Straight lines from knot to knot would cut the waves' corners by several times as much."""
+    inside = FINE[(KNOTS[2] < FINE) & (KNOTS[4] > FINE)]
+    curve, lines = [], []
+    for number, each in enumerate(paths[:RUNS]):
+        truth = path_of(number)
+        curve.append(each.at(inside) - truth(inside))
+        lines.append(np.interp(inside, KNOTS, truth(KNOTS)) - truth(inside))
+    assert np.std(curve) < np.std(lines) / 2
+
+
+def test_spline_is_exact_at_its_knots_and_straight_beyond():
+    grid = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
+    values = np.array([1.0, 3.0, -2.0, 0.5, 4.0])
+    ends = between(grid)
+    np.testing.assert_allclose(ends[::LINES], grid, atol=1e-15)
+    curve = cardinal(grid, ends) @ values
+    np.testing.assert_allclose(curve[::LINES], values, atol=1e-12)
+    np.testing.assert_allclose(cardinal(grid, np.array([-3.0, 9.0])) @ values, values[[0, -1]])
+    # Natural: no bend at the ends; and a straight line stays one.
+    small = np.array([0.0, 1e-3, 2e-3])
+    assert np.diff(cardinal(grid, small) @ values, 2) == pytest.approx(0.0, abs=1e-7)
+    np.testing.assert_allclose(cardinal(grid, ends) @ (2 - 3 * grid), 2 - 3 * ends, atol=1e-12)
+
+
 def test_fit_comes_down_to_the_noise(paths):
     for each in paths[:RUNS]:
         assert each.converged
@@ -86,8 +113,9 @@ def test_fitted_setup_and_trial_are_the_path(paths):
     each = paths[0]
     zeta = each.trial.simulator.terrain.zeta
     assert isinstance(zeta, KnotZeta)
-    np.testing.assert_allclose(zeta.value, each.value, rtol=1e-12)
-    np.testing.assert_allclose(each.setup.terrain.zeta.value, each.value, rtol=1e-12)
+    np.testing.assert_allclose(zeta.value, each.at(np.asarray(zeta.time)), rtol=1e-12)
+    np.testing.assert_array_equal(zeta.value, each.setup.terrain.zeta.value)
+    np.testing.assert_array_equal(zeta.time, each.setup.terrain.zeta.time)
     np.testing.assert_allclose(each.at(each.time), each.value)
 
 
@@ -154,21 +182,27 @@ def test_sand_that_changes_is_told_by_travel_too(moved):
 
 def test_derivative_by_the_knots_is_exact(candidates):
     each = candidates[1]
-    values = path_of(1)(KNOTS)
-    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, each.trial, KnotZeta(KNOTS, values))
+    values, ends = path_of(1)(KNOTS), between(KNOTS)
+    curve = jnp.asarray(cardinal(KNOTS, ends))
+    lines = KnotZeta(ends, path_of(1)(ends))
+    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, each.trial, lines)
     batch = make_batch([trial], [each.observation])
     observed = jax.tree.map(lambda leaf: leaf[0], batch.observed)
     at = jnp.concatenate([jnp.log(jnp.asarray(values)), jnp.zeros(2)])
 
     @jax.jit
     def simulated(coordinates):
-        return predicted(trial, observed, batch.channels, coordinates)
+        return predicted(trial, observed, batch.channels, curve, coordinates)
 
-    # Knots of the moving part: a standing wheel sinks into weaker sand, but does not rise in
-    # stronger sand, so its differences are not its derivative.
-    along = jnp.zeros(len(at)).at[2:5].set(jnp.array([1.0, -0.6, 0.8]))
+    # A curve of the moving part alone: a standing wheel sinks into weaker sand, but does not rise
+    # in stronger sand, so its differences are not its derivative.
+    standing = curve[(ends < TIME[1] + ends[1]) | (ends >= TIME[-2])]
+    _, size, kinds = np.linalg.svd(standing)
+    moving = kinds[np.sum(size > 1e-9) :]
+    assert len(moving) == 3
+    along = jnp.zeros(len(at)).at[: len(KNOTS)].set(moving.sum(axis=0))
     _, forward = jax.jit(lambda a, d: jax.jvp(simulated, (a,), (d,)))(at, along)
-    small = 1e-7
+    small = 1e-8
     differences = (simulated(at + small * along) - simulated(at - small * along)) / (2 * small)
     counts = (observed.weight > 0).astype(float)
     far = counts * (forward - differences)
