@@ -269,6 +269,8 @@ def plot(result: "CrossCheck") -> "Figure":
 def _draw_zeta(axes, run: "RunCheck") -> None:
     import numpy as np
 
+    from identify.spline import LINES, between
+
     path = run.offline
     if run.truth is not None:
         axes.plot(run.time, run.truth, color="k", lw=1.0, ls=":", label="true")
@@ -276,8 +278,17 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
     if run.online_time is not None and run.online_zeta is not None:
         axes.plot(run.online_time, run.online_zeta, color="C2", lw=0.8, label="tuner, as logged")
     low, high = axes.get_ylim()
-    told = np.where(path.told, path.value, np.nan)
-    axes.plot(path.time, told, color="C0", lw=1.4, marker=".", label="offline")
+    curve = between(path.time)
+    told = np.interp(curve, path.time, path.told.astype(float)) == 1.0
+    axes.plot(
+        curve,
+        np.where(told, path.at(curve), np.nan),
+        color="C0",
+        lw=1.4,
+        marker=".",
+        markevery=LINES,
+        label="offline",
+    )
     # Where nothing is told the band is wider than any axes.
     error = np.minimum(1.645 * path.error, 10.0)
     band = (path.value - error, path.value + error)
