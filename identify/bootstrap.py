@@ -101,8 +101,8 @@ def bootstrap(
     require_draws(count)
     points = np.concatenate(
         [
-            refitted(optimum, noise) if refit else stepped(optimum, noise)
-            for noise in noise_chunks(optimum, count, np.random.default_rng(seed))
+            (refitted if refit else stepped)(optimum, noise, beliefs)
+            for noise, beliefs in noise_chunks(optimum, count, seed)
         ]
     )
     draws = optimum.values(points)
@@ -122,22 +122,30 @@ def bootstrap(
 # Draws ------------------------------------------------------------------------------------------
 
 
-def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
-    """Noise like the residuals', a bounded number of draws at a time.
+def noise_chunks(
+    optimum: Optimum, count: int, seed: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Noise like the residuals', and of what was believed, a bounded number of draws at a time.
 
     Yields:
-        Weighted residuals of noise alone, shape (draws, runs, channels, samples).
+        Residuals of noise alone, shape (draws, runs, channels, samples), and of the priors alone,
+        shape (draws, coordinates).
     """
+    random, believing = np.random.default_rng(seed), np.random.default_rng([seed, 3])
     residual = optimum.solution.residual
     size = max(1, int(CHUNK_BYTES / (8 * max(residual.size, 1))))
     for begin in range(0, count, size):
-        yield noise_like(optimum, min(size, count - begin), random)
+        draws = min(size, count - begin)
+        beliefs = believing.standard_normal((draws, len(optimum.flat)))
+        yield noise_like(optimum, draws, random), beliefs
 
 
 def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
     """Noise as the fit takes it to be: autoregressive, and a constant in every phase."""
     residual, whitening = optimum.solution.residual, optimum.whitening
     counts = whitening.scale > 0
+    if optimum.whitened:
+        return np.where(counts, random.standard_normal((count, *residual.shape)), 0)
     noise = np.zeros((count, *residual.shape))
     for run, channel in np.ndindex(residual.shape[:2]):
         here = counts[run, channel]
@@ -167,15 +175,15 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
     return noise
 
 
-def stepped(optimum: Optimum, noise: np.ndarray) -> np.ndarray:
-    """Coordinates after one Gauss-Newton step towards recordings with this noise."""
+def stepped(optimum: Optimum, noise: np.ndarray, beliefs: np.ndarray) -> np.ndarray:
+    """Coordinates after one Gauss-Newton step towards recordings and priors with this noise."""
     solution, runs = optimum.solution, len(optimum.candidates)
     blocks = solution.blocks[:runs]
     size = len(optimum.flat)
     information, _ = normal_equations(blocks, optimum.shared, solution.residual)
     slopes = solution.belief_slope[:size]
     spread = inverse(information + np.diag(slopes**2))
-    along = np.zeros((len(noise), size))
+    along = slopes * beliefs
     for run in range(runs):
         rows = blocks[run].reshape(-1, blocks.shape[-1])
         both = noise[:, run].reshape(len(noise), -1) @ rows
@@ -185,11 +193,17 @@ def stepped(optimum: Optimum, noise: np.ndarray) -> np.ndarray:
     return optimum.flat + along @ spread
 
 
-def refitted(optimum: Optimum, noise: np.ndarray) -> np.ndarray:
-    """Coordinates after a whole fit to the simulation at the optimum with this noise on it."""
-    descent = Descent(optimum.problem, len(optimum.candidates), None, optimum.solution.active)
-    shift = -optimum.solution.residual - noise
-    ends = descent.run(np.tile(optimum.flat, (len(noise), 1)), shift=shift)
+def refitted(optimum: Optimum, noise: np.ndarray, beliefs: np.ndarray) -> np.ndarray:
+    """Coordinates after a whole fit to what the optimum says, with this noise on it."""
+    whitening = optimum.whitening if optimum.whitened else None
+    solution, runs = optimum.solution, len(optimum.candidates)
+    descent = Descent(optimum.problem, runs, whitening, solution.active)
+    size = len(optimum.flat)
+    known, believed = solution.belief_slope[:size] != 0, solution.belief[:size]
+    ends = descent.run(
+        np.tile(optimum.flat, (len(noise), 1)),
+        shift=(-solution.residual - noise, -np.where(known, beliefs + believed, 0)),
+    )
     return np.where(np.isfinite(ends.loss)[:, None], ends.points, np.nan)
 
 

@@ -25,6 +25,7 @@ from identify.result import FitResult, RunFit, Value
 from identify.solve import LEAST_GAIN, NEGLIGIBLE, solve
 from identify.start import met_sinkage
 from identify.uncertainty import unseen
+from identify.weighed import weighed
 
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
@@ -110,6 +111,8 @@ def fit(
             LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
         )
     optimum = Optimum.of(problem, solution, tuple(kept), model_error)
+    if any(np.isfinite(each.prior_error) for each in problem.parameters):
+        optimum = weighed(optimum, lambda s, n: report("fit with its priors", s, np.nan))
     return replace(_result(optimum, before, failures), starts=tried)
 
 

@@ -25,6 +25,8 @@ class Optimum:
         model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
         whitening: Of the residuals.
         covariance: Of all coordinates: shared, then each run's own, padded runs too.
+        whitened: Whether the solution's residuals and derivatives are whitened; see
+            `identify.weighed`.
     """
 
     problem: Problem
@@ -33,6 +35,7 @@ class Optimum:
     model_error: Mapping[str, float]
     whitening: Whitening
     covariance: np.ndarray
+    whitened: bool = False
 
     @classmethod
     def of(

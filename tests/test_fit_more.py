@@ -135,8 +135,9 @@ def test_linearised_draws_are_those_of_full_refits(result):
     optimum = result.optimum
     noise = noise_like(optimum, 4, np.random.default_rng(5))
     error = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    step = (stepped(optimum, noise) - optimum.flat) / error
-    full = (refitted(optimum, noise) - optimum.flat) / error
+    nothing = np.zeros((len(noise), len(optimum.flat)))
+    step = (stepped(optimum, noise, nothing) - optimum.flat) / error
+    full = (refitted(optimum, noise, nothing) - optimum.flat) / error
     assert np.abs(full).max() > 2 * LINEAR
     np.testing.assert_allclose(step, full, atol=LINEAR)
 
