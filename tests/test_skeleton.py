@@ -100,6 +100,18 @@ def test_help_imports_nothing_slow():
     assert "loaded: []" in answer.stdout
 
 
+@pytest.mark.parametrize("group", [(), ("log",), ("hils",), ("blind",)])
+def test_help_cuts_no_summary_short(group):
+    environment = os.environ | {"COLUMNS": "80"}
+    answer = subprocess.run(
+        [*DRFT, *group, "--help"], env=environment, capture_output=True, text=True, check=True
+    )
+    commands = answer.stdout.split("Commands:")[1].splitlines()
+    assert len(commands) > 3
+    assert max(map(len, commands)) <= 80
+    assert not any(line.endswith("...") for line in commands)
+
+
 def test_importing_the_package_does_not_import_jax():
     code = "import sys, drftjax; dir(drftjax); sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -5,9 +5,12 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.group import CommandGroup
 from drftjax.errors import InputError
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    cls=CommandGroup, add_completion=False, no_args_is_help=True, rich_markup_mode=None
+)
 
 # Of sets without an answer so many are named.
 MOST_NAMES = 10

@@ -5,10 +5,12 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.group import CommandGroup
 from drftjax.errors import InputError
 
 app = typer.Typer(
     name="log",
+    cls=CommandGroup,
     help="Check, show, draw, repair and import run logs.",
     no_args_is_help=True,
     rich_markup_mode=None,

@@ -19,17 +19,18 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 from typer.main import get_command
 
 import drftjax
+from drftjax.commands.group import CommandGroup
 from drftjax.errors import InputError
 
 GROUP = "drft.commands"
 INTERRUPTED = 128 + 2  # how a shell numbers a program that Ctrl-C ended
 
 
-class PluginGroup(TyperGroup):
+class PluginGroup(CommandGroup):
     """A group whose subcommands are found among the installed packages, and loaded when named."""
 
     def __init__(self, **attributes: Any):

@@ -2,6 +2,7 @@
 
 import typer
 
+from drftjax.commands.group import CommandGroup
 from hils.commands.paper import EXAMPLES as PAPER_EXAMPLES
 from hils.commands.paper import paper
 from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
@@ -17,6 +18,7 @@ from hils.commands.stop import stop
 
 app = typer.Typer(
     name="hils",
+    cls=CommandGroup,
     help="Run a single-wheel rig in the loop over a serial port, or a virtual one.",
     no_args_is_help=True,
     rich_markup_mode=None,
