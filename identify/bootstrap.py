@@ -96,20 +96,27 @@ def bootstrap(
         refit: Fit every draw of the noise all the way.
 
     Raises:
-        InputError: for too few or too many draws.
+        InputError: for too few or too many draws, or full refits of a fit with priors.
     """
     require_draws(count)
+    if refit and optimum.share is not None:
+        raise InputError(
+            "full refits of draws weigh every sample alike and would outweigh the priors; "
+            "leave refit out"
+        )
+    believing = np.random.default_rng([seed, 3])
     points = np.concatenate(
         [
-            (refitted if refit else stepped)(optimum, noise, beliefs)
-            for noise, beliefs in noise_chunks(optimum, count, seed)
+            refitted(optimum, noise) if refit else stepped(optimum, noise, believing)
+            for noise in noise_chunks(optimum, count, np.random.default_rng(seed))
         ]
     )
     draws = optimum.values(points)
     bands = predictive_bands(optimum, points - optimum.flat, np.random.default_rng([seed, 1]))
     found = [Bootstrap.of("noise", refit, optimum.labels, draws, bands)]
     active = np.flatnonzero(optimum.solution.active[: len(optimum.candidates)])
-    if optimum.shared and len(active) >= FEWEST_RUNS:
+    # Between runs drawn again and a prior nothing says how the one outweighs the other.
+    if optimum.shared and len(active) >= FEWEST_RUNS and optimum.share is None:
         moves = over_runs(optimum, count, np.random.default_rng([seed, 2]))
         flat = np.tile(optimum.flat, (count, 1))
         flat[:, : optimum.shared] += moves
@@ -122,30 +129,22 @@ def bootstrap(
 # Draws ------------------------------------------------------------------------------------------
 
 
-def noise_chunks(
-    optimum: Optimum, count: int, seed: int
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Noise like the residuals', and of what was believed, a bounded number of draws at a time.
+def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+    """Noise like the residuals', a bounded number of draws at a time.
 
     Yields:
-        Residuals of noise alone, shape (draws, runs, channels, samples), and of the priors alone,
-        shape (draws, coordinates).
+        Weighted residuals of noise alone, shape (draws, runs, channels, samples).
     """
-    random, believing = np.random.default_rng(seed), np.random.default_rng([seed, 3])
     residual = optimum.solution.residual
     size = max(1, int(CHUNK_BYTES / (8 * max(residual.size, 1))))
     for begin in range(0, count, size):
-        draws = min(size, count - begin)
-        beliefs = believing.standard_normal((draws, len(optimum.flat)))
-        yield noise_like(optimum, draws, random), beliefs
+        yield noise_like(optimum, min(size, count - begin), random)
 
 
 def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
     """Noise as the fit takes it to be: autoregressive, and a constant in every phase."""
     residual, whitening = optimum.solution.residual, optimum.whitening
     counts = whitening.scale > 0
-    if optimum.whitened:
-        return np.where(counts, random.standard_normal((count, *residual.shape)), 0)
     noise = np.zeros((count, *residual.shape))
     for run, channel in np.ndindex(residual.shape[:2]):
         here = counts[run, channel]
@@ -175,35 +174,37 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
     return noise
 
 
-def stepped(optimum: Optimum, noise: np.ndarray, beliefs: np.ndarray) -> np.ndarray:
-    """Coordinates after one Gauss-Newton step towards recordings and priors with this noise."""
+def stepped(optimum: Optimum, noise: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Coordinates after one Gauss-Newton step towards recordings with this noise.
+
+    Args:
+        optimum: Where the fit ended.
+        noise: Weighted residuals of noise alone, shape (draws, runs, channels, samples).
+        random: Of the noise of what was believed.
+    """
     solution, runs = optimum.solution, len(optimum.candidates)
     blocks = solution.blocks[:runs]
     size = len(optimum.flat)
-    information, _ = normal_equations(blocks, optimum.shared, solution.residual)
-    slopes = solution.belief_slope[:size]
-    spread = inverse(information + np.diag(slopes**2))
-    along = slopes * beliefs
+    along = np.zeros((len(noise), size))
     for run in range(runs):
         rows = blocks[run].reshape(-1, blocks.shape[-1])
         both = noise[:, run].reshape(len(noise), -1) @ rows
         along[:, : optimum.shared] += both[:, : optimum.shared]
         place = optimum.shared + run * optimum.own
         along[:, place : place + optimum.own] = both[:, optimum.shared :]
-    return optimum.flat + along @ spread
+    if optimum.share is not None:
+        believed = solution.belief_slope[:size] * random.standard_normal(along.shape)
+        told = along @ optimum.share[:size, :size].T
+        return optimum.flat + (told + believed) @ optimum.covariance[:size, :size]
+    information, _ = normal_equations(blocks, optimum.shared, solution.residual)
+    return optimum.flat + along @ inverse(information)
 
 
-def refitted(optimum: Optimum, noise: np.ndarray, beliefs: np.ndarray) -> np.ndarray:
-    """Coordinates after a whole fit to what the optimum says, with this noise on it."""
-    whitening = optimum.whitening if optimum.whitened else None
-    solution, runs = optimum.solution, len(optimum.candidates)
-    descent = Descent(optimum.problem, runs, whitening, solution.active)
-    size = len(optimum.flat)
-    known, believed = solution.belief_slope[:size] != 0, solution.belief[:size]
-    ends = descent.run(
-        np.tile(optimum.flat, (len(noise), 1)),
-        shift=(-solution.residual - noise, -np.where(known, beliefs + believed, 0)),
-    )
+def refitted(optimum: Optimum, noise: np.ndarray) -> np.ndarray:
+    """Coordinates after a whole fit to the simulation at the optimum with this noise on it."""
+    descent = Descent(optimum.problem, len(optimum.candidates), None, optimum.solution.active)
+    shift = -optimum.solution.residual - noise
+    ends = descent.run(np.tile(optimum.flat, (len(noise), 1)), shift=shift)
     return np.where(np.isfinite(ends.loss)[:, None], ends.points, np.nan)
 
 
@@ -217,21 +218,16 @@ def over_runs(optimum: Optimum, count: int, random: np.random.Generator) -> np.n
     active = np.flatnonzero(solution.active[: len(optimum.candidates)])
     information = np.zeros((len(active), shared, shared))
     slope = np.zeros((len(active), shared))
-    beliefs = solution.belief[shared:].reshape(len(solution.active), optimum.own)
-    belief_slopes = solution.belief_slope[shared:].reshape(len(solution.active), optimum.own)
     for index, run in enumerate(active):
         rows = solution.blocks[run].reshape(-1, shared + optimum.own)
         whole = rows.T @ rows
         along = rows.T @ solution.residual[run].ravel()
-        own = whole[shared:, shared:] + np.diag(belief_slopes[run] ** 2)
-        own_along = along[shared:] + belief_slopes[run] * beliefs[run]
-        follow = whole[:shared, shared:] @ inverse(own)
+        follow = whole[:shared, shared:] @ inverse(whole[shared:, shared:])
         information[index] = whole[:shared, :shared] - follow @ whole[shared:, :shared]
-        slope[index] = along[:shared] - follow @ own_along
-    prior = solution.belief_slope[:shared]
+        slope[index] = along[:shared] - follow @ along[shared:]
     drawn = random.multinomial(len(active), np.full(len(active), 1 / len(active)), size=count)
-    total = np.einsum("dr,rij->dij", drawn, information) + np.diag(prior**2)
-    along = drawn @ slope + prior * solution.belief[:shared]
+    total = np.einsum("dr,rij->dij", drawn, information)
+    along = drawn @ slope
     return np.stack([-inverse(t) @ a for t, a in zip(total, along, strict=True)])
 
 

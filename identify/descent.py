@@ -31,10 +31,6 @@ FIRST_DAMPING, DAMPING_FACTOR = 1e-3, 8.0
 LONGEST_STEP = 0.3
 
 
-# Of whitened residuals, and of the priors'.
-Shift = tuple[np.ndarray, np.ndarray]
-
-
 @dataclass(frozen=True, eq=False)
 class Ends:
     """Where each point came to.
@@ -113,7 +109,7 @@ class Descent:
         self,
         points: np.ndarray,
         held: np.ndarray | None = None,
-        shift: Shift | None = None,
+        shift: np.ndarray | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Ends:
         """Lower the sum of squares from every point.
@@ -121,8 +117,7 @@ class Descent:
         Args:
             points: Where to start, shape (points, coordinates).
             held: True for coordinates that stay, shape (coordinates,).
-            shift: Added to every whitened residual, shape (points, runs, channels, samples), and
-                to the residual of every prior, shape (points, coordinates).
+            shift: Added to every whitened residual, shape (points, runs, channels, samples).
             progress: Called with the number of the step and of points that still move.
         """
         free = np.ones(points.shape[1], bool) if held is None else ~held
@@ -141,7 +136,7 @@ class Descent:
             tried = here.copy()
             for point in moving:
                 tried[point] += _step(information[point], slope[point], damping[point], free)
-            kept = None if shift is None else (shift[0][moving], shift[1][moving])
+            kept = None if shift is None else shift[moving]
             fresh = self._equations(tried[moving], kept)
             for point, *ours in zip(moving, *fresh, strict=True):
                 gain = loss[point] - ours[0]
@@ -158,7 +153,7 @@ class Descent:
         return Ends(here, loss, settled & np.isfinite(loss))
 
     def _equations(
-        self, points: np.ndarray, shift: Shift | None
+        self, points: np.ndarray, shift: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Loss, J^T J and J^T r of every point, the priors included."""
         size = points.shape[1]
@@ -171,7 +166,7 @@ class Descent:
             residuals, blocks = map(np.asarray, _blocks_at(self.problem, self._coordinates(filled)))
             for index in range(len(part)):
                 number = begin + index
-                extra = None if shift is None else (shift[0][number], shift[1][number])
+                extra = None if shift is None else shift[number]
                 ends = self._normal(residuals[index], blocks[index], points[number], extra)
                 if ends is not None:
                     loss[number], information[number], slope[number] = ends
@@ -185,7 +180,7 @@ class Descent:
         return min(self.chunk, room)
 
     def _normal(
-        self, residual: np.ndarray, blocks: np.ndarray, point: np.ndarray, shift: Shift | None
+        self, residual: np.ndarray, blocks: np.ndarray, point: np.ndarray, shift: np.ndarray | None
     ) -> tuple[float, np.ndarray, np.ndarray] | None:
         residual = np.where(self.counts, residual, 0)
         blocks = np.where(self.counts[..., None], blocks, 0)
@@ -193,10 +188,10 @@ class Descent:
             return None
         if self.whitening is not None:
             residual, blocks = self.whitening.apply(residual), self.whitening.apply(blocks)
-        belief, belief_slope = self._beliefs(point)
         if shift is not None:
-            residual, belief = residual + shift[0], belief + shift[1]
+            residual = residual + shift
         information, slope = normal_equations(blocks[: self.runs], self.shared, residual)
+        belief, belief_slope = self._beliefs(point)
         information += np.diag(belief_slope**2)
         slope += belief_slope * belief
         return float(np.sum(residual**2) + np.sum(belief**2)), information, slope

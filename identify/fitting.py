@@ -112,7 +112,7 @@ def fit(
         )
     optimum = Optimum.of(problem, solution, tuple(kept), model_error)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
-        optimum = weighed(optimum, lambda s, n: report("fit with its priors", s, np.nan))
+        optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
     return replace(_result(optimum, before, failures), starts=tried)
 
 
@@ -286,7 +286,7 @@ def run_states(optimum: Optimum) -> list[str]:
         if any(bool(p.near_bound(own[run, k])) for k, p in enumerate(problem.own)):
             states.append("at a bound")
             continue
-        if not optimum.own:
+        if optimum.share is not None or not optimum.own:
             states.append("converged" if solution.status == "converged" else "stalled")
             continue
         rows = solution.blocks[run][..., optimum.shared :].reshape(-1, optimum.own)

@@ -25,8 +25,8 @@ class Optimum:
         model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
         whitening: Of the residuals.
         covariance: Of all coordinates: shared, then each run's own, padded runs too.
-        whitened: Whether the solution's residuals and derivatives are whitened; see
-            `identify.weighed`.
+        share: What turns the runs' slope into what they tell, shaped like `covariance`, where
+            there are priors; see `identify.weighed`.
     """
 
     problem: Problem
@@ -35,7 +35,7 @@ class Optimum:
     model_error: Mapping[str, float]
     whitening: Whitening
     covariance: np.ndarray
-    whitened: bool = False
+    share: np.ndarray | None = None
 
     @classmethod
     def of(

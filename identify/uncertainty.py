@@ -59,6 +59,33 @@ def covariance(
     return spread @ spread.T
 
 
+def rescaled(
+    blocks: np.ndarray, whitening: "Whitening", shared: int
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Information that is the inverse of `covariance` without priors, and what makes it.
+
+    With $A = J^T J$, $K = A^{-1/2} J^T S J A^{-1/2}$: information $A^{1/2} K^{-1} A^{1/2}$, and the
+    matrix $A^{1/2} K^{-1} A^{-1/2}$ that turns the slope $J^T r$ into that of a sum of squares with
+    this curvature. Directions that the data do not see have none.
+    """
+    nothing = np.zeros(shared + len(blocks) * (blocks.shape[-1] - shared))
+    noise = normal_equations(whitening.colour(blocks), shared, np.zeros(blocks.shape[:3]))[0]
+    values, vectors, size, unseen = _directions(blocks, shared, nothing)
+    vectors, values = vectors[:, ~unseen], values[~unseen]
+    inner = vectors / np.sqrt(values) / size[:, None]
+    outer = vectors * np.sqrt(values) * size[:, None]
+    more, along = np.linalg.eigh(inner.T @ noise @ inner)
+    shrink = outer @ along / np.maximum(more, 1)
+    return shrink @ (outer @ along).T, shrink @ (inner @ along).T
+
+
+def variances(information: np.ndarray) -> np.ndarray:
+    """Inverse of an information; a coordinate that it says nothing of has a very large variance."""
+    values, vectors, size = _scaled_directions(information)
+    root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
+    return root @ root.T
+
+
 def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
     """Directions that the data do not see, in columns; arguments as for `covariance`.
 
@@ -74,12 +101,17 @@ def _directions(
     """Eigenvalues and vectors of the information over each coordinate's own; the root of that
     own; and which directions rounding alone may have made."""
     information = normal_equations(blocks, shared, np.zeros(blocks.shape[:3]))[0]
-    information += np.diag(belief_slope**2)
+    values, vectors, size = _scaled_directions(information + np.diag(belief_slope**2))
+    return values, vectors, size, values <= LEAST_TOLD * _floor(values)
+
+
+def _scaled_directions(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors over each coordinate's own information, and that one's root."""
     alone = np.diag(information)
     most = max(alone.max(initial=0), float(np.finfo(float).tiny))
     size = np.sqrt(np.where(alone > 0, alone, most))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    return values, vectors, size, values <= LEAST_TOLD * _floor(values)
+    return values, vectors, size
 
 
 def _floor(values: np.ndarray) -> float:

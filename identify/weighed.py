@@ -1,10 +1,12 @@
 """Priors and runs, each for what it tells.
 
 Least squares that weigh every sample alike find as good values as others where only runs speak, and
-their errors say how much less than so many samples they tell. A prior is another matter: held
-against samples that follow one another, or against a simulation that may itself be off, it would
-be outweighed by what they do not know. So where there is a prior the residuals are whitened, by how
-those of the plain fit scatter, and the fit goes on from there.
+their errors say how much less than so many samples they tell. A prior, though, would be outweighed
+by samples that follow one another, and by a simulation that may itself be off. So where there is a
+prior, the sum of squares is rescaled along each direction until its curvature is the inverse of
+that fit's covariance, which leaves its least place where it is (R. E. Chandler, S. Bate: Inference
+for clustered data using the independence loglikelihood, Biometrika 94:167, 2007), and the prior is
+held against that.
 """
 
 from collections.abc import Callable
@@ -14,33 +16,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from identify.descent import Descent
 from identify.optimum import Optimum, linearised
-from identify.solve import Solution
-from identify.uncertainty import Whitening, covariance
+from identify.solve import Solution, normal_equations
+from identify.uncertainty import rescaled, variances
+
+MOST_STEPS = 40
+# Longest step in the unbounded coordinates, and the step, in standard errors, that ends the fit.
+LONGEST_STEP, SMALL_STEP = 0.3, 0.03
 
 
-def weighed(optimum: Optimum, progress: Callable[[int, int], None] | None = None) -> Optimum:
-    """The optimum of whitened residuals and priors.
+def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = None) -> Optimum:
+    """The most probable values by runs and priors.
 
     Args:
         optimum: Of the same runs and parameters, each sample weighed alike.
-        progress: Called with the number of the step and of fits that still move.
+        progress: Called with the number of the step and its size in standard errors.
     """
-    whitening, active = optimum.whitening, optimum.solution.active
-    descent = Descent(optimum.problem, len(optimum.candidates), whitening, active)
-    ends = descent.run(optimum.flat[None], progress=progress)
-    solution = replace(
-        _at(optimum, ends.points[0]), status="converged" if ends.settled[0] else "stalled"
-    )
-    counts = whitening.scale > 0
-    even = Whitening(counts.astype(float), np.zeros(counts.shape), whitening.phase)
-    spread = covariance(solution.blocks, even, optimum.shared, solution.belief_slope)
-    return replace(optimum, solution=solution, covariance=spread, whitened=True)
+    flat, status, shared = optimum.flat, "stalled", optimum.shared
+    here = _at(optimum, flat)
+    share, total = _rescaled(optimum, here)
+    for number in range(1, MOST_STEPS + 1):
+        data = normal_equations(here.blocks, shared, here.residual)[1]
+        slope = share @ data + here.belief_slope * here.belief
+        move = -np.linalg.lstsq(total, slope, rcond=None)[0]
+        size = float(np.sqrt(move @ total @ move))
+        if progress:
+            progress(number, size)
+        if size < SMALL_STEP:
+            status = "converged"
+            break
+        move = move[: len(flat)] * min(1.0, LONGEST_STEP / np.abs(move).max())
+        ahead = _at(optimum, flat + move)
+        if not (np.isfinite(ahead.residual).all() and np.isfinite(ahead.blocks).all()):
+            break
+        flat, here = flat + move, ahead
+        share, total = _rescaled(optimum, here)
+    solution = replace(here, status=status)
+    return replace(optimum, solution=solution, covariance=variances(total), share=share)
+
+
+def _rescaled(optimum: Optimum, at: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """What rescales the runs' slope, and the information of runs and priors together."""
+    information, share = rescaled(at.blocks, optimum.whitening, optimum.shared)
+    return share, information + np.diag(at.belief_slope**2)
 
 
 def _at(optimum: Optimum, flat: np.ndarray) -> Solution:
-    """The solution moved to other coordinates, its residuals whitened."""
+    """The solution moved to other coordinates."""
     problem, coordinates = optimum.problem, optimum.coordinates(flat)
     residual, blocks = linearised(problem, coordinates)
     counts = optimum.whitening.scale > 0
@@ -50,8 +72,8 @@ def _at(optimum: Optimum, flat: np.ndarray) -> Solution:
     return replace(
         optimum.solution,
         coordinates=coordinates,
-        residual=optimum.whitening.apply(np.where(counts, residual, 0)),
-        blocks=optimum.whitening.apply(np.where(counts[..., None], blocks, 0)),
+        residual=np.where(counts, residual, 0),
+        blocks=np.where(counts[..., None], blocks, 0),
         belief=belief,
         belief_slope=slope,
     )

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from drftjax.errors import InputError
-from identify.bootstrap import noise_chunks, refitted, stepped
 from identify.fitting import fit
 from identify.parameter import own, shared
 from tests.virtual_runs import SLOW, coarse, recorded, setup_of
@@ -17,11 +16,11 @@ UNTOLD, PULLED = 0.05, 3 / 16
 # Two equal sources together err by 1 / sqrt(2) of one, and meet half way, as far as the simulation
 # is straight over the errors.
 ALIKE = 0.1
+# Two solvers stop within this part of an error of one another.
+SAME = 0.1
 # A standard deviation of so many draws is known to 1 / sqrt(2 n) of itself; three times that.
 DRAWS = 400
 SCATTER = 3 / np.sqrt(2 * DRAWS)
-# One Gauss-Newton step and a whole refit differ by the bend of the simulation over the errors.
-LINEAR = 0.25
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +55,14 @@ def test_a_belief_as_good_as_the_runs_meets_them_half_way(runs):
     assert (both.value - alone.value) / alone.error == pytest.approx(1.0, abs=ALIKE)
 
 
-def test_a_belief_that_says_nothing_changes_nothing_but_how_samples_are_weighed(runs):
+def test_a_belief_that_says_nothing_changes_nothing(runs):
     plain = fit(runs, [own("zeta")])
     vague = fit(runs, [own("zeta", prior=(0.7, 10.0))])
     for run, other in zip(plain.runs, vague.runs, strict=True):
-        assert abs(run.values[ZETA].value - other.values[ZETA].value) < run.values[ZETA].error
-        assert other.values[ZETA].error <= run.values[ZETA].error * (1 + 1e-6)
+        assert (
+            abs(run.values[ZETA].value - other.values[ZETA].value) < SAME * run.values[ZETA].error
+        )
+        assert other.values[ZETA].error == pytest.approx(run.values[ZETA].error, rel=SAME)
 
 
 def test_draws_hold_what_was_believed(runs):
@@ -70,13 +71,8 @@ def test_draws_hold_what_was_believed(runs):
     drawn = result.bootstrap(DRAWS)
     errors = np.array([value.error for value in result.values.values()])
     np.testing.assert_allclose(drawn.bootstraps[0].error, errors, rtol=SCATTER)
-    optimum = result.optimum
-    noise, beliefs = next(noise_chunks(optimum, 4, 5))
-    spread = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    step = (stepped(optimum, noise, beliefs) - optimum.flat) / spread
-    full = (refitted(optimum, noise, beliefs) - optimum.flat) / spread
-    assert np.abs(full).max() > 2 * LINEAR
-    np.testing.assert_allclose(step, full, atol=LINEAR)
+    with pytest.raises(InputError, match="would outweigh the priors; leave refit out"):
+        result.bootstrap(DRAWS, refit=True)
 
 
 def test_profile_of_what_only_a_belief_tells_is_the_belief(runs):
