@@ -1,9 +1,10 @@
 r"""Profile likelihood: how much worse a fit becomes as one value is held elsewhere.
 
-At each place of the value all others are fitted anew. With residuals that scatter independently by
-one (see `Whitening`), the sum of squares rises by a chi-squared of one degree of freedom: the
-interval of a level is where it has risen by less than that level's quantile. Unlike a standard
-error it follows a bend, and it says where there is no end to one side.
+At each place of the value all others are fitted anew. The rise of the sum of squares is scaled so
+that it curves as the value's standard error asks for (see `identify.uncertainty.covariance`); then
+it is a chi-squared of one degree of freedom: the interval of a level is where it has risen by less
+than that level's quantile. Unlike a standard error it follows a bend, and it says where there is no
+end to one side. Where there are priors, residuals are whitened instead (see `Whitening`).
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +23,8 @@ from identify.bijector import Interval, Positive
 from identify.descent import Descent
 from identify.optimum import Optimum
 from identify.parameter import PHASES, SHORT_NAMES, Parameter
+from identify.solve import normal_equations
+from identify.uncertainty import variances
 
 # Places to either side of the fitted value, and how far out the last is in standard errors.
 PLACES = 5
@@ -41,7 +44,7 @@ class Profile:
         label: Which value.
         unit: Its unit.
         value: Places, increasing; the fitted one among them.
-        rise: How far the sum of squares has risen there.
+        rise: How far the scaled sum of squares has risen there.
         low, high: Ends of the interval; infinite where there is none within the places.
         level: Its level.
     """
@@ -108,9 +111,8 @@ def profiles(
         for index, (p, run) in enumerate(optimum.ordered)
         if p.quantity.name == full and (run is None or optimum.solution.active[run])
     ]
-    descent = Descent(
-        optimum.problem, len(optimum.candidates), optimum.whitening, optimum.solution.active
-    )
+    whitening = None if optimum.share is None else optimum.whitening
+    descent = Descent(optimum.problem, len(optimum.candidates), whitening, optimum.solution.active)
     at_optimum = descent.run(optimum.flat[None])
     return [_profile(optimum, descent, at_optimum, n, level, progress) for n in numbers]
 
@@ -130,7 +132,7 @@ def _profile(optimum, descent, at_optimum, number: int, level: float, progress) 
     report = None if progress is None else lambda step, left: progress(label, step, left)
     ends = descent.run(points, held=held, progress=report)
     places = np.r_[moves[moves < 0], 0.0, moves[moves > 0]]
-    rise = np.insert(ends.loss - least, int((moves < 0).sum()), 0.0)
+    rise = np.insert(_scale(optimum, number) * (ends.loss - least), int((moves < 0).sum()), 0.0)
     wanted = NormalDist().inv_cdf(0.5 + level / 2) ** 2
     low = -_crossing(-places[places <= 0][::-1], rise[places <= 0][::-1], wanted)
     high = _crossing(places[places >= 0], rise[places >= 0], wanted)
@@ -142,6 +144,15 @@ def _profile(optimum, descent, at_optimum, number: int, level: float, progress) 
 
     bounds = [float(value(np.array([e]))[0]) if np.isfinite(e) else e for e in (low, high)]
     return Profile(label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], level)
+
+
+def _scale(optimum: Optimum, number: int) -> float:
+    """What a coordinate's variance would be, weighed as profiled, over what it is."""
+    if optimum.share is not None:
+        return 1.0
+    solution = optimum.solution
+    information, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
+    return variances(information)[number, number] / optimum.covariance[number, number]
 
 
 def _places(parameter: Parameter, best: float, error: float) -> np.ndarray:

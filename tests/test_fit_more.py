@@ -28,9 +28,8 @@ from identify.uncertainty import Whitening
 NINETY = 1.645
 # One Gauss-Newton step and a whole refit differ by the bend of the simulation over the errors.
 LINEAR = 0.25
-# A profile weighs samples as their scatter deserves, a fit all alike: where the simulation is
-# straight over the errors, the profile is somewhat narrower, and off by a part of the error.
-STRAIGHT = 0.4
+# Where the simulation is straight over the errors, as here, the profile is the normal interval.
+STRAIGHT = 0.1
 # A run alone, its step chosen anew, near the bound of lambda where slopes change.
 REACH = 0.25
 # Two solvers stop within this part of an error of one another.
@@ -95,7 +94,7 @@ def test_profile_of_a_well_told_value_is_its_normal_interval(result):
     value = result.shared[ZETA]
     low, high = (np.array([profile.low, profile.high]) - value.value) / (NINETY * value.error)
     assert abs(low + high) / 2 < STRAIGHT
-    assert 1 - STRAIGHT < (high - low) / 2 < 1 + SCATTER
+    assert (high - low) / 2 == pytest.approx(1.0, abs=STRAIGHT)
     assert np.all(np.diff(profile.value) > 0)
     assert profile.rise[[0, -1]].min() > NINETY**2
     assert str(profile).startswith("zeta: 90 % profile interval 0.7")
