@@ -38,8 +38,10 @@ def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = No
     for number in range(1, MOST_STEPS + 1):
         data = normal_equations(here.blocks, shared, here.residual)[1]
         slope = share @ data + here.belief_slope * here.belief
-        move = -np.linalg.lstsq(total, slope, rcond=None)[0]
-        size = float(np.sqrt(move @ total @ move))
+        unit = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
+        in_units = np.linalg.lstsq(total / np.outer(unit, unit), slope / unit, rcond=None)[0]
+        move = -in_units / unit
+        size = float(np.sqrt(max(move @ total @ move, 0.0)))
         if progress:
             progress(number, size)
         if size < SMALL_STEP:
