@@ -1,10 +1,10 @@
 r"""Profile likelihood: how much worse a fit becomes as one value is held elsewhere.
 
-At each place of the value all others are fitted anew. The rise of the sum of squares is scaled so
-that it curves as the value's standard error asks for (see `identify.uncertainty.covariance`); then
-it is a chi-squared of one degree of freedom: the interval of a level is where it has risen by less
-than that level's quantile. Unlike a standard error it follows a bend, and it says where there is no
-end to one side. Where there are priors, residuals are whitened instead (see `Whitening`).
+At each place of the value all others are fitted anew. The runs' sum of squares is scaled so that it
+curves as the value's standard error without a prior asks for (see `identify.uncertainty.rescaled`).
+With the priors' added, its rise is a chi-squared of one degree of freedom: the interval of a level
+is where it has risen by less than that level's quantile. Unlike a standard error it follows a bend,
+and it says where there is no end to one side.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from identify.descent import Descent
 from identify.optimum import Optimum
 from identify.parameter import PHASES, SHORT_NAMES, Parameter
 from identify.solve import normal_equations
-from identify.uncertainty import variances
+from identify.uncertainty import Whitening, rescaled, variances
 
 # Places to either side of the fitted value, and how far out the last is in standard errors.
 PLACES = 5
@@ -111,13 +111,13 @@ def profiles(
         for index, (p, run) in enumerate(optimum.ordered)
         if p.quantity.name == full and (run is None or optimum.solution.active[run])
     ]
-    whitening = None if optimum.share is None else optimum.whitening
-    descent = Descent(optimum.problem, len(optimum.candidates), whitening, optimum.solution.active)
+    return [_profile(optimum, n, level, progress) for n in numbers]
+
+
+def _profile(optimum: Optimum, number: int, level: float, progress) -> Profile:
+    runs, active = len(optimum.candidates), optimum.solution.active
+    descent = Descent(optimum.problem, runs, _scaled(optimum, number), active)
     at_optimum = descent.run(optimum.flat[None])
-    return [_profile(optimum, descent, at_optimum, n, level, progress) for n in numbers]
-
-
-def _profile(optimum, descent, at_optimum, number: int, level: float, progress) -> Profile:
     parameter, _ = optimum.ordered[number]
     best, least = at_optimum.points[0], at_optimum.loss[0]
     size = len(best)
@@ -132,7 +132,7 @@ def _profile(optimum, descent, at_optimum, number: int, level: float, progress) 
     report = None if progress is None else lambda step, left: progress(label, step, left)
     ends = descent.run(points, held=held, progress=report)
     places = np.r_[moves[moves < 0], 0.0, moves[moves > 0]]
-    rise = np.insert(_scale(optimum, number) * (ends.loss - least), int((moves < 0).sum()), 0.0)
+    rise = np.insert(ends.loss - least, int((moves < 0).sum()), 0.0)
     wanted = NormalDist().inv_cdf(0.5 + level / 2) ** 2
     low = -_crossing(-places[places <= 0][::-1], rise[places <= 0][::-1], wanted)
     high = _crossing(places[places >= 0], rise[places >= 0], wanted)
@@ -146,13 +146,14 @@ def _profile(optimum, descent, at_optimum, number: int, level: float, progress) 
     return Profile(label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], level)
 
 
-def _scale(optimum: Optimum, number: int) -> float:
-    """What a coordinate's variance would be, weighed as profiled, over what it is."""
-    if optimum.share is not None:
-        return 1.0
-    solution = optimum.solution
-    information, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
-    return variances(information)[number, number] / optimum.covariance[number, number]
+def _scaled(optimum: Optimum, number: int) -> Whitening:
+    """One scale for all residuals, at which the runs tell of a coordinate what they do tell."""
+    solution, counts = optimum.solution, optimum.whitening.scale > 0
+    alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
+    told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared)
+    share = variances(alike)[number, number] / variances(told)[number, number]
+    even = counts * np.sqrt(min(share, 1.0))
+    return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)
 
 
 def _places(parameter: Parameter, best: float, error: float) -> np.ndarray:
