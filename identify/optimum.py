@@ -55,7 +55,7 @@ class Optimum:
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
         offset = _offset(problem, model_error)
         whitening = Whitening.of(solution.residual, counts, offset, phases_of(candidates, counts))
-        spread = covariance(solution.blocks, whitening, len(problem.shared), solution.belief_slope)
+        spread = covariance(solution.blocks, whitening, len(problem.shared))
         return cls(problem, solution, candidates, model_error, whitening, spread)
 
     @property

@@ -24,7 +24,7 @@ from identify.descent import Descent
 from identify.optimum import Optimum
 from identify.parameter import PHASES, SHORT_NAMES, Parameter
 from identify.solve import normal_equations
-from identify.uncertainty import Whitening, rescaled, variances
+from identify.uncertainty import Whitening, inverse, rescaled
 
 # Places to either side of the fitted value, and how far out the last is in standard errors.
 PLACES = 5
@@ -151,7 +151,7 @@ def _scaled(optimum: Optimum, number: int) -> Whitening:
     solution, counts = optimum.solution, optimum.whitening.scale > 0
     alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
     told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared)
-    share = variances(alike)[number, number] / variances(told)[number, number]
+    share = inverse(alike)[number, number] / inverse(told)[number, number]
     even = counts * np.sqrt(min(share, 1.0))
     return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)
 

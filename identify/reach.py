@@ -164,7 +164,7 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
     phase = np.zeros((1, length), int)
     phase[0, :common] = whitening.phase[run, :common]
     alone = Whitening(cut(whitening.scale), cut(whitening.unit), phase)
-    spread = covariance(blocks[:1], alone, optimum.shared, np.zeros(len(parameters)))
+    spread = covariance(blocks[:1], alone, optimum.shared)
     number = [p.quantity.name for p in parameters].index(name)
     at = problem.start()[0][number]
     slope = float(parameters[number].bijector.slope(at))

@@ -24,9 +24,7 @@ def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
     )
 
 
-def covariance(
-    blocks: np.ndarray, whitening: "Whitening", shared: int, belief_slope: np.ndarray
-) -> np.ndarray:
+def covariance(blocks: np.ndarray, whitening: "Whitening", shared: int) -> np.ndarray:
     r"""Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
 
     The residual of each run and channel is taken as first-order autoregressive: its variance is
@@ -41,16 +39,14 @@ def covariance(
             channels, samples, shared + own).
         whitening: Of those residuals.
         shared: Number of shared coordinates.
-        belief_slope: Derivative of each coordinate's prior residual; zero where it has none.
 
     Returns:
         Covariance, shape (shared + runs * own,) squared.
     """
-    known = np.diag(belief_slope**2)
-    noise = normal_equations(whitening.colour(blocks), shared, np.zeros(blocks.shape[:3]))[0]
-    values, vectors, size, unseen = _directions(blocks, shared, belief_slope)
+    noise = _information(whitening.colour(blocks), shared)
+    values, vectors, size, unseen = _directions(_information(blocks, shared))
     root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
-    stretch = root.T @ (noise + known) @ root
+    stretch = root.T @ noise @ root
     # Where rounding leaves nothing to tell, there is as little noise as information.
     stretch[unseen], stretch[:, unseen] = 0, 0
     # Noise stretches no direction by less than one, but what rounding leaves of it may.
@@ -68,9 +64,8 @@ def rescaled(
     matrix $A^{1/2} K^{-1} A^{-1/2}$ that turns the slope $J^T r$ into that of a sum of squares with
     this curvature. Directions that the data do not see have none.
     """
-    nothing = np.zeros(shared + len(blocks) * (blocks.shape[-1] - shared))
-    noise = normal_equations(whitening.colour(blocks), shared, np.zeros(blocks.shape[:3]))[0]
-    values, vectors, size, unseen = _directions(blocks, shared, nothing)
+    noise = _information(whitening.colour(blocks), shared)
+    values, vectors, size, unseen = _directions(_information(blocks, shared))
     vectors, values = vectors[:, ~unseen], values[~unseen]
     inner = vectors / np.sqrt(values) / size[:, None]
     outer = vectors * np.sqrt(values) * size[:, None]
@@ -79,39 +74,34 @@ def rescaled(
     return shrink @ (outer @ along).T, shrink @ (inner @ along).T
 
 
-def variances(information: np.ndarray) -> np.ndarray:
-    """Inverse of an information; a coordinate that it says nothing of has a very large variance."""
-    values, vectors, size = _scaled_directions(information)
-    root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
-    return root @ root.T
-
-
 def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
-    """Directions that the data do not see, in columns; arguments as for `covariance`.
+    """Directions that neither data nor priors see, in columns.
 
-    A coordinate's unit is what the data would tell it to, were all others known.
+    A coordinate's unit is what these would tell it to, were all others known.
+
+    Args:
+        blocks, shared: As for `covariance`.
+        belief_slope: Derivative of each coordinate's prior residual; zero where it has none.
     """
-    _, vectors, _, unseen = _directions(blocks, shared, belief_slope)
+    information = _information(blocks, shared) + np.diag(belief_slope**2)
+    _, vectors, _, unseen = _directions(information)
     return vectors[:, unseen]
 
 
+def _information(blocks: np.ndarray, shared: int) -> np.ndarray:
+    return normal_equations(blocks, shared, np.zeros(blocks.shape[:3]))[0]
+
+
 def _directions(
-    blocks: np.ndarray, shared: int, belief_slope: np.ndarray
+    information: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Eigenvalues and vectors of the information over each coordinate's own; the root of that
     own; and which directions rounding alone may have made."""
-    information = normal_equations(blocks, shared, np.zeros(blocks.shape[:3]))[0]
-    values, vectors, size = _scaled_directions(information + np.diag(belief_slope**2))
-    return values, vectors, size, values <= LEAST_TOLD * _floor(values)
-
-
-def _scaled_directions(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues and vectors over each coordinate's own information, and that one's root."""
     alone = np.diag(information)
     most = max(alone.max(initial=0), float(np.finfo(float).tiny))
     size = np.sqrt(np.where(alone > 0, alone, most))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    return values, vectors, size
+    return values, vectors, size, values <= LEAST_TOLD * _floor(values)
 
 
 def _floor(values: np.ndarray) -> float:
@@ -122,8 +112,9 @@ def _floor(values: np.ndarray) -> float:
 
 def inverse(information: np.ndarray) -> np.ndarray:
     """Its inverse; a direction without information gets a very large variance."""
-    values, vectors = np.linalg.eigh(information)
-    return (vectors / np.maximum(values, _floor(values))) @ vectors.T
+    values, vectors, size, _ = _directions(information)
+    root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
+    return root @ root.T
 
 
 @dataclass(frozen=True, eq=False)

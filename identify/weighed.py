@@ -18,7 +18,7 @@ import numpy as np
 
 from identify.optimum import Optimum, linearised
 from identify.solve import Solution, normal_equations
-from identify.uncertainty import rescaled, variances
+from identify.uncertainty import inverse, rescaled
 
 MOST_STEPS = 40
 # Longest step in the unbounded coordinates, and the step, in standard errors, that ends the fit.
@@ -54,7 +54,7 @@ def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = No
         flat, here = flat + move, ahead
         share, total = _rescaled(optimum, here)
     solution = replace(here, status=status)
-    return replace(optimum, solution=solution, covariance=variances(total), share=share)
+    return replace(optimum, solution=solution, covariance=inverse(total), share=share)
 
 
 def _rescaled(optimum: Optimum, at: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +69,7 @@ def _at(optimum: Optimum, flat: np.ndarray) -> Solution:
     residual, blocks = linearised(problem, coordinates)
     counts = optimum.whitening.scale > 0
     ones = jax.tree.map(jnp.ones_like, coordinates)
-    beliefs, slopes = jax.jvp(lambda *at: problem.beliefs(*at), coordinates, ones)
+    beliefs, slopes = jax.jvp(problem.beliefs, coordinates, ones)
     belief, slope = (np.concatenate([np.ravel(p) for p in part]) for part in (beliefs, slopes))
     return replace(
         optimum.solution,

@@ -31,7 +31,7 @@ def degenerate(seed: int) -> tuple[np.ndarray, Whitening]:
 
 def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
     nothing = np.zeros(len(NAMES))
-    spread = covariance(blocks, whitening, 0, nothing)
+    spread = covariance(blocks, whitening, 0)
     parameters = [own(name) for name in NAMES]
     errors = np.sqrt(np.diag(spread))
     values = {
@@ -46,9 +46,9 @@ def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
 def test_no_variance_is_negative_and_what_is_told_is_told_as_without_the_others():
     for seed in range(50):
         blocks, whitening = degenerate(seed)
-        variance = np.diag(covariance(blocks, whitening, 0, np.zeros(4)))
+        variance = np.diag(covariance(blocks, whitening, 0))
         assert np.all(variance[:3] > 1e4)
-        fewer = covariance(blocks[..., [0, 3]], whitening, 0, np.zeros(2))
+        fewer = covariance(blocks[..., [0, 3]], whitening, 0)
         assert variance[3] == pytest.approx(fewer[1, 1], rel=ROUNDING)
 
 
@@ -64,7 +64,7 @@ def test_numbers_that_only_count_together_are_named_together():
 def test_a_number_that_no_sample_sees_does_not_hide_the_others():
     blocks, whitening = degenerate(2)
     blocks[..., 1:3] = 0
-    variance = np.diag(covariance(blocks, whitening, 0, np.zeros(4)))
+    variance = np.diag(covariance(blocks, whitening, 0))
     assert variance[0] < 1e-3
     assert np.all(variance[1:3] > 1e4)
     assert not any("apart" in sentence for sentence in told(blocks, whitening))
