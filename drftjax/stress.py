@@ -143,6 +143,89 @@ class StressCoefficients(eqx.Module):
         return alpha_x, alpha_z
 
 
+class AbstractCorners(eqx.Module):
+    """What a law makes of the places where a plate's load sets in."""
+
+    @abc.abstractmethod
+    def sunk(self, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        """How deep each plate is in the sand [m], given its depth below the surface [m]."""
+
+    @abc.abstractmethod
+    def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
+        """Share of its load that each plate carries by the leading-plate rule [-]."""
+
+    @abc.abstractmethod
+    def behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        """`loss` [m] for plates behind the contact's bisector, none for others."""
+
+    @abc.abstractmethod
+    def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        """Square of the speed at which plates at this depth [m] push sand ahead [m2/s2]."""
+
+
+class Sharp(AbstractCorners):
+    """All at once, as the model has it."""
+
+    def sunk(self, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return jnp.maximum(depth, 0)
+
+    def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
+        return motion.share
+
+    def behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        return jnp.where(motion.behind, loss, 0)
+
+    def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return jnp.where(depth > 0, jnp.maximum(motion.normal_speed, 0) ** 2, 0)
+
+
+class Rounded(AbstractCorners):
+    """Over a width each, for searches that follow the slope of a run's derivatives.
+
+    A derivative by a parameter jumps a little at every plate that enters the sand, begins to lead
+    or passes below the axle. When it does depends on the profile; a derivative of derivatives sees
+    the way between the jumps, and with these widths all of it.
+
+    Attributes:
+        entry: Depth over which a plate enters the sand [m].
+        lead: Speed along its normal over which a plate begins to lead [m/s].
+        passage: Way over which a plate passes below the axle [m].
+    """
+
+    entry: float = eqx.field(static=True, default=2e-3)
+    lead: float = eqx.field(static=True, default=5e-3)
+    passage: float = eqx.field(static=True, default=4e-3)
+
+    def sunk(self, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return _ramp(depth, self.entry)
+
+    def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
+        return _step(motion.normal_speed, self.lead)
+
+    def behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        way = jnp.where(motion.behind, 1, -1) * jnp.abs(plates.x)
+        return loss * _step(way, self.passage)
+
+    def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return _step(depth, self.entry) * _ramp(motion.normal_speed, self.lead) ** 2
+
+
+def _ramp(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
+    """max(value, 0), rounded over a width."""
+    return (value + jnp.sqrt(value**2 + width**2)) / 2
+
+
+def _step(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
+    """0 below and 1 above zero, over a width: the slope of `_ramp`."""
+    return (1 + value / jnp.sqrt(value**2 + width**2)) / 2
+
+
 class AbstractStressLaw(eqx.Module):
     """Stress of sand on plates, as a force per area."""
 
@@ -155,6 +238,7 @@ class AbstractStressLaw(eqx.Module):
 
 def _depth_stress(
     coefficients: StressCoefficients,
+    corners: AbstractCorners,
     motion: PlateMotion,
     plates: Plates,
     depth: Float[Array, " plates"],
@@ -164,7 +248,7 @@ def _depth_stress(
     alpha_x, alpha_z = coefficients(
         plates.normal_x, plates.normal_z, motion.direction_x, motion.direction_z
     )
-    scale = NEWTON_PER_CUBIC_CENTIMETRE * zeta * motion.share * jnp.maximum(depth, 0)
+    scale = NEWTON_PER_CUBIC_CENTIMETRE * zeta * corners.share(motion) * corners.sunk(depth)
     return -scale * alpha_x, scale * alpha_z
 
 
@@ -172,11 +256,12 @@ class QuasiStatic(AbstractStressLaw):
     """Resistive force theory of Li et al. 2013: stress proportional to depth, free of rate."""
 
     coefficients: StressCoefficients = eqx.field(default_factory=StressCoefficients.generic)
+    corners: AbstractCorners = eqx.field(default_factory=Sharp)
 
     def stress(
         self, motion: PlateMotion, plates: Plates, zeta: Float[Array, ""]
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"]]:
-        return _depth_stress(self.coefficients, motion, plates, motion.depth, zeta)
+        return _depth_stress(self.coefficients, self.corners, motion, plates, motion.depth, zeta)
 
 
 class Dynamic(AbstractStressLaw):
@@ -194,12 +279,14 @@ class Dynamic(AbstractStressLaw):
         bulk_density: rho [kg/m3]; 1490 for the paper's Toyoura sand.
         height_decrease: Share of delta_h = r (r omega^2 / g) that is taken off [-]; 1 in the paper.
         coefficients: Stress per depth.
+        corners: Where plates' loads set in.
     """
 
     inertial_coefficient: Float[Array, ""] = eqx.field(converter=as_real, default=1.1)
     bulk_density: Float[Array, ""] = eqx.field(converter=as_real, default=1490.0)
     height_decrease: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
     coefficients: StressCoefficients = eqx.field(default_factory=StressCoefficients.generic)
+    corners: AbstractCorners = eqx.field(default_factory=Sharp)
 
     def __check_init__(self):
         # A fit to slow runs leaves lambda free, even of its sign, and its result must still run.
@@ -211,14 +298,10 @@ class Dynamic(AbstractStressLaw):
     def stress(
         self, motion: PlateMotion, plates: Plates, zeta: Float[Array, ""]
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"]]:
-        loss = jnp.where(motion.behind, self.height_decrease * motion.height_decrease, 0)
-        depth = motion.depth - loss
-        stress_x, stress_z = _depth_stress(self.coefficients, motion, plates, depth, zeta)
-        pressure = jnp.where(
-            depth > 0,
-            self.inertial_coefficient
-            * self.bulk_density
-            * jnp.maximum(motion.normal_speed, 0) ** 2,
-            0,
+        loss = self.height_decrease * motion.height_decrease
+        depth = motion.depth - self.corners.behind(motion, plates, loss)
+        stress_x, stress_z = _depth_stress(
+            self.coefficients, self.corners, motion, plates, depth, zeta
         )
+        pressure = self.inertial_coefficient * self.bulk_density * self.corners.flux(motion, depth)
         return stress_x - pressure * plates.normal_x, stress_z - pressure * plates.normal_z

@@ -8,6 +8,7 @@ the reason why the run ended.
 """
 
 import enum
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -35,6 +36,7 @@ from hils.loop import LoopReport, Overruns, TickLoop, Zero
 from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
+from hils.recorder import CLOSE_LIMIT
 from hils.rest import Rest
 from hils.rows import Rows
 from hils.scene import Phase
@@ -51,6 +53,8 @@ LEAST_ZETA, MOST_ZETA = 0.05, 10.0
 LONGEST_COUNTDOWN = 60.0  # [s]
 # A wheel that stands less deep was not let down, or was zeroed too low [m].
 LEAST_SINKAGE = 5e-4
+# The operator is told of a recording that takes so long to close [s].
+SLOW_CLOSE = 3.0
 # With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
 MOST_OVER = 0.02
 
@@ -180,19 +184,29 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
-        unfinished = _close(rows, reason)
+        unfinished = _close(rows, reason, dialogue)
         if unfinished and report is None:
             dialogue.tell(unfinished)
     assert report is not None  # or else it was raised
     return replace(report, wish=stop.wish, unfinished=unfinished)
 
 
-def _close(rows: Rows, reason: str) -> str:
+def _close(rows: Rows, reason: str, dialogue: AbstractDialogue) -> str:
     """End the recording; why it could not be finished, empty where it was."""
+
+    def tell() -> None:
+        with suppress(OSError):  # the terminal may be gone
+            dialogue.tell(f"The recording is being closed, for {CLOSE_LIMIT:.0f} s at most.")
+
+    notice = threading.Timer(SLOW_CLOSE, tell)
+    notice.start()
     try:
         rows.close(reason)
     except InputError as error:
         return str(error)
+    finally:
+        notice.cancel()
+        notice.join()
     return ""
 
 

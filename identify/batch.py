@@ -33,6 +33,8 @@ class Observed(eqx.Module):
     Attributes:
         row: Row of the simulation before each recorded time, shape (runs, samples).
         share: Way from that row to the next [-], shape (runs, samples).
+        intervals: Usual intervals from the sample before, more than one after a gap, shape (runs,
+            samples).
         values: Recorded channels, shape (runs, channels, samples).
         weight: 1 / noise of a sample that counts, 0 of a padded one, like `values`.
         compared_rows, all_rows: Rows of the simulation up to the last sample that counts, and up
@@ -41,6 +43,7 @@ class Observed(eqx.Module):
 
     row: Int[Array, "runs samples"]
     share: Float[Array, "runs samples"]
+    intervals: Float[Array, "runs samples"]
     values: Float[Array, "runs channels samples"]
     weight: Float[Array, "runs channels samples"]
     compared_rows: Int[Array, " runs"]
@@ -171,13 +174,14 @@ def _observed(
         values[channels.index(channel)] = recorded
         weight[channels.index(channel)] = observation.counts / noise
 
-    def padded(values: np.ndarray, dtype: type = float) -> Array:
+    def padded(values: np.ndarray, dtype: type = float, filling: float = 0) -> Array:
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
-        return jnp.asarray(np.pad(values, width), dtype)
+        return jnp.asarray(np.pad(values, width, constant_values=filling), dtype)
 
     return Observed(
         padded(row, int),
         padded(share),
+        padded(observation.intervals, filling=1),
         padded(values),
         padded(weight),
         jnp.asarray(int(row[observation.counts].max(initial=-1)) + 1),
@@ -302,6 +306,12 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
+    def carried(self, observed: Observed) -> Float[Array, "channels samples"]:
+        """Share of the last sample's residual that each carries on [-]: the less, the later."""
+        counts = observed.weight > 0
+        follows = jnp.pad(counts[:, :-1], ((0, 0), (1, 0))) & counts
+        return jnp.where(follows, self.correlation[:, None] ** observed.intervals, 0)
+
     def _predict_one(
         self, trial: Trial, observed: Observed, shared: Array, own: Array, rows: Int[Array, ""]
     ) -> Array:
@@ -312,9 +322,8 @@ class Problem(eqx.Module):
         simulated = self._predict_one(trial, observed, shared, own, observed.compared_rows)
         raw = observed.weight * (simulated - observed.values)
         before = jnp.pad(raw[:, :-1], ((0, 0), (1, 0)))
-        follows = jnp.pad(observed.weight[:, :-1] > 0, ((0, 0), (1, 0))) & (observed.weight > 0)
-        carried = self.correlation[:, None]
-        return jnp.where(follows, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
+        carried = self.carried(observed)
+        return jnp.where(carried > 0, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
 
     def _over_runs(self, one, shared: Array, own: Array):
         spread, whole = PartitionSpec("runs"), PartitionSpec()

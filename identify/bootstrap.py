@@ -145,19 +145,21 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
     """Noise as the fit takes it to be: autoregressive, and a constant in every phase."""
     residual, whitening = optimum.solution.residual, optimum.whitening
     counts = whitening.scale > 0
+    intervals = np.asarray(optimum.problem.batch.observed.intervals)
     noise = np.zeros((count, *residual.shape))
     for run, channel in np.ndindex(residual.shape[:2]):
         here = counts[run, channel]
         if not here.any():
             continue
-        rho = lag_one_correlation(residual[run, channel], here)
+        rho = lag_one_correlation(residual[run, channel], here, intervals[run])
+        shares = rho ** intervals[run]
         spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), 1.0)
         fresh = random.standard_normal((count, len(here)))
         carried = np.empty_like(fresh)
         carried[:, 0] = fresh[:, 0]
-        for sample in range(1, len(here)):
+        for sample, share in enumerate(shares[1:], start=1):
             carried[:, sample] = (
-                rho * carried[:, sample - 1] + np.sqrt(1 - rho**2) * fresh[:, sample]
+                share * carried[:, sample - 1] + np.sqrt(1 - share**2) * fresh[:, sample]
             )
         noise[:, run, channel] = np.where(here, spread * carried, 0)
         # Units of the unit vectors are whitened ones; back to weighted.

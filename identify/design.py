@@ -23,6 +23,7 @@ from drftjax.rollout import step_times
 from drftjax.saved import thinned
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
+from drftjax.stress import Rounded
 from drftjax.trial import ROW_INTERVAL, Trial
 from identify.information import (
     MARGIN,
@@ -292,6 +293,21 @@ def promised(
     return judge.options([setup.title], [judge.setup_of(thinned(setup.command))])[0]
 
 
+def search_objective(
+    setup: SetUp,
+    parameter_name: str,
+    nuisances: Sequence[str] | None = None,
+    *,
+    limits: Limits | None = None,
+    instrument: Instrument | None = None,
+    search: Search | None = None,
+) -> Objective:
+    """What a search goes down: the logarithm of a standard error on coarse plates; see `design`."""
+    instrument, limits = instrument or Instrument(), limits or Limits()
+    judge = _Judge(setup, _quantities(parameter_name, nuisances), instrument, limits)
+    return _objective(judge, search or Search())
+
+
 def _trapezoid_name(peak: float) -> str:
     return f"trapezoid to {math.degrees(peak):.0f} deg/s"
 
@@ -388,8 +404,13 @@ def _descend(
     return found.value
 
 
+def rounded(trial: Trial) -> Trial:
+    """The trial with a stress law whose derivatives have no jumps, so that they have slopes."""
+    return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
+
+
 def _objective(judge: _Judge, search: Search) -> Objective:
-    """The standard error around the given set-up, on coarse plates."""
+    """The standard error around the given set-up, on coarse plates with rounded corners."""
     setup = copy.deepcopy(judge.base)
     setup.wheel.plate_size = max(search.plate_size, setup.wheel.plate_size)
     limit = judge.limits
@@ -400,7 +421,7 @@ def _objective(judge: _Judge, search: Search) -> Objective:
     setup.integrator.step = steady_step(
         setup.wheel.radius, np.array([0.0, 1.0]), np.array([0.0, limit.acceleration])
     )
-    trial = setup.trial()
+    trial = rounded(setup.trial())
     loads, depths = np.zeros(0), np.zeros(0)
     if limit.loads is not None:
         loads = np.array(limit.loads) / setup.rig.gravity

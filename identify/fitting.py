@@ -189,6 +189,7 @@ def _reweighted(
     weight = np.asarray(problem.batch.observed.weight)
     counts = (weight > 0) & active[:, None, None]
     raw = np.where(counts, simulated - np.asarray(problem.batch.observed.values), 0)
+    intervals = np.asarray(problem.batch.observed.intervals)
     number = counts.sum(axis=2)
     each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
     # A channel that is met better than its instrument can tell must not rule the others.
@@ -201,7 +202,7 @@ def _reweighted(
     return eqx.tree_at(
         lambda p: (p.batch.observed.weight, p.correlation),
         problem,
-        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts))),
+        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts, intervals))),
     )
 
 

@@ -35,8 +35,6 @@ SMALLEST_SHARE = 1e-5
 SMALLEST_EFFECT = 1e-9
 # Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
 MARGIN = 0.01
-# Over so much of a coordinate slopes are taken [-]: many plates turn over in between.
-GRADIENT_WIDTH = 0.1
 
 
 def scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
@@ -340,22 +338,12 @@ def _with_gradient_jvp(primals, tangents):
 
 
 def value_and_gradient(
-    objective: Objective, coordinates: Float[Array, " free"], width: float = GRADIENT_WIDTH
+    objective: Objective, coordinates: Float[Array, " free"]
 ) -> tuple[Float[Array, ""], Float[Array, " free"]]:
-    """The objective and its slope over `width` either way of each coordinate.
+    """The objective and its exact gradient, forward over forward: a sweep for each coordinate."""
 
-    Exact derivatives make the information, but differences of it make the slope: a run's
-    derivatives jump a little at every plate that enters the sand or begins to lead. When it does
-    depends on the profile. `exact_gradient` sees the way between jumps and not the jumps, and is
-    wrong by far more than the slope itself; `docs/design.md` has the numbers.
-    """
-    steps = width * jnp.eye(len(coordinates), dtype=coordinates.dtype)
-    points = jnp.concatenate([coordinates[None], coordinates + steps, coordinates - steps])
-    values = map_runs(lambda point, objective: objective(point), points, objective)
-    ahead, behind = jnp.split(values[1:], 2)
-    return values[0], (ahead - behind) / (2 * width)
+    def along(direction: Array, objective: Objective, at: Array) -> tuple[Array, Array]:
+        return jax.jvp(objective, (at,), (direction,))
 
-
-def exact_gradient(objective: Objective, coordinates: Float[Array, " free"]) -> Array:
-    """Forward over forward: one sweep carries every pair of parameter and free coordinate."""
-    return jax.jacfwd(objective)(coordinates)
+    values, gradient = map_runs(along, jnp.eye(len(coordinates)), objective, coordinates)
+    return values[0], gradient

@@ -40,6 +40,13 @@ class Observation:
     counts: np.ndarray
     unused: tuple[str, ...] = ()
 
+    @property
+    def intervals(self) -> np.ndarray:
+        """Usual intervals from the sample before, rounded; infinite for the first."""
+        steps = np.diff(self.time)
+        usual = np.median(steps) if len(steps) else 1.0
+        return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
+
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
         """Values and noise by the channel's name."""
         return {

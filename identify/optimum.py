@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -54,7 +55,9 @@ class Optimum:
         """
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
         offset = _offset(problem, model_error)
-        whitening = Whitening.of(solution.residual, counts, offset, phases_of(candidates, counts))
+        phases = phases_of(candidates, counts)
+        intervals = np.asarray(problem.batch.observed.intervals)
+        whitening = Whitening.of(solution.residual, counts, offset, phases, intervals)
         spread = covariance(solution.blocks, whitening, len(problem.shared))
         return cls(problem, solution, candidates, model_error, whitening, spread)
 
@@ -132,7 +135,7 @@ def linearised(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, 
 def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
     """Weighted residual that the simulation's own error makes, held over a phase."""
     error = np.array([model_error.get(channel, 0.0) for channel in problem.batch.channels])
-    carried = np.asarray(problem.correlation)[:, None]
+    carried = np.asarray(jax.vmap(problem.carried)(problem.batch.observed))
     whitened = (1 - carried) / np.sqrt(1 - carried**2)
     return np.asarray(problem.batch.observed.weight) * error[:, None] * whitened
 

@@ -12,9 +12,14 @@ LARGEST_CORRELATION = 0.9999
 LEAST_TOLD = 100.0
 
 
-def lag_one_correlation(residual: np.ndarray, counts: np.ndarray) -> float:
-    """Correlation of a residual with its neighbour [-], over the samples that count."""
-    both = counts[1:] & counts[:-1]
+def lag_one_correlation(residual: np.ndarray, counts: np.ndarray, intervals: np.ndarray) -> float:
+    """Correlation of a residual with its neighbour [-], over the samples that count.
+
+    Args:
+        residual, counts: Of one channel of a run, shape (samples,).
+        intervals: Usual intervals from the sample before; after a gap none is a neighbour.
+    """
+    both = counts[1:] & counts[:-1] & (intervals[1:] == 1)
     power = np.sum(residual[counts] ** 2)
     if power == 0 or not both.any():
         return 0.0
@@ -138,13 +143,26 @@ class Whitening:
 
     @classmethod
     def of(
-        cls, residual: np.ndarray, counts: np.ndarray, offset: np.ndarray, phase: np.ndarray
+        cls,
+        residual: np.ndarray,
+        counts: np.ndarray,
+        offset: np.ndarray,
+        phase: np.ndarray,
+        intervals: np.ndarray,
     ) -> "Whitening":
-        """The whitening of these residuals; arguments as for `covariance`."""
+        """The whitening of these residuals.
+
+        Args:
+            residual: Weighted, shape (runs, channels, samples).
+            counts: True for samples that were compared, likewise.
+            offset: Weighted residual that the simulation's own error makes, likewise.
+            phase: Number of each sample's phase, shape (runs, samples).
+            intervals: Usual intervals from the sample before, likewise.
+        """
         number = np.maximum(counts.sum(axis=2), 1)
         inflation = np.maximum((residual**2).sum(axis=2) / number, 1.0)
         for run, channel in np.ndindex(inflation.shape):
-            rho = lag_one_correlation(residual[run, channel], counts[run, channel])
+            rho = lag_one_correlation(residual[run, channel], counts[run, channel], intervals[run])
             inflation[run, channel] *= (1 + rho) / (1 - rho)
         scale = counts / np.sqrt(inflation)[:, :, None]
         return cls(scale, offset * scale, phase)

@@ -11,17 +11,20 @@ from studies.design import fitted
 
 from drftjax.errors import InputError
 from drftjax.setup import SetUp, WheelSetUp, read_setup
-from identify.design import Search, design, promised, trapezoid
+from drftjax.stress import Sharp
+from identify.design import Search, design, promised, search_objective, trapezoid
 from identify.design_command import design_document, design_toml
 from identify.information import (
     CHANNELS,
     Instrument,
+    Objective,
     Profile,
     information,
     knowledge,
     log_error,
     scales,
     sensitivities,
+    value_and_gradient,
 )
 from identify.limits import Limits
 from identify.parameter import parameter
@@ -30,6 +33,10 @@ from identify.parameter import parameter
 CORNERS = 1e-3
 # Four runs tell a standard deviation to two fifths; twice that either way.
 SCATTER = (0.2, 1.9)
+# Differences over 0.001 still see plates that enter between one step and the next.
+SLOPES = 5e-3
+# The logarithm of a standard error with rounded corners is another one by some percent.
+ROUNDED = 0.05
 
 LIMITS = Limits(math.radians(80), math.radians(50), 4.0)
 SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
@@ -76,6 +83,27 @@ def test_sensitivities_and_information_are_those_of_central_differences():
         float(scale[0]),
     )
     assert math.log(told.error / told.value) == pytest.approx(float(log_error(by_derivatives)))
+
+
+def test_slopes_of_the_search_are_those_of_differences_and_point_where_the_models_do():
+    objective = search_objective(given(), "lambda", ["zeta"], limits=LIMITS, search=SMALL)
+    corners = lambda o: o.trial.simulator.terrain.law.corners  # noqa: E731
+    sharp = eqx.tree_at(corners, objective, Sharp())
+    at = jnp.asarray([0.5, 1.0, 0.5, 0.0])
+    value = eqx.filter_jit(lambda objective, at: objective(at))
+
+    def differences(objective: Objective, width: float) -> np.ndarray:
+        ends = [
+            [value(objective, at + way * step) for way in (1, -1)] for step in width * np.eye(4)
+        ]
+        return np.array([float(ahead - behind) for ahead, behind in ends]) / (2 * width)
+
+    here, slope = eqx.filter_jit(value_and_gradient)(objective, at)
+    assert float(here) == pytest.approx(float(value(objective, at)))
+    assert np.asarray(slope) == pytest.approx(differences(objective, 1e-3), abs=SLOPES)
+    assert float(here) == pytest.approx(float(value(sharp, at)), abs=ROUNDED)
+    knots = np.asarray(slope)[:3]
+    assert knots == pytest.approx(differences(sharp, 0.1)[:3], abs=ROUNDED)
 
 
 def test_fits_scatter_by_the_standard_error_that_was_promised():

@@ -26,7 +26,9 @@ def degenerate(seed: int) -> tuple[np.ndarray, Whitening]:
     residual = random.standard_normal(one.shape).cumsum(axis=-1) / 5
     phase = np.repeat(np.arange(5), SAMPLES // 5)[None]
     counts = np.ones(one.shape, bool)
-    return blocks, Whitening.of(residual, counts, np.full(one.shape, 0.7), phase)
+    return blocks, Whitening.of(
+        residual, counts, np.full(one.shape, 0.7), phase, np.ones(phase.shape)
+    )
 
 
 def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
