@@ -7,6 +7,7 @@ import threading
 
 import pytest
 
+import hils.realtime
 from hils.realtime import timely
 
 # Is given its priority as root and gives it back as a user without privileges.
@@ -48,6 +49,26 @@ def test_threads_that_go_first_share_one_core_until_it_is_over():
     over.set()
     if not any("SCHED_FIFO" in each for each in granted):
         pytest.skip("this user may not have SCHED_FIFO")
-    assert within == [{max(before[0])}] * 2
-    assert f"SCHED_FIFO 50 on core {max(before[0])}" in granted
+    (core,) = within[0]
+    assert core in before[0]
+    assert within[1] == {core}
+    assert f"SCHED_FIFO 50 on core {core}" in granted
     assert after == before
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="Linux only")
+def test_the_core_is_the_fastest_and_the_last_of_equals(monkeypatch, tmp_path):
+    cores = sorted(os.sched_getaffinity(0))
+    monkeypatch.setattr(hils.realtime, "CLOCK_RATE", f"{tmp_path}/{{}}")
+
+    def chosen() -> str:
+        with timely() as granted:
+            told = [each for each in granted if "SCHED_FIFO" in each]
+        if not told:
+            pytest.skip("this user may not have SCHED_FIFO")
+        return told[0].rpartition(" ")[2]
+
+    assert chosen() == str(cores[-1])
+    for core in cores:
+        (tmp_path / str(core)).write_text("3000000\n" if core == cores[0] else "2000000\n")
+    assert chosen() == str(cores[0])
