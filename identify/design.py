@@ -404,7 +404,7 @@ def _descend(
     return found.value
 
 
-def rounded(trial: Trial) -> Trial:
+def _rounded(trial: Trial) -> Trial:
     """The trial with a stress law whose derivatives have no jumps, so that they have slopes."""
     return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
 
@@ -421,7 +421,7 @@ def _objective(judge: _Judge, search: Search) -> Objective:
     setup.integrator.step = steady_step(
         setup.wheel.radius, np.array([0.0, 1.0]), np.array([0.0, limit.acceleration])
     )
-    trial = rounded(setup.trial())
+    trial = _rounded(setup.trial())
     loads, depths = np.zeros(0), np.zeros(0)
     if limit.loads is not None:
         loads = np.array(limit.loads) / setup.rig.gravity
