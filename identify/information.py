@@ -342,8 +342,12 @@ def value_and_gradient(
 ) -> tuple[Float[Array, ""], Float[Array, " free"]]:
     """The objective and its exact gradient, forward over forward: a sweep for each coordinate."""
 
-    def along(direction: Array, objective: Objective, at: Array) -> tuple[Array, Array]:
+    def along(way: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:
+        at, direction = way
         return jax.jvp(objective, (at,), (direction,))
 
-    values, gradient = map_runs(along, jnp.eye(len(coordinates)), objective, coordinates)
+    directions = jnp.eye(len(coordinates))
+    # Were the place the same for all, a solver would keep every step of a run there.
+    places = jnp.broadcast_to(coordinates, directions.shape)
+    values, gradient = map_runs(along, (places, directions), objective)
     return values[0], gradient

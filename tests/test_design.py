@@ -3,6 +3,7 @@
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from identify.information import (
     scales,
     sensitivities,
     value_and_gradient,
+    with_gradient,
 )
 from identify.limits import Limits
 from identify.parameter import parameter
@@ -37,6 +39,9 @@ SCATTER = (0.2, 1.9)
 SLOPES = 5e-3
 # The logarithm of a standard error with rounded corners is another one by some percent.
 ROUNDED = 0.05
+# Of the 8000 steps of these runs some hundreds of numbers each would be kept, with every tangent:
+# gigabytes. Their rows take half a megabyte.
+RECORD = 10e6
 
 LIMITS = Limits(math.radians(80), math.radians(50), 4.0)
 SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
@@ -104,6 +109,16 @@ def test_slopes_of_the_search_are_those_of_differences_and_point_where_the_model
     assert float(here) == pytest.approx(float(value(sharp, at)), abs=ROUNDED)
     knots = np.asarray(slope)[:3]
     assert knots == pytest.approx(differences(sharp, 0.1)[:3], abs=ROUNDED)
+
+
+def test_a_search_keeps_no_record_of_the_steps_of_a_run():
+    objective = search_objective(given(), "lambda", ["zeta"], limits=LIMITS, search=SMALL)
+
+    def slope(at: jax.Array) -> jax.Array:
+        return jax.grad(lambda at: with_gradient(objective, at))(at)
+
+    compiled = jax.jit(slope).lower(jnp.zeros(4)).compile()
+    assert compiled.memory_analysis().temp_size_in_bytes < RECORD
 
 
 def test_fits_scatter_by_the_standard_error_that_was_promised():
