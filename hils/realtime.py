@@ -34,7 +34,7 @@ def answer_at_once() -> None:
 
 
 @contextmanager
-def timely(fifo: bool = True) -> Iterator[list[str]]:
+def timely(fifo: bool = True, one_core: bool = True) -> Iterator[list[str]]:
     """Within this, the process runs as timely as it is allowed to.
 
     No garbage is collected, memory stays in place, and where the system allows it the process goes
@@ -43,6 +43,7 @@ def timely(fifo: bool = True) -> Iterator[list[str]]:
 
     Args:
         fifo: Whether to ask for SCHED_FIFO.
+        one_core: Whether threads that have it share a core.
 
     Yields:
         What was granted, in words.
@@ -58,7 +59,8 @@ def timely(fifo: bool = True) -> Iterator[list[str]]:
             granted.append("memory locked")
             undo.callback(_unlocked)
         if fifo and _first_in(undo):
-            granted.append(f"SCHED_FIFO {FIFO_PRIORITY}{_on_one_core(undo)}")
+            core = _on_one_core(undo) if one_core else ""
+            granted.append(f"SCHED_FIFO {FIFO_PRIORITY}{core}")
         gc.collect()
         gc.freeze()
         gc.disable()

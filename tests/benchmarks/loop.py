@@ -7,8 +7,9 @@
 The rig at the other end has no physics and plays the paper's trajectory, in a process of its own
 with the same scheduling: a real one would not share these cores. The recorder records.
 
-With --bare, each run is followed by a loop of the same period that only sleeps and spins for the
-run's median work: what it misses, the machine misses.
+With --spread, the loop's threads may run on any core. With --bare, each run is followed by a loop
+of the same period that only sleeps and spins for the run's median work: what it misses, the machine
+misses.
 """
 
 import argparse
@@ -73,6 +74,7 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=24.0)
     options.add_argument("--tuner", default="step")
     options.add_argument("--fifo", action="store_true")
+    options.add_argument("--spread", action="store_true")
     options.add_argument("--busy", action="store_true")
     options.add_argument("--pty", action="store_true")
     options.add_argument("--bare", action="store_true")
@@ -152,7 +154,7 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
         opened.callback(link.close)
 
         def timed() -> None:
-            opened.enter_context(timely(given.fifo))
+            opened.enter_context(timely(given.fifo, not given.spread))
 
         procedure = Procedure(loop=loop, countdown=1.0)
         report = run(procedure, link, clock, recorder, Unattended(True), StopRequest(), timed)
