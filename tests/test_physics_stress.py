@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from drftjax.simulator import Simulator
-from drftjax.stress import REST_SPEED, Dynamic, QuasiStatic, StressCoefficients, plate_motion
+from drftjax.stress import (
+    REST_SPEED,
+    Dynamic,
+    QuasiStatic,
+    Rounded,
+    Sharp,
+    StressCoefficients,
+    plate_motion,
+)
 from drftjax.terrain import Terrain
 from drftjax.wheel import GrouserWheel, PlainWheel, Plates
 
@@ -20,6 +28,10 @@ FORCE_ROUNDING = 1e-9
 PLATE_DRAG = 0.01
 # Of the stress of poppy seeds, what no scaled generic law covers.
 POPPY_SEEDS = 0.2
+# Of the wrench, what corners a hundredth as wide as the search's are off by.
+WIDTHS = 1e-4
+# Trapezoids of 0.25 mm over what bends within 2 mm.
+TRAPEZOIDS = 1e-3
 
 GENERIC = {
     "A00": 0.206,
@@ -198,3 +210,36 @@ def test_sand_behind_the_axle_is_lower_by_the_height_decrease():
     load = Simulator().plate_load(motion[0], motion[1], motion[2], omega, motion[4])
     assert float(load.motion.height_decrease) == pytest.approx(0.63e-3, abs=0.005e-3)
     np.testing.assert_array_equal(load.motion.behind, load.plates.x < 0)
+
+
+@pytest.mark.parametrize("law", [Dynamic, QuasiStatic])
+def test_rounded_corners_become_sharp_as_their_widths_shrink(law):
+    def wrench(corners):
+        return np.asarray(Simulator(terrain=Terrain(law=law(corners=corners))).wrench(*a_motion()))
+
+    sharp = wrench(Sharp())
+    off = [
+        np.abs(wrench(Rounded(share * 2e-3, share * 5e-3, share * 4e-3)) - sharp).max()
+        for share in (1.0, 0.1, 0.01)
+    ]
+    assert off[0] > 3 * off[1] > 9 * off[2]
+    assert off[2] < WIDTHS * np.abs(sharp).max()
+
+
+def test_derivatives_of_rounded_corners_have_slopes():
+    def stiffness(corners):
+        simulator = Simulator(terrain=Terrain(law=Dynamic(corners=corners)))
+        position, *rest = a_motion()
+        return jax.grad(lambda z: simulator.wrench(position.at[1].set(z), *rest)[1])
+
+    # Between these heights plates enter the sand.
+    heights = jnp.linspace(-0.034, -0.024, 41)
+
+    def change(corners):
+        return float(stiffness(corners)(heights[-1]) - stiffness(corners)(heights[0]))
+
+    def summed(corners):
+        return float(jnp.trapezoid(jax.vmap(jax.grad(stiffness(corners)))(heights), heights))
+
+    assert summed(Rounded()) == pytest.approx(change(Rounded()), rel=TRAPEZOIDS)
+    assert abs(summed(Sharp()) - change(Sharp())) > 0.1 * abs(change(Sharp()))
