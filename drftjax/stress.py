@@ -188,7 +188,7 @@ class Rounded(AbstractCorners):
 
     A derivative by a parameter jumps a little at every plate that enters the sand, begins to lead
     or passes below the axle. When it does depends on the profile; a derivative of derivatives sees
-    the way between the jumps, and with these widths all of it.
+    the way between the jumps. Over a width, there are no jumps.
 
     Attributes:
         entry: Depth over which a plate enters the sand [m].
@@ -217,12 +217,12 @@ class Rounded(AbstractCorners):
 
 
 def _ramp(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
-    """max(value, 0), rounded over a width."""
+    """max(value, 0), rounded over a width in its unit."""
     return (value + jnp.sqrt(value**2 + width**2)) / 2
 
 
 def _step(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
-    """0 below and 1 above zero, over a width: the slope of `_ramp`."""
+    """0 below and 1 above zero [-], over a width in the value's unit: the slope of `_ramp`."""
     return (1 + value / jnp.sqrt(value**2 + width**2)) / 2
 
 

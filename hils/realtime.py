@@ -120,12 +120,12 @@ def _on_one_core(undo: ExitStack) -> str:
     """Hold every thread of this process to one core; which, in words."""
     if not hasattr(os, "sched_setaffinity"):
         return ""
+    # The first cores answer most interrupts; the last are the slow ones on some machines.
+    core = max(os.sched_getaffinity(0), key=lambda each: (_pace(each), each))
     held = ""
     for thread in _threads():
         with suppress(OSError):
             before = os.sched_getaffinity(thread)
-            # The first cores answer most interrupts; the last are the slow ones on some machines.
-            core = max(before, key=lambda each: (_pace(each), each))
             os.sched_setaffinity(thread, {core})
             undo.callback(_let_go, thread, before)
             held = f" on core {core}"

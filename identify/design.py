@@ -302,7 +302,14 @@ def search_objective(
     instrument: Instrument | None = None,
     search: Search | None = None,
 ) -> Objective:
-    """What a search goes down: the logarithm of a standard error on coarse plates; see `design`."""
+    """What a search goes down: the logarithm of a standard error, on coarse rounded plates.
+
+    Args:
+        setup, parameter_name, nuisances, limits, instrument, search: As for `design`.
+
+    Raises:
+        InputError: for names that cannot be.
+    """
     instrument, limits = instrument or Instrument(), limits or Limits()
     judge = _Judge(setup, _quantities(parameter_name, nuisances), instrument, limits)
     return _objective(judge, search or Search())

@@ -340,7 +340,11 @@ def _with_gradient_jvp(primals, tangents):
 def value_and_gradient(
     objective: Objective, coordinates: Float[Array, " free"]
 ) -> tuple[Float[Array, ""], Float[Array, " free"]]:
-    """The objective and its exact gradient, forward over forward: a sweep for each coordinate."""
+    """The objective [-] and its exact gradient, forward over forward: a sweep for each coordinate.
+
+    It is a slope to follow where the trial's stress law is rounded (`drftjax.stress.Rounded`);
+    `docs/design.md` has what it is otherwise.
+    """
 
     def along(way: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:
         at, direction = way

@@ -42,7 +42,7 @@ class Observation:
 
     @property
     def intervals(self) -> np.ndarray:
-        """Usual intervals from the sample before, rounded; infinite for the first."""
+        """Whole usual intervals from the sample before [-], infinite first, shape (samples,)."""
         steps = np.diff(self.time)
         usual = np.median(steps) if len(steps) else 1.0
         return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]

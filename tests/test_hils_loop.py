@@ -2,13 +2,11 @@
 
 import functools
 import math
-import threading
 
 import msgspec
 import numpy as np
 import pytest
 
-import hils.procedure
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
@@ -36,7 +34,6 @@ PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.5, 4.0], [0, 0, 30, 30, 0, 0], ome
 TICKS = 400
 # HILS (sim) and HILS (real) in the paper differ by less than this [m].
 CLOSE = 5e-4
-PATIENCE = 60.0  # a busy machine starts a thread late [s]
 
 
 def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
@@ -369,29 +366,6 @@ def test_dead_recorder_brings_the_rig_to_rest():
     assert made.report.rested
     assert made.rows.commands[-1][1] == 0.0
     assert resting(made)
-
-
-def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
-    told, said = threading.Event(), []
-
-    class Slow(KeptRows):
-        def close(self, end_reason):
-            assert told.wait(PATIENCE)
-            super().close(end_reason)
-
-    class Listener(Unattended):
-        def tell(self, text):
-            said.append(text)
-            if "closed" in text:
-                told.set()
-
-    monkeypatch.setattr(hils.procedure, "SLOW_CLOSE", 0.01)
-    rows, soft = Slow(), soft_rig()
-    given = Procedure(loop=loop_setup(), countdown=0.3)
-    report = run(given, soft.link, soft.clock, rows, Listener(quiet=True), StopRequest())
-    assert report.completed
-    assert rows.end_reason == "completed"
-    assert said[-1] == "The recording is being closed, for 120 s at most."
 
 
 def test_fault_of_the_program_still_stops_the_rig():

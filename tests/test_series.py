@@ -4,6 +4,8 @@ import dataclasses
 import io
 import os
 import signal
+import threading
+from contextlib import suppress
 from typing import ClassVar
 
 import psutil
@@ -13,15 +15,17 @@ from drftjax.errors import InputError
 from hils import series as series_module
 from hils.events import Event
 from hils.operator_dialogue import Terminal, Unattended
-from hils.procedure import Procedure, RunReport
+from hils.procedure import Procedure, RunReport, run
 from hils.rows import KeptRows
 from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, told
-from hils.stop_request import STOP_SIGNAL, Wish
+from hils.simulated import soft_rig
+from hils.stop_request import STOP_SIGNAL, StopRequest, Wish
 from hils.under_way import runs_under_way
 from tests.test_hils_loop import loop_setup, make
 
 CTRL_C = Wish("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
 TERMINATED = Wish("asked to stop (SIGTERM)", Event.INTERRUPTED, signal.SIGTERM)
+PATIENCE = 60.0  # a busy machine starts a thread late [s]
 
 
 class AtTheEnd(KeptRows):
@@ -119,6 +123,29 @@ def test_ctrl_c_between_runs_interrupts_the_program(runs):
         runs(between=lambda *_: signal.raise_signal(signal.SIGINT))
 
 
+def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
+    told, said = threading.Event(), []
+
+    class Slow(KeptRows):
+        def close(self, end_reason):
+            assert told.wait(PATIENCE)
+            super().close(end_reason)
+
+    class Listener(Unattended):
+        def tell(self, text):
+            said.append(text)
+            if "closed" in text:
+                told.set()
+
+    monkeypatch.setattr("hils.procedure.SLOW_CLOSE", 0.01)
+    rows, soft = Slow(), soft_rig()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    report = run(given, soft.link, soft.clock, rows, Listener(quiet=True), StopRequest())
+    assert report.completed
+    assert rows.end_reason == "completed"
+    assert said[-1] == "The recording is being closed, for 120 s at most."
+
+
 def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_path):
     monkeypatch.setattr("hils.under_way.BASE", tmp_path)
 
@@ -150,7 +177,9 @@ def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp
     between = f"sleep 600 & echo $! > {told}; kill -USR2 {os.getpid()}; wait; echo never"
     given = Series("/dev/rig", 115_200, [tmp_path / "a.h5", tmp_path / "b.h5"], between, fifo=False)
     assert make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True)) == ENDED_EARLY
-    assert not psutil.pid_exists(int(told.read_text()))
+    # It has ended; nobody may have collected its exit code yet.
+    with suppress(psutil.NoSuchProcess):
+        assert psutil.Process(int(told.read_text())).status() == psutil.STATUS_ZOMBIE
 
 
 def test_a_recording_left_behind_is_refused_before_the_first_run(tmp_path):
