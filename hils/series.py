@@ -86,7 +86,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
         try:
             for number, path in enumerate(series.files):
                 if number:
-                    _prepare(series, number, dialogue)
+                    _prepare(series, number, dialogue, stop)
                 if len(series.files) > 1:
                     dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
                 report = one_run(procedure, series, path, dialogue, stop, under_way)
@@ -144,14 +144,19 @@ def one_run(
         return run(procedure, link, clock, seen.rows, seen.dialogue, stop, before_motion)
 
 
-def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
+def _prepare(series: Series, number: int, dialogue: AbstractDialogue, stop: StopRequest) -> None:
     if series.between is None:
         dialogue.confirm("Prepare the sand and bring the wheel back to its start")
         return
     dialogue.tell(f"Preparing the sand: {series.between}")
     made = {**os.environ, "DRFT_RUNS_MADE": str(number)}
+    # An interrupt in the midst of its start would leave it running, known to nobody.
+    stop.uncut = True
     with subprocess.Popen(series.between, shell=True, env=made) as shell:
         try:
+            stop.uncut = False
+            if stop.wish is not None:
+                raise KeyboardInterrupt
             code = shell.wait()
         except BaseException:
             _end(shell.pid)
@@ -166,17 +171,28 @@ def _prepare(series: Series, number: int, dialogue: AbstractDialogue) -> None:
 def _end(pid: int) -> None:
     """End a process and all that it has started: what prepares the sand may be moving."""
     with suppress(psutil.NoSuchProcess):
-        first = psutil.Process(pid)
-        every = [first, *first.children(recursive=True)]
+        every = _suspended(psutil.Process(pid))
         for each in every:
             with suppress(psutil.NoSuchProcess):
                 each.terminate()
+                each.resume()
         try:
             psutil.wait_procs(every, timeout=LONGEST_CLEARING)
         finally:
             for each in every:
                 with suppress(psutil.NoSuchProcess):
                     each.kill()
+
+
+def _suspended(first: psutil.Process) -> list[psutil.Process]:
+    """A process and all that it has started, suspended, so that none of them starts another."""
+    held: list[psutil.Process] = []
+    while new := [p for p in (first, *first.children(recursive=True)) if p not in held]:
+        for each in new:
+            with suppress(psutil.NoSuchProcess):
+                each.suspend()
+        held += new
+    return held
 
 
 def _drawn(path: Path) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import os
 import signal
+import subprocess
 import threading
 from contextlib import suppress
 from typing import ClassVar
@@ -180,6 +181,28 @@ def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp
     # It has ended; nobody may have collected its exit code yet.
     with suppress(psutil.NoSuchProcess):
         assert psutil.Process(int(told.read_text())).status() == psutil.STATUS_ZOMBIE
+
+
+def test_a_stop_while_the_command_between_runs_starts_ends_it(monkeypatch, tmp_path):
+    monkeypatch.setattr("hils.under_way.BASE", tmp_path)
+    monkeypatch.setattr(series_module, "one_run", lambda *_: make().report)
+    started = []
+
+    class Interrupted(subprocess.Popen):
+        def __init__(self, *given, **named):
+            super().__init__(*given, **named)
+            started.append(self)
+            signal.raise_signal(STOP_SIGNAL)
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupted)
+    files = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    nap = str(600 + os.getpid() / 10**8)  # as no other process sleeps
+    given = Series("/dev/rig", 115_200, files, f"sleep {nap}; echo never", fifo=False)
+    assert make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True)) == ENDED_EARLY
+    (shell,) = started
+    assert shell.poll() is not None
+    running = [each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])]
+    assert ["sleep", nap] not in running
 
 
 def test_a_recording_left_behind_is_refused_before_the_first_run(tmp_path):
