@@ -22,7 +22,7 @@ def answer_set(paths: Sequence[Path]) -> dict:
     found = diagnose(Case.of(candidates_of(list(paths))), tuple(catalogue().values()))
     fresh = sorted((Path(paths[0]).parent / "fresh").glob("*.h5"))
     answer = found.document()
-    if fresh and found.chosen.names:
+    if fresh and found.added.effects:
         gaps = measured_on(found, fresh)
         answer["fresh"] = {channel: gap.document() for channel, gap in gaps.items()}
     return answer

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from diagnose.added import Added, effects_of, most_helpful
 from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.caveats import caveats
@@ -68,16 +69,17 @@ class Diagnosis:
         verdict: Effects that explain the runs, or ("none",), or ("unknown",).
         weights: Weight of each effect, of none and of unknown.
         groups: Names that these runs cannot tell apart, the likeliest first.
-        gap: Before and after on runs left out, by channel.
+        added: What shrinks the gap, as model.toml holds it: the verdict's effects. Where the
+            verdict is unknown, the likeliest effect known or a correction, if either helps.
         steps: The same as two effects are added one by one; empty where there are not two.
-        parameters: Numbers of the verdict's effects, by effect and field.
+        parameters: Numbers of the effects added, by effect and field; none of a correction.
         notes: What else must be known, in sentences.
         next_run: What would tell the group apart; empty where nothing need be.
         found: The search behind it.
-        chosen: The hypothesis that the verdict stands for; the reference model for none.
-        before, after: By run, simulated less recorded by the reference model, and by the chosen
-            one fitted to the other conditions, each run with the zeta that meets its mean sinkage,
-            shape (channels, samples).
+        chosen: The hypothesis that the verdict stands for: the reference model for none, the
+            likeliest effect known for unknown.
+        before: By run, simulated less recorded by the reference model with the zeta that meets the
+            run's mean sinkage, shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         where: Shares of the gap by axis.
         unwritten: Where the verdict is unknown, what an effect that explains it looks like.
@@ -86,14 +88,13 @@ class Diagnosis:
     verdict: tuple[str, ...]
     weights: Mapping[str, float]
     groups: Sequence[Sequence[str]]
-    gap: Mapping[str, Gap]
+    added: Added
     parameters: Mapping[str, Mapping[str, Number]]
     notes: Sequence[str]
     next_run: Mapping[str, object]
     found: Found
     chosen: Hypothesis
     before: list[np.ndarray]
-    after: list[np.ndarray]
     floors: Mapping[str, float]
     where: Sequence[Any] = field(default_factory=list)
     unwritten: Unwritten | None = None
@@ -104,9 +105,15 @@ class Diagnosis:
         return self.found.bench.case
 
     @property
+    def gap(self) -> Mapping[str, Gap]:
+        """Before, and after with what is added, on runs left out, by channel."""
+        return self.added.gap
+
+    @property
     def correction(self) -> Correction | None:
-        """A curve offered in the place of an effect that nobody has written."""
-        return None if self.unwritten is None else self.unwritten.offered
+        """The curve that is added in the place of an effect that nobody has written."""
+        tried = None if self.unwritten is None else self.unwritten.tried
+        return tried if tried is not None and tried.added is self.added else None
 
     def meaning(self, name: str) -> str:
         """What an effect of the verdict does; it may be of the user's own and in no catalogue."""
@@ -201,38 +208,41 @@ def diagnose(
     before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
     after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
     floors, how = noise_floors(case, before, after, own_errors(case, found.none.log_zeta))
-    gap = gaps(case, before, after, floors)
+    known = Added(effects_of(chosen), chosen.log_zeta, after, gaps(case, before, after, floors))
     rival = _rival(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
     notes = [how, *caveats(case)]
-    signal = None
+    signal, added, lies = None, known, []
     if verdict != (NONE,):
         lies = stages(case, found.none.log_zeta)
         places += by_stage(lies)
-        if verdict == (UNKNOWN,) and lies:
+    if verdict == (UNKNOWN,):
+        if lies:
             report("what an effect that explains it would look like")
             signal = unwritten(case, lies, found.none, before, floors)
-            notes += signal.sentences()
+        curve = None if signal is None or signal.tried is None else signal.tried.added
+        reference = Added((), found.none.log_zeta, before, gaps(case, before, before, floors))
+        added = most_helpful([known] if curve is None else [known, curve], reference)
+        notes += [] if signal is None else signal.sentences(added is curve)
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
         verdict=spoken(verdict),
         weights=_by_name(share),
         groups=[spoken(group) for group in groups],
-        gap=gap,
-        parameters=_parameters(found.bench, chosen) if chosen.names else {},
+        added=added,
+        parameters=_parameters(found.bench, chosen) if chosen.names and added is known else {},
         notes=notes,
         next_run=advice,
         found=found,
         chosen=chosen,
         before=before,
-        after=after,
         floors=floors,
         where=places,
         unwritten=signal,
         steps=(
-            one_by_one(found, chosen, unseen, before, floors, gap)
+            one_by_one(found, chosen, unseen, before, floors, known.gap)
             if verdict == chosen.names
             else []
         ),

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.floor import noise_floors
-from diagnose.model_file import as_model
 from diagnose.plates import own_errors
 from diagnose.promise import Followed, followed
 from diagnose.response import Model

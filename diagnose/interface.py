@@ -11,7 +11,7 @@ from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
-from diagnose.model_file import effects_found, read_effects
+from diagnose.model_file import read_effects
 from diagnose.runs import from_one_start, gather, of_one_wheel
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
@@ -66,7 +66,7 @@ def evaluate(
         if isinstance(model, str | Path):
             effects = read_effects(Path(model))
         elif isinstance(model, Diagnosis):
-            effects = effects_found(model)
+            effects = model.added.effects
         else:
             effects = _numbered(model)
         gathered = gathered_from(runs)

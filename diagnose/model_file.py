@@ -1,14 +1,12 @@
 """A diagnosis as a model: a set-up file with the effects that were found."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from diagnose.diagnosis import SCHEMA, Diagnosis, Number, conditions_of
-from diagnose.promise import effects_of
-from diagnose.response import Model
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import spoken_of
@@ -32,28 +30,17 @@ def model_toml(found: Diagnosis) -> str:
     candidates = found.case.candidates
     setup = copy.deepcopy(candidates[0].setup)
     zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
-    offered = found.correction
-    zeta = zeta * np.exp(found.chosen.log_zeta if offered is None else offered.log_zeta)
+    zeta = zeta * np.exp(found.added.log_zeta)
     setup.title = f"{printable(setup.title)}, with what a diagnosis found"
     setup.command = thinned(setup.command)
     setup.terrain.zeta = float(zeta.mean())
-    effects = effects_found(found)
-    setup.effects = [entry_of(effect) for effect in effects]
+    setup.effects = [entry_of(effect) for effect in found.added.effects]
     comments = {("terrain", "zeta"): _scatter(zeta)}
-    for number, effect in enumerate(effects, start=1):
+    for number, effect in enumerate(found.added.effects, start=1):
         comments |= {
             (f"effect {number}", key): each for key, each in _comments(found, effect).items()
         }
     return setup_toml(setup, _head(found), comments)
-
-
-def effects_found(found: Diagnosis) -> tuple[AbstractEffect, ...]:
-    """The effects of a diagnosis's model: the correction that is offered, or those chosen.
-
-    A form of an effect is itself here, as it has numbers of its own.
-    """
-    offered = found.correction
-    return effects_of(found.chosen) if offered is None else (offered.effect,)
 
 
 def _comments(found: Diagnosis, effect: AbstractEffect) -> dict[str, str]:
@@ -81,10 +68,12 @@ def _head(found: Diagnosis) -> list[str]:
         on = "runs left out" if len(conditions_of(found.case)) > 1 else "these very runs"
         lines += [
             "No effect that is known explains these runs. A curve fitted to them changes the gap",
-            f"on {on}, in noise floors: {_in_floors(found.correction.gap)}.",
+            f"on {on}, in noise floors: {_in_floors(found.gap)}.",
         ]
-    elif found.verdict == (UNKNOWN,):
+    elif found.added.effects and found.verdict == (UNKNOWN,):
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
+    elif found.verdict == (UNKNOWN,):
+        lines.append("No effect shrinks the gap of these runs: this is the reference model.")
     lines += [
         "Wheel, rig, start and command are those of the first run; the effects go with any:",
         "  drft simulate model.toml -o run.h5",
@@ -116,12 +105,3 @@ def read_effects(path: Path) -> tuple[AbstractEffect, ...]:
         raise InputError(f"{path}: is a diagnosis; give its model.toml")
     setup = read_setup(path)
     return tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
-
-
-def as_model(effects: Sequence[AbstractEffect]) -> tuple[Model, np.ndarray]:
-    """Effects with numbers as a model and its coordinates."""
-    model = Model(tuple(type(each) for each in effects))
-    values = [
-        free.coordinate(float(getattr(effects[free.index], free.field))) for free in model.free
-    ]
-    return model, np.array(values, float)

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
 import numpy as np
 
+from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
-from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
-from drftjax.effects.stage import AbstractEffect
 from identify.candidate import candidates_of
 
 # A run's own zeta is found by so many secant steps on its mean sinkage.
@@ -24,13 +22,12 @@ def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
     """The gap before and after on other runs of the same rig, by channel.
 
     Args:
-        diagnosis: Whose effects are added, with their numbers as they are.
+        diagnosis: Whose effects or correction are added, with their numbers as they are.
         paths: The other runs.
     """
     case = Case.of(candidates_of(list(paths)))
-    chosen = diagnosis.chosen
     before = followed(case, Model(), np.zeros(0))
-    after = followed(case, chosen.model, chosen.coordinates)
+    after = followed(case, *as_model(diagnosis.added.effects))
     return gaps(
         case,
         [each.residual for each in before],
@@ -84,9 +81,3 @@ def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) 
         if abs(move) < CLOSE_ENOUGH:
             break
     return Followed(here, at)
-
-
-def effects_of(hypothesis: Hypothesis) -> tuple[AbstractEffect, ...]:
-    """The effects with their numbers, as a simulator takes them."""
-    built = hypothesis.model.build(hypothesis.coordinates)
-    return jax.tree.map(np.asarray, built)

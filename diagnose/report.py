@@ -80,7 +80,6 @@ def paragraphs(found: Diagnosis) -> list[str]:
     lines = [f"weights: {told_weights}"]
     lines += group_sentences(found)
     lines += gap_sentences(found)
-    lines += correction_sentences(found)
     if found.verdict != (NONE,):
         lines.append(location.sentence(found.where))  # pyright: ignore[reportArgumentType]
     lines += parameter_sentences(found)
@@ -124,17 +123,36 @@ def shrunk(found: Diagnosis, gap: Gap) -> str:
 
 def gap_sentences(found: Diagnosis) -> list[str]:
     """On what the gap was measured, and how far it shrinks."""
-    if not found.chosen.names:
+    if found.verdict == (NONE,):
         return []
-    least = " and ".join(spoken(found.chosen.names))
-    shares = _shrunk_by(found, found.gap)
+    if found.verdict == (UNKNOWN,):
+        return [_stand_in_sentence(found)]
+    least = " and ".join(found.verdict)
+    shares = _shrunk_by(found)
+    on = _measured_on(found, "the effect's numbers were")
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]
-    on = _measured_on(found, "the effect's numbers were")
     return [
         f"With {least} the gap above the noise floor shrinks by {shares}, {on}.",
         *step_sentences(found),
     ]
+
+
+def _stand_in_sentence(found: Diagnosis) -> str:
+    """What stands for an effect that is not known, and how far the gap shrinks with it."""
+    if not found.added.effects:
+        return "Nothing tried in its place shrinks the gap; model.toml holds the reference model."
+    if found.correction is not None:
+        effect, on = found.correction.effect, _measured_on(found, "its curve was")
+        what = f"a correction of {effect.stage} over {effect.variable}, fitted to these runs"
+    else:
+        on = _measured_on(found, "the effect's numbers were")
+        what = f"{' and '.join(spoken(found.chosen.names))}, the likeliest effect known"
+    shares = _shrunk_by(found) or "little in any one channel"
+    return (
+        f"Offered in its place: {what}. With it the gap above the noise floor shrinks by {shares}, "
+        f"{on}; model.toml holds it."
+    )
 
 
 def step_sentences(found: Diagnosis) -> list[str]:
@@ -145,21 +163,8 @@ def step_sentences(found: Diagnosis) -> list[str]:
     return [f"Added one by one, each fitted anew: {'; then '.join(steps)}."]
 
 
-def correction_sentences(found: Diagnosis) -> list[str]:
-    """What the curve does that is offered where no effect explains the runs."""
-    offered = found.correction
-    if offered is None:
-        return []
-    effect, on = offered.effect, _measured_on(found, "its curve was")
-    shares = _shrunk_by(found, offered.gap) or "little in any one channel"
-    return [
-        f"Offered instead: a correction of {effect.stage} over {effect.variable}, fitted to these "
-        f"runs. With it the gap above the noise floor shrinks by {shares}, {on}; model.toml holds "
-        "it."
-    ]
-
-
-def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap]) -> str:
+def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
+    gaps = found.gap if gaps is None else gaps
     return ", ".join(
         f"{channel} {shrunk(found, gap)}" for channel, gap in gaps.items() if gap.can_shrink
     )
@@ -204,15 +209,10 @@ def next_sentences(found: Diagnosis) -> list[str]:
 # Tables -------------------------------------------------------------------------------------------
 
 
-def gap_rows(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> list[tuple[str, ...]]:
-    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval.
-
-    Args:
-        found: The diagnosis.
-        gaps: Other gaps than those of the effect chosen.
-    """
+def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
+    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval."""
     rows = []
-    for channel, gap in (found.gap if gaps is None else gaps).items():
+    for channel, gap in found.gap.items():
         unit, scale = shown(channel)
         rows.append(
             (
@@ -221,7 +221,7 @@ def gap_rows(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> list[tu
                 f"{gap.after * scale:.3f}",
                 f"{gap.floor * scale:.3f}",
                 f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
-                shrunk(found, gap) if found.chosen.names or gaps else "-",
+                shrunk(found, gap) if found.added.effects else "-",
             )
         )
     return rows
@@ -244,9 +244,9 @@ def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """By run: name, title, duration, zeta, and the gap before and after by channel."""
     rows = []
     for number, each in enumerate(found.case.candidates):
-        zeta = float(each.setup.terrain.zeta) * np.exp(found.chosen.log_zeta[number])  # pyright: ignore
+        zeta = float(each.setup.terrain.zeta) * np.exp(found.added.log_zeta[number])  # pyright: ignore
         cells = [
-            _rms_pair(found.before[number][place], found.after[number][place], channel)
+            _rms_pair(found.before[number][place], found.added.after[number][place], channel)
             for place, channel in enumerate(found.case.channels)
         ]
         duration = f"{found.case.time(number)[-1]:.1f}"
@@ -285,7 +285,6 @@ def page(found: Diagnosis) -> str:
         sentences=[
             *group_sentences(found),
             *gap_sentences(found),
-            *correction_sentences(found),
             *([location.sentence(found.where)] if found.verdict != (NONE,) else []),  # pyright: ignore
         ],
         glance=as_source(at_a_glance(found)),
@@ -293,6 +292,7 @@ def page(found: Diagnosis) -> str:
         residuals=as_source(residuals(found)),
         gap_columns=GAP_COLUMNS,
         gap_rows=gap_rows(found),
+        added="the effect" if found.correction is None else "the correction",
         run_columns=run_columns(found),
         run_rows=run_rows(found),
         where=found.where,
@@ -314,12 +314,11 @@ def _signal(found: Diagnosis) -> dict[str, Any] | None:
         knots, values = (np.asarray(v) for v in (offered.effect.knots, offered.effect.values()))
         rows = [(f"{a:.4g}", f"{b:.4g}") for a, b in zip(knots, values, strict=True)]
     return {
-        "sentences": [*found.unwritten.sentences(), *correction_sentences(found)],
+        "sentences": found.unwritten.sentences(offered is not None),
         "figure": as_source(unknown_signal(found, found.unwritten)),
         "correction": offered,
         "variable_unit": "" if offered is None else VARIABLES[offered.effect.variable],
         "rows": rows,
-        "gap_rows": [] if offered is None else gap_rows(found, offered.gap),
     }
 
 

@@ -41,14 +41,11 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     place = np.arange(len(channels))
     gaps = [found.gap[channel] for channel in channels]
     bars = [("reference model", BEFORE, [gap.before for gap in gaps])]
-    if found.chosen.names:
-        bars.append(("with the effect", AFTER, [gap.after for gap in gaps]))
-    if found.correction is not None:
-        after = [found.correction.gap[channel].after for channel in channels]
-        bars.append(("with the correction", CORRECTED, after))
-    wide = 0.8 / max(len(bars), 2)
+    if found.added.effects:
+        bars.append((*_with_what(found), [gap.after for gap in gaps]))
+    wide = 0.4
     for number, (label, colour, left) in enumerate(bars):
-        shifted = place + wide * (number - (max(len(bars), 2) - 1) / 2)
+        shifted = place + wide * (number - 0.5)
         sizes = [each / gap.floor for each, gap in zip(left, gaps, strict=True)]
         axes.barh(shifted, sizes, 0.9 * wide, color=colour, label=label)
         for at, size, each, channel in zip(shifted, sizes, left, channels, strict=True):
@@ -62,6 +59,13 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     axes.set_xlabel("gap [noise floors]")
     axes.set_title("Simulated against recorded", fontsize=10, loc="left")
     axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False)
+
+
+def _with_what(found: Diagnosis) -> tuple[str, str]:
+    """What is added, in words, and its colour."""
+    if found.correction is not None:
+        return "with the correction", CORRECTED
+    return "with the effect", AFTER
 
 
 def _bins(axes: Axes, found: Diagnosis) -> None:
@@ -118,10 +122,8 @@ def residuals(found: Diagnosis) -> Figure:
     """Simulated less recorded, one row for each run, one column for each channel."""
     case = found.case
     lines = [("reference model", BEFORE, found.before)]
-    if found.chosen.names:
-        lines.append(("with the effect", AFTER, found.after))
-    if found.correction is not None:
-        lines.append(("with the correction", CORRECTED, found.correction.unseen))
+    if found.added.effects:
+        lines.append((*_with_what(found), found.added.after))
     runs = range(min(len(case.candidates), MOST_RUNS))
     count = len(case.channels)
     figure = Figure(figsize=(4.8 * count, 1.25 * len(runs) + 0.7), layout="constrained")
@@ -158,8 +160,8 @@ def unknown_signal(found: Diagnosis, signal: Unwritten) -> Figure:
             sure = np.clip(1 - stage.error[run] / (2 * spread), FAINTEST, 0.9)
             colour = mpl.colormaps["viridis"](run / max(len(pairs) - 1, 1))
             axes.scatter(at, height, s=9, color=colour, alpha=sure, linewidths=0)
-        if signal.offered is not None and name == signal.offered.effect.variable:
-            _curve(axes, signal.offered.effect, pairs)
+        if found.correction is not None and name == found.correction.effect.variable:
+            _curve(axes, found.correction.effect, pairs)
         axes.set_title(f"{name}: {shares[name]:.0%} of it", fontsize=9, loc="left")
         axes.set_xlabel(f"{name} [{VARIABLES[name]}]", fontsize=8)
         axes.tick_params(labelsize=7)

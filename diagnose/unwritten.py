@@ -2,7 +2,7 @@
 
 Where no effect of the list explains the runs, the simplest unknown signal is held against every
 state variable. Where it follows one, the curve is fitted as a correction: all its runs simulated
-freely, then those left out by condition, as any effect's. It is offered only where that helps.
+freely, then those left out by condition, as any effect's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnose.added import Added, effects_of
 from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.evidence import WORTH
@@ -18,7 +19,7 @@ from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
 from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from diagnose.response import Model, predict
-from diagnose.shrinkage import Gap, gaps
+from diagnose.shrinkage import gaps
 from diagnose.stages import Stage
 from drftjax.effects.correction import (
     STAGES,
@@ -31,8 +32,6 @@ from drftjax.effects.correction import (
 
 # A signal follows a variable that explains this share of it.
 FOLLOWS = 0.5
-# A correction helps where the gap, in floors over all channels, falls by this share at least.
-HELPS = 0.1
 # Simulations that its curve is fitted by.
 TURNS = 6
 # Ways for a curve to bend are left out where they are believed to be this much smaller than the
@@ -47,29 +46,17 @@ class Correction:
     Attributes:
         effect: With its values.
         explained: Share of the signal that such a curve explains on runs left out [-].
-        log_zeta: Each run's log zeta over its set-up's beside it.
-        unseen: By run, simulated less recorded while its condition was left out.
-        gap: Before and after on runs left out, by channel.
+        added: What it leaves of the gap.
     """
 
     effect: Curve
     explained: float
-    log_zeta: np.ndarray
-    unseen: list[np.ndarray]
-    gap: Mapping[str, Gap]
+    added: Added
 
     @property
     def unit(self) -> str:
         """Of its values; "-" for none."""
         return STAGES[self.effect.stage][1]
-
-    def helps(self) -> bool:
-        """Whether it shrinks the gap over all channels."""
-        before, after = (
-            sum((getattr(gap, which) / gap.floor) ** 2 for gap in self.gap.values())
-            for which in ("before", "after")
-        )
-        return bool(np.sqrt(after) < (1 - HELPS) * np.sqrt(before))
 
     def document(self) -> dict[str, Any]:
         """Plain values, in the layout of diagnosis.json."""
@@ -81,7 +68,7 @@ class Correction:
             "knots": entry["knots"],
             "values": entry["values"],
             "explained": self.explained,
-            "gap": {channel: gap.document() for channel, gap in self.gap.items()},
+            "gap": {channel: gap.document() for channel, gap in self.added.gap.items()},
         }
 
 
@@ -100,12 +87,7 @@ class Unwritten:
     follows: Sequence[tuple[str, float]]
     tried: Correction | None
 
-    @property
-    def offered(self) -> Correction | None:
-        """The correction, where it helps."""
-        return self.tried if self.tried is not None and self.tried.helps() else None
-
-    def sentences(self) -> list[str]:
+    def sentences(self, offered: bool) -> list[str]:
         """What it looks like, and why no correction is offered where none is."""
         said = f"The simplest unknown signal is one of {self.stage.name} ({self.stage.meaning})"
         if not self.follows or self.follows[0][1] < FOLLOWS:
@@ -114,10 +96,11 @@ class Unwritten:
         found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
         if self.tried is None:
             found.append(f"Nothing that {self.stage.name} can know stands for it: no correction.")
-        elif self.offered is None:
+        elif not offered:
+            added = self.tried.added
             found.append(
-                f"A curve of it over {self.tried.effect.variable} was tried; simulated on runs "
-                "left out it does not shrink the gap, so no correction is offered."
+                f"A correction by a curve of it over {self.tried.effect.variable} was tried and is "
+                f"not offered: {added.left:.1f} of {added.before:.1f} noise floors are left."
             )
         return found
 
@@ -165,10 +148,11 @@ def corrected(
     if not best.simulated:
         return None
     after = at_mean_sinkage(bench, predicted_unseen(bench, best))
-    (effect,) = best.model.build(best.coordinates)
+    (effect,) = effects_of(best)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    return Correction(plain, explained, best.log_zeta, after, gaps(case, before, after, floors))
+    added = Added((plain,), best.log_zeta, after, gaps(case, before, after, floors))
+    return Correction(plain, explained, added)
 
 
 def _modes(curve: Fitted) -> np.ndarray:

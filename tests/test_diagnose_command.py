@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from diagnose.added import as_model
 from diagnose.blind.answers import Answer
 from diagnose.commands import diagnose
-from diagnose.model_file import as_model, read_effects
+from diagnose.model_file import read_effects
 from diagnose.runs import gather
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.errors import InputError

@@ -116,10 +116,11 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     weights = ", ".join(f"{name} {w:.2f}" for name, w in list(found.weights.items())[:4])
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
+    added = " + ".join(each.about.name for each in found.added.effects) or "nothing"
     for channel, gap in found.gap.items():
         console.print(
             f"{channel}: {gap.before * MM:.2f} -> {gap.after * MM:.2f} mm on runs left out by "
-            f"{' + '.join(found.chosen.names) or 'none'}, floor {gap.floor * MM:.2f} mm"
+            f"{added}, floor {gap.floor * MM:.2f} mm"
         )
     for note in found.notes:
         console.print(f"note: {note}")
