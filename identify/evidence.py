@@ -47,39 +47,67 @@ class Instrument:
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Sums of products of one channel's columns [derivative | data], all of shape (n, n).
+    """Sums of products of one channel's columns [derivative | data], of shape (n, n) each.
 
-    The inverse covariance of autoregressive noise needs no other numbers of them:
+    Of samples that lie k intervals after the one before, for every k that occurs (the first sample
+    of all is an infinite one after). The inverse covariance of autoregressive noise needs no other
+    numbers of the columns, with $r = \\rho^k$:
 
-    $$a^T C^{-1} b = (S_0 - \\rho S_1 + \\rho^2 S_2) / (\\sigma^2 (1 - \\rho^2))$$
+    $$a^T C^{-1} b = \\sum_k (S_k - r L_k + r^2 B_k) / (\\sigma^2 (1 - r^2))$$
 
     Attributes:
-        same: S0, of each sample with itself.
-        next: S1, with its neighbours on both sides.
-        inner: S2, like S0 without the first and the last sample.
-        samples: Number of samples.
+        intervals: Every k, shape (kinds,).
+        samples: How many samples lie so, shape (kinds,).
+        own: S, of each such sample with itself, shape (kinds, n, n).
+        lagged: L, with the one before, either way round, likewise.
+        before: B, of the one before with itself, likewise.
     """
 
-    same: np.ndarray
-    next: np.ndarray
-    inner: np.ndarray
-    samples: int
+    intervals: np.ndarray
+    samples: np.ndarray
+    own: np.ndarray
+    lagged: np.ndarray
+    before: np.ndarray
 
     @classmethod
-    def of(cls, columns: np.ndarray) -> "Products":
-        """Of columns in time, shape (samples, n)."""
-        lagged = columns[1:].T @ columns[:-1]
-        middle = columns[1:-1]
-        return cls(columns.T @ columns, lagged + lagged.T, middle.T @ middle, len(columns))
+    def of(cls, columns: np.ndarray, intervals: np.ndarray) -> "Products":
+        """Of columns in time.
+
+        Args:
+            columns: Shape (samples, n).
+            intervals: Usual intervals from the sample before, infinite first, shape (samples,).
+        """
+        kinds, kind = np.unique(intervals, return_inverse=True)
+        ahead = np.concatenate([np.zeros_like(columns[:1]), columns[:-1]])
+        pairs = [(columns[kind == k], ahead[kind == k]) for k in range(len(kinds))]
+        lagged = np.stack([here.T @ last for here, last in pairs])
+        return cls(
+            kinds,
+            np.bincount(kind),
+            np.stack([here.T @ here for here, _ in pairs]),
+            lagged + lagged.transpose(0, 2, 1),
+            np.stack([last.T @ last for _, last in pairs]),
+        )
 
     def whitened(self, noise: Noise) -> np.ndarray:
         """columns^T C^-1 columns."""
-        rho = noise.correlation
-        bare = self.same - rho * self.next + rho**2 * self.inner
-        return bare / (noise.spread**2 * (1 - rho**2))
+        rho = self.carried(noise)[:, None, None]
+        bare = (self.own - rho * self.lagged + rho**2 * self.before) / (1 - rho**2)
+        return bare.sum(axis=0) / noise.spread**2
+
+    def volume(self, noise: Noise) -> float:
+        """Logarithm of the determinant of the noise's covariance."""
+        fresh = np.log1p(-(self.carried(noise) ** 2))
+        return float((self.samples * (np.log(noise.spread**2) + fresh)).sum())
+
+    def carried(self, noise: Noise) -> np.ndarray:
+        """What a sample keeps of the one before, by kind: nothing where that is infinitely far."""
+        return np.where(np.isfinite(self.intervals), noise.correlation**self.intervals, 0.0)
 
     def noise(self, residual: np.ndarray, covariance: np.ndarray, instrument: Instrument) -> Noise:
         """The noise that makes this residual, known to a covariance, most probable.
+
+        Neighbours alone tell the correlation.
 
         Args:
             residual: Its coefficients in the columns, shape (n,).
@@ -91,12 +119,15 @@ class Products:
             spread = np.sum(sums[:-1, :-1] * covariance)
             return float(residual @ sums @ residual + spread)
 
-        same, inner = power(self.same), power(self.inner)
-        rho = np.clip(power(self.next) / 2 / max(inner, 1e-300), 0.0, instrument.longest)
+        near = self.intervals == 1
+        both = power((self.own[near] + self.before[near]).sum(axis=0))
+        rho = np.clip(
+            power(self.lagged[near].sum(axis=0)) / max(both, 1e-300), 0, instrument.longest
+        )
         # Rounding can make nothing of it where the derivative is many times what is left.
-        left = max(same - rho * power(self.next) + rho**2 * inner, 0.0)
-        variance = left / (self.samples * (1 - rho**2))
-        return Noise(max(float(np.sqrt(variance)), instrument.floor), float(rho))
+        left = max(power(self.whitened(Noise(1.0, float(rho)))), 0.0)
+        spread = np.sqrt(left / self.samples.sum())
+        return Noise(max(float(spread), instrument.floor), float(rho))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +165,7 @@ def posterior(
     mean = covariance @ (slope + prior @ centre)
     misfit = power - 2 * mean @ slope + mean @ information @ mean
     away = (mean - centre) @ prior @ (mean - centre)
-    noise_volume = sum(
-        p.samples * np.log(n.spread**2) + (p.samples - 1) * np.log1p(-(n.correlation**2))
-        for p, n in zip(products, noise, strict=True)
-    )
+    noise_volume = sum(p.volume(n) for p, n in zip(products, noise, strict=True))
     volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(prior)[1] + noise_volume
     evidence = -0.5 * float(misfit + away + volume)
     return Posterior(mean, covariance, information, evidence, weight, tuple(noise))

@@ -43,9 +43,7 @@ class Observation:
     @property
     def intervals(self) -> np.ndarray:
         """Whole usual intervals from the sample before [-], infinite first, shape (samples,)."""
-        steps = np.diff(self.time)
-        usual = np.median(steps) if len(steps) else 1.0
-        return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
+        return intervals_of(self.time)
 
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
         """Values and noise by the channel's name."""
@@ -53,6 +51,13 @@ class Observation:
             name: (values, float(noise))
             for name, values, noise in zip(self.channels, self.values, self.noise, strict=True)
         }
+
+
+def intervals_of(time: np.ndarray) -> np.ndarray:
+    """Whole usual intervals from the sample before [-], infinite first, of times [s] (samples,)."""
+    steps = np.diff(time)
+    usual = np.median(steps) if len(steps) else 1.0
+    return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
 
 
 def comparable(driven: bool) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ from identify.evidence import (
     smoothest_given,
     smoothness_prior,
 )
-from identify.observation import SMALLEST_NOISE, Observation
+from identify.observation import SMALLEST_NOISE, Observation, intervals_of
 from identify.spline import between, cardinal
 
 CHANNELS = ("z", "x")
@@ -309,6 +309,8 @@ class _Fit:
         self.channels = batch.channels
         self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
         self.values = np.asarray(batch.observed.values[number])[:, self.counts]
+        time = candidate.observation.time[candidate.observation.counts]
+        self.intervals = intervals_of(time)
         zeta = _believed_zeta(candidate.trial, grid)
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
@@ -387,7 +389,7 @@ class _Fit:
         picked = [self.channels.index(name) for name in self.followed]
         instruments = [self.instruments[name] for name in self.followed]
         products = [
-            Products.of(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
+            self._products(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
             for n in picked
         ]
         noise = [
@@ -434,13 +436,18 @@ class _Fit:
         """Half the misfit and the bends at the last weight and noise."""
         assert self.last is not None
         misfit = sum(
-            float(Products.of(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0])
+            float(
+                self._products(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0]
+            )
             for name, noise in zip(self.followed, self.last.noise, strict=True)
         )
         centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
         away = self.coordinates - centre
         prior = smoothness_prior(self.knots, len(centre), self.last.weight)
         return 0.5 * (misfit + float(away @ prior @ away))
+
+    def _products(self, columns: np.ndarray) -> Products:
+        return Products.of(columns, self.intervals)
 
     def _own_error(self) -> np.ndarray:
         assert self.last is not None

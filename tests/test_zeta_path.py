@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from drftjax.errors import InputError
 from drftjax.scaling import KnotZeta
@@ -14,6 +15,7 @@ from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
 from identify.candidate import Candidate, candidate
 from identify.evidence import WEIGHTS, Instrument, Noise, Products, posterior
+from identify.observation import intervals_of
 from identify.spline import LINES, between, cardinal
 from identify.zeta_path import ZetaPath, predicted, zeta_paths
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
@@ -22,6 +24,8 @@ from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 # steps the misfit grows rough, by the corners that plates pass as they begin to lead.
 PLATE_SIZE, STEP = 8e-3, 1e-3
 TIME, OMEGA = (0.0, 0.5, 2.0, 4.0, 5.5, 6.0), (0.0, 0.0, 45.0, 45.0, 0.0, 0.0)
+# A stretch about the fourth knot, which a recording lost [s].
+LOST = (2.0, 3.5)
 LATE_TIME, LATE_OMEGA = (0.0, 3.0, 4.0, 5.0, 5.9, 6.0), (0.0, 0.0, 30.0, 30.0, 0.0, 0.0)
 KNOTS = np.linspace(0.0, 5.5, 7)
 FINE = np.linspace(0.0, 5.5, 111)
@@ -51,10 +55,23 @@ def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=()) -> Cand
     return dataclasses.replace(each, trial=each.setup.trial(5 * STEP))
 
 
+def without(each: Candidate, start: float, end: float) -> Candidate:
+    """The run without the samples of some time [s], and without every seventh other."""
+    seen = each.observation
+    kept = (seen.time < start) | (seen.time > end)
+    kept &= np.arange(len(seen.time)) % 7 > 0
+    short = dataclasses.replace(
+        seen, time=seen.time[kept], values=seen.values[:, kept], counts=seen.counts[kept]
+    )
+    return dataclasses.replace(each, name="lossy", observation=short)
+
+
 @pytest.fixture(scope="module")
 def candidates() -> list[Candidate]:
     runs = [made(f"run {number}", path_of(number), number) for number in range(RUNS)]
-    return [*runs, made("stands long", lambda t: 0.74 + 0 * t, RUNS, LATE_TIME, LATE_OMEGA)]
+    lossy = without(runs[0], *LOST)
+    late = made("stands long", lambda t: 0.74 + 0 * t, RUNS, LATE_TIME, LATE_OMEGA)
+    return [*runs, lossy, late]
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +91,16 @@ def test_known_path_lies_within_its_band(paths):
     assert np.concatenate(inside).sum() >= 22
     # And the band is no wide one: in the moving part a thousandth or two of zeta.
     assert np.median([each.error[2:5] for each in paths[:RUNS]]) < 2e-3
+
+
+def test_where_samples_were_lost_the_path_is_known_less_well(paths):
+    whole, lossy = paths[0], paths[RUNS]
+    assert np.abs(lossy.value - path_of(0)(lossy.time)).max() < 4 * lossy.error.max()
+    middle = int(np.argmin(np.abs(lossy.time - np.mean(LOST))))
+    assert lossy.error[middle] > 1.5 * whole.error[middle]
+    # Elsewhere one in seven is lost, and an error of one in fourteen more is due.
+    assert lossy.error[-2] == pytest.approx(whole.error[-2], rel=0.4)
+    assert all(spread == pytest.approx(20e-6, rel=0.4) for spread, _ in lossy.noise.values())
 
 
 def test_between_knots_the_path_is_a_curve(paths):
@@ -209,17 +236,33 @@ def test_derivative_by_the_knots_is_exact(candidates):
     assert jnp.sqrt(jnp.sum(far**2) / jnp.sum((counts * forward) ** 2)) < DIFFERENCES
 
 
-def test_whitening_is_the_inverse_covariance():
+@pytest.mark.parametrize("lost", [[], [0, 7, 20, 21, 22, 39], [*range(3, 30)]])
+def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     random = np.random.default_rng(0)
-    columns, noise = random.standard_normal((40, 3)), Noise(0.3, 0.8)
-    lags = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
-    dense = columns.T @ np.linalg.solve(0.3**2 * 0.8**lags, columns)
-    np.testing.assert_allclose(Products.of(columns).whitened(noise), dense, rtol=1e-10)
+    place = np.delete(np.arange(40), lost)
+    columns, noise = random.standard_normal((len(place), 3)), Noise(0.3, 0.8)
+    covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
+    products = Products.of(columns, intervals_of(0.01 * place))
+    dense = columns.T @ np.linalg.solve(covariance, columns)
+    np.testing.assert_allclose(products.whitened(noise), dense, rtol=1e-10)
+    assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-10)
+
+
+def test_noise_is_found_among_the_samples_that_are_left():
+    random = np.random.default_rng(1)
+    fresh = 0.3 * np.sqrt(1 - 0.9**2) * random.standard_normal(20000)
+    place = np.flatnonzero(random.random(20000) < 0.5)
+    data = lfilter([1.0], [1.0, -0.9], fresh)[place]
+    products = Products.of(data[:, None], intervals_of(0.01 * place))
+    found = products.noise(np.ones(1), np.zeros((0, 0)), Instrument(1e-6, 0.9999))
+    # Five standard deviations of a correlation told by 5,000 pairs, and of the spread.
+    assert found.correlation == pytest.approx(0.9, abs=5 * np.sqrt((1 - 0.9**2) / 5000))
+    assert found.spread == pytest.approx(0.3, rel=5 * np.sqrt(19 / 2 / 20000))
 
 
 def test_noise_lasts_no_longer_than_its_instrument_allows():
     time = np.linspace(0.0, 1.0, 500)
-    products = Products.of((1e-3 * time)[:, None])
+    products = Products.of((1e-3 * time)[:, None], intervals_of(time))
     residual, nothing = np.ones(1), np.zeros((0, 0))
     assert products.noise(residual, nothing, Instrument(1e-6, 0.9999)).correlation == 0.9999
     short = products.noise(residual, nothing, Instrument(1e-6, 0.9))
@@ -237,7 +280,7 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
         path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
         data = seen @ path + 0.02 * random.standard_normal(len(seen))
-        products = [Products.of(np.c_[seen, data])]
+        products = [Products.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
         best = max(
             WEIGHTS,
             key=lambda w, p=products: posterior(p, knots, 0.0, w, [Noise(0.02, 0.0)]).evidence,
