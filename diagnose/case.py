@@ -1,7 +1,7 @@
 """A case: the runs of one rig made ready for a diagnosis, with the baseline fitted to each."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +21,7 @@ from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, roomy
 from identify.candidate import Candidate
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # zeta is found to this share of itself.
@@ -73,12 +74,12 @@ class Case:
         They compute in the precision of the thread that asks first, which JAX does not hand on,
         and end with the case.
         """
-        double = bool(jax.config.values["jax_enable_x64"])
+        return _threads()
 
-        def begin() -> None:
-            jax.enable_x64(double).__enter__()  # for as long as the thread lives
-
-        return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
+    @cached_property
+    def leaders(self) -> ThreadPoolExecutor:
+        """Threads like these that do no more than hand work to them and wait."""
+        return _threads()
 
     @cached_property
     def trials(self) -> list[Trial]:
@@ -96,6 +97,13 @@ class Case:
     def each_run(self, work: Callable[[int], Result]) -> list[Result]:
         """`work` done for every run, side by side."""
         return list(self.threads.map(work, range(len(self.candidates))))
+
+    def side_by_side(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+        """`work` done for every item, side by side, where it goes over runs itself.
+
+        Runs are of different lengths: one item alone leaves cores idle at the end of each pass.
+        """
+        return list(self.leaders.map(work, items))
 
     def warm(self, program: Callable, models: Sequence[Model]) -> None:
         """Compile a program for some models side by side, rather than one by one as they come.
@@ -158,6 +166,15 @@ class Case:
         """Length of a node of its trace [s]."""
         trial = self.trials[run]
         return float(trial.step) * steps_in_a_node(trial)
+
+
+def _threads() -> ThreadPoolExecutor:
+    double = bool(jax.config.values["jax_enable_x64"])
+
+    def begin() -> None:
+        jax.enable_x64(double).__enter__()  # for as long as the thread lives
+
+    return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
 
 
 def next_size(count: int) -> int:

@@ -201,7 +201,8 @@ def diagnose(
     found = search(case, effects, report)
     report("predicting the runs left out")
     leading = [*foremost(found.singles, JUDGED_SINGLES), *foremost(found.pairs, JUDGED_PAIRS)]
-    unseen = {each.names: predicted_unseen(found.bench, each) for each in leading}
+    of_each = case.side_by_side(lambda each: predicted_unseen(found.bench, each), leading)
+    unseen = {each.names: left for each, left in zip(leading, of_each, strict=True)}
     share = _weights(found, leading, unseen)
     verdict, groups = verdict_of(share)
     chosen = _chosen(found, leading, share, verdict)

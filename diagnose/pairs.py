@@ -72,17 +72,19 @@ def simulated_pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothe
     for first in range(0, PAIRS * ROUNDS, PAIRS):
         begun = [next(iter(kinds.values())).build() for kinds in ways[first : first + PAIRS]]
         bench.case.warm(predict, [each.model for each in begun])
-        found += [settled(bench, each, TURNS) for each in begun]
+        found += bench.case.side_by_side(lambda each: settled(bench, each, TURNS), begun)
         found.sort(key=lambda each: -each.score)
         # Far from the null straight lines may rank the pair that explains the runs low.
         if not found or coarseness(bench.products.blocks, found[0].line.left, 1.0) <= FAR:
             break
     # Far from the null neither start is sure to lead to the best.
-    for place, known in enumerate(found[:TWICE]):
-        for other in list(starts[frozenset(known.names)].values())[1:]:
-            again = settled(bench, other.build(), TURNS)
-            found[place] = max(found[place], again, key=lambda each: each.score)
-    return found
+
+    def better(known: Hypothesis) -> Hypothesis:
+        others = list(starts[frozenset(known.names)].values())[1:]
+        again = [settled(bench, other.build(), TURNS) for other in others]
+        return max([known, *again], key=lambda each: each.score)
+
+    return [*bench.case.side_by_side(better, found[:TWICE]), *found[TWICE:]]
 
 
 def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]:

@@ -17,7 +17,7 @@ from diagnose.hypothesis import (
     settled,
 )
 from diagnose.pairs import simulated_pairs
-from diagnose.response import predict, respond
+from diagnose.response import Model, predict, respond
 from drftjax.effects.catalogue import numbers, strengths
 from drftjax.effects.stage import AbstractEffect
 
@@ -79,7 +79,7 @@ def search(
     report(f"simulating the leading {len(ranked)} effects")
     starts = [proposed(bench, [variant], line) for variant, line in ranked]
     case.warm(predict, [each.model for each in starts])
-    singles = [settled(bench, each, TURNS) for each in starts]
+    singles = case.side_by_side(lambda each: settled(bench, each, TURNS), starts)
     if coarseness(bench.products.blocks, none.line.left, 1.0) > FAR:
         singles = _with_far(bench, singles)
     singles = _finished(bench, singles)
@@ -92,20 +92,31 @@ def search(
 
 def _with_far(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Singles, and in their place those that do better from a strength far from zero."""
+    afar = [
+        (variant, coordinate, values)
+        for variant in bench.variants
+        for coordinate, values in _far(variant.effect).items()
+    ]
+    models = [*dict.fromkeys(Model((variant.effect,)) for variant, _, _ in afar)]
+    bench.case.warm(predict, models)
+    bench.case.warm(respond, models)
+
+    def tried(far: tuple[Variant, int, list[float]]) -> Hypothesis:
+        variant, coordinate, values = far
+        start = proposed(bench, [variant])
+        ways = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
+        found = [settled(bench, each, 1) for each in ways]
+        best = max(found, key=lambda each: each.score if each.simulated else -np.inf)
+        if not best.simulated:
+            return best
+        # The way there was long: what it tells of the columns holds for no small step.
+        return settled(bench, refreshed(bench, best), MORE_TURNS)
+
     found = {each.names: each for each in singles}
-    for variant in bench.variants:
-        for coordinate, values in _far(variant.effect).items():
-            start = proposed(bench, [variant])
-            bench.case.warm(predict, [start.model])
-            afar = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
-            tried = [settled(bench, each, 1) for each in afar]
-            best = max(tried, key=lambda each: each.score if each.simulated else -np.inf)
-            if not best.simulated:
-                continue
-            # The way there was long: what it tells of the columns holds for no small step.
-            best = settled(bench, refreshed(bench, best), MORE_TURNS)
-            if best.names not in found or best.score > found[best.names].score:
-                found[best.names] = best
+    for best in bench.case.side_by_side(tried, afar):
+        better = best.names not in found or best.score > found[best.names].score
+        if best.simulated and better:
+            found[best.names] = best
     return list(found.values())
 
 
@@ -130,12 +141,15 @@ def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, n
 
 def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses settled to their end, all of them best first."""
-    hypotheses = sorted(hypotheses, key=lambda each: -promised(bench, each))
+    side_by_side = bench.case.side_by_side
+    worth = side_by_side(lambda each: promised(bench, each), hypotheses)
+    ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
+    hypotheses = [each for _, each in ranked]
     done: list[Hypothesis] = []
     hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
     bench.case.warm(respond, [each.model for each in hopeful])
-    for place, each in enumerate(hypotheses[:FINISHED]):
-        each = settled(bench, each, MORE_TURNS)
+    leading = side_by_side(lambda each: settled(bench, each, MORE_TURNS), hypotheses[:FINISHED])
+    for place, each in enumerate(leading):
         for _ in range(ROUNDS):
             if place >= REFRESHED or not each.simulated or not _leaves_much(bench, each):
                 break
