@@ -1,8 +1,11 @@
 """The search: large strengths that no straight line leads to, and several forms of one effect."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diagnose.case import Case
 from diagnose.diagnosis import diagnose
 from diagnose.hypothesis import foremost
 from diagnose.model_file import model_toml, read_effects
@@ -84,3 +87,18 @@ def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
     # More than all else together, of three short runs.
     assert found.weights["sinkage_gain"] > 0.5
     assert found.parameters["sinkage_gain"]["gain"].value == pytest.approx(0.06, rel=0.05)
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_items_side_by_side_go_over_runs_themselves_in_the_same_precision(double):
+    runs, items = range(5), range(20)
+    with jax.enable_x64(double):
+        case = Case(runs, None)  # pyright: ignore[reportArgumentType]
+        found = case.side_by_side(
+            lambda item: case.each_run(lambda run: jnp.asarray(float(item * run))), items
+        )
+    assert [[float(each) for each in row] for row in found] == [
+        [i * r for r in runs] for i in items
+    ]
+    kinds = {each.dtype.name for row in found for each in row}
+    assert kinds == {"float64" if double else "float32"}
