@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from diagnose.cut import Share
 from diagnose.diagnosis import Diagnosis
 from diagnose.evaluation import shown
 from diagnose.follows import against
 from diagnose.unwritten import Unwritten
-from diagnose.where import Share
 from drftjax.effects.correction import VARIABLES, Curve
 
 NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case
+from diagnose.cut import Share
 from diagnose.motion import PHASES, motion_of_run
-from diagnose.where import Share, sentence, where
+from diagnose.where import sentence, where
 from drftjax.runlog.record import Command, Measured, RunLog
 from tests.virtual_runs import FAST, FAST_STEP, SLOW, coarse, recorded, setup_of
 
