@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from identify.crosscheck import Comparison, CrossCheck, RunCheck, Setting
+    from identify.crosscheck import CrossCheck, RunCheck
+    from identify.tuner_comparison import Comparison
+    from identify.tuner_replays import Setting
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -59,9 +61,9 @@ def crosscheck(
     from drftjax.runlog.replace import require_places
     from drftjax.tuner import StepTuner
     from identify.candidate import Candidate, candidate
-    from identify.crosscheck import Setting
     from identify.crosscheck import crosscheck as check
     from identify.gathering import gather
+    from identify.tuner_replays import Setting
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     if output is not None:

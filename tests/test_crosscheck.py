@@ -13,8 +13,10 @@ from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
 from identify.candidate import candidate
-from identify.crosscheck import Setting, comparison, crosscheck, lag, ripple, sustained
+from identify.crosscheck import crosscheck
 from identify.crosscheck_command import plot, result_files, tables
+from identify.tuner_comparison import comparison, lag, ripple, sustained
+from identify.tuner_replays import Setting
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01

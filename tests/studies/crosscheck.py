@@ -81,8 +81,9 @@ def main() -> None:
     stem = parser.parse_args().o
     configure_jax()
     from identify.candidate import candidate
-    from identify.crosscheck import Setting, crosscheck
+    from identify.crosscheck import crosscheck
     from identify.crosscheck_command import tables, write
+    from identify.tuner_replays import Setting
 
     random = np.random.default_rng(SEED)
     grid = np.arange(0.0, TIME[-1] + FINEST / 2, FINEST)

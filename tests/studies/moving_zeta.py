@@ -27,7 +27,8 @@ SPACINGS = (1.0, 0.5, 0.25)
 def main() -> None:
     configure_jax()
     from identify.candidate import candidate
-    from identify.crosscheck import Setting, crosscheck
+    from identify.crosscheck import crosscheck
+    from identify.tuner_replays import Setting
 
     random = np.random.default_rng(SEED)
     runs = []
