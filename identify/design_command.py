@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from identify.design import Design, Option
+    from identify.design import Design
     from identify.information import Knowledge
+    from identify.judge import Option
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -89,9 +90,10 @@ def design(
     from drftjax.like import setup_like
     from drftjax.runlog.replace import require_places
     from drftjax.setup import read_setup
-    from identify.design import Instrument, Search
     from identify.design import design as design_run
+    from identify.information import Instrument
     from identify.limits import Limits
+    from identify.profile_search import Search
 
     if output is not None:
         require_places(result_files(output), [each for each in (setup, like) if each is not None])

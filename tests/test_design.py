@@ -13,7 +13,7 @@ from studies.design import fitted
 from drftjax.errors import InputError
 from drftjax.setup import SetUp, WheelSetUp, read_setup
 from drftjax.stress import Sharp
-from identify.design import Search, design, promised, search_objective, trapezoid
+from identify.design import design, promised, search_objective, trapezoid
 from identify.design_command import design_document, design_toml
 from identify.information import (
     CHANNELS,
@@ -30,6 +30,7 @@ from identify.information import (
 )
 from identify.limits import Limits
 from identify.parameter import parameter
+from identify.profile_search import Search
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes.
 CORNERS = 1e-3
