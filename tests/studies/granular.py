@@ -20,7 +20,7 @@ from rich.table import Table
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.hypothesis import Hypothesis
-from diagnose.left_out import predicted_unseen
+from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from drftjax.commands.runtime import configure_jax
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -116,11 +116,15 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     weights = ", ".join(f"{name} {w:.2f}" for name, w in list(found.weights.items())[:4])
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
+    bench = found.found.bench
+    left = at_mean_sinkage(bench, predicted_unseen(bench, found.chosen))
+    leading = " + ".join(found.chosen.names) or "the reference model"
     added = " + ".join(each.about.name for each in found.added.effects) or "nothing"
     for channel, gap in found.gap.items():
         console.print(
-            f"{channel}: {gap.before * MM:.2f} -> {gap.after * MM:.2f} mm on runs left out by "
-            f"{added}, floor {gap.floor * MM:.2f} mm"
+            f"{channel}: {gap.before * MM:.2f} mm, floor {gap.floor * MM:.2f} mm; on runs left out "
+            f"{shown(rms(found.case, left, channel))} mm by {leading}, which leads, and "
+            f"{shown(gap.after * MM)} mm by {added}, which the model file holds"
         )
     for note in found.notes:
         console.print(f"note: {note}")
