@@ -12,7 +12,8 @@ from diagnose.response import Model
 from diagnose.shrinkage import Gap
 from drftjax.effects.stage import AbstractEffect
 
-# What is added helps where the gap over all channels falls by this share at least.
+# What is added helps where the gap over all channels falls by this share at least, and in none of
+# them rises by more than it.
 HELPS = 0.1
 
 
@@ -45,8 +46,11 @@ class Added:
 
     @property
     def helps(self) -> bool:
-        """Whether the gap shrinks enough to speak of."""
-        return self.left < (1 - HELPS) * self.before
+        """Whether the gap shrinks enough to speak of, and no channel pays for another."""
+        spared = all(
+            gap.after < (1 + HELPS) * max(gap.before, gap.floor) for gap in self.gap.values()
+        )
+        return spared and self.left < (1 - HELPS) * self.before
 
 
 def most_helpful(tried: Sequence[Added], reference: Added) -> Added:

@@ -195,6 +195,18 @@ def test_what_leaves_least_is_added_be_it_known_or_a_curve(found):
     assert most_helpful([leaving(found, 0.91)], reference) is reference
 
 
+def test_what_makes_a_channel_worse_is_not_added(found):
+    """Most of the gap is in z: what is won there may outweigh what is lost in x, and must not."""
+    reference = dataclasses.replace(leaving(found, 1.0), effects=())
+    best = leaving(found, 0.2)
+    x = best.gap["x"]
+    pays = {**best.gap, "x": dataclasses.replace(x, after=2 * max(x.before, x.floor))}
+    costly = dataclasses.replace(best, gap=pays)
+    assert costly.left < 0.9 * costly.before
+    assert most_helpful([costly], reference) is reference
+    assert most_helpful([best, costly], reference) is best
+
+
 def test_promise_is_of_what_the_model_file_holds(found, files, packing, tmp_path):
     document = json.loads((files / "diagnosis.json").read_text())
     assert document["gap"] == document["correction"]["gap"]
