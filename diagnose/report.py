@@ -147,7 +147,7 @@ def _stand_in_sentence(found: Diagnosis) -> str:
         what = f"a correction of {effect.stage} over {effect.variable}, fitted to these runs"
     else:
         on = _measured_on(found, "the effect's numbers were")
-        what = f"{' and '.join(spoken(found.chosen.names))}, the likeliest effect known"
+        what = f"{' and '.join(spoken(found.chosen.names))}, the likeliest of what is known"
     shares = _shrunk_by(found) or "little in any one channel"
     return (
         f"Offered in its place: {what}. With it the gap above the noise floor shrinks by {shares}, "
