@@ -87,10 +87,12 @@ def candidate(
         )
         # Of a wheel that sets off sooner, no more than its rest tells the start.
         window = min(START_WINDOW, _sets_off(run, setup.wheel.radius) + ROUNDING)
-        early = observation.time <= max(window, observation.time[0])
+        begun = observation.begun
+        first = observation.time[begun][0]
+        early = begun & (observation.time <= max(window, first))
         told = early.sum() > 1 or window < START_WINDOW
         if _settles(observation, early):
-            early = observation.time <= observation.time[0]
+            early = observation.time == first
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
         if run.measured.x is not None and run.command.vx is None and told:

@@ -16,6 +16,8 @@ SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
 # A median absolute second difference of white noise is this many standard deviations.
 SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
 
+# A wheel stands where its command is this share of its top speed or less.
+STANDS = 1e-4
 # Two clocks that write the same time may differ by this [s].
 ROUNDING = 1e-9
 
@@ -39,6 +41,11 @@ class Observation:
     noise: np.ndarray
     counts: np.ndarray
     unused: tuple[str, ...] = ()
+
+    @property
+    def begun(self) -> np.ndarray:
+        """True for samples that were not taken before the command begins, shape (samples,)."""
+        return self.time >= -ROUNDING
 
     @property
     def intervals(self) -> np.ndarray:
@@ -93,9 +100,10 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     values = np.stack([getattr(run.measured, each) for each in channels])
     noise = [max(white_noise(v), SMALLEST_NOISE[c]) for v, c in zip(values, channels, strict=True)]
     time = run.measured.time - run.command.time[0]
-    # Past the command's end nothing is simulated.
+    # Before the command begins and past its end nothing is simulated.
     end = float(run.command.time[-1] - run.command.time[0])
-    counts = time <= (end if keep_rest else min(end, _last_motion(run))) + ROUNDING
+    last = end if keep_rest else min(end, _last_motion(run))
+    counts = (time >= -ROUNDING) & (time <= last + ROUNDING)
     if not counts.any():
         raise InputError("nothing to compare; no sample lies within the commanded profile")
     unused = tuple(each for each in recorded if each not in wanted)
@@ -105,13 +113,18 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
 def _last_motion(run: RunLog) -> float:
     """Time from the run's start after which neither wheel nor carriage is asked to move [s]."""
     command = run.command
-    moving = command.omega != 0
+    moving = _moves(command.omega)
     if command.vx is not None:
-        moving |= command.vx != 0
+        moving |= _moves(command.vx)
     if moving[-1]:
         return np.inf
     last = int(np.flatnonzero(moving)[-1])
     return float(command.time[last + 1] - command.time[0])
+
+
+def _moves(speed: np.ndarray) -> np.ndarray:
+    """Where a commanded speed is more than what a measured or rounded zero leaves."""
+    return np.abs(speed) > STANDS * np.abs(speed).max()
 
 
 def white_noise(values: np.ndarray) -> float:

@@ -316,6 +316,32 @@ def test_start_of_a_wheel_that_still_settles_is_its_first_sample(noise):
     assert -run.measured.z[:10].mean() > start.sinkage + 0.3e-3
 
 
+def test_what_was_recorded_before_the_command_begins_is_neither_start_nor_compared():
+    """A rig that records its touch-down: the wheel comes down from above, then stands."""
+    plain = recorded(setup_of())
+    before = np.arange(-5.0, 0.0, 0.02)
+    measured = Measured(
+        time=np.r_[before, plain.measured.time],
+        x=np.r_[0 * before, plain.measured.x],
+        z=np.r_[np.linspace(0.02, 0.0, len(before)), plain.measured.z],
+    )
+    early = candidate("run", dataclasses.replace(plain, measured=measured))
+    late = candidate("run", plain)
+    assert early.setup.start == late.setup.start
+    np.testing.assert_array_equal(early.observation.counts[len(before) :], late.observation.counts)
+    assert not early.observation.counts[: len(before)].any()
+
+
+@pytest.mark.parametrize("dust", [1e-7, -1e-6])
+def test_a_command_that_was_measured_stands_where_it_is_as_good_as_zero(dust):
+    plain = recorded(setup_of(([0.0, 1.0, 2.0, 3.0, 5.0], [0.0, 0.5, 0.5, 0.0, 0.0])))
+    command = plain.command
+    dusty = dataclasses.replace(command, omega=np.where(command.omega == 0, dust, command.omega))
+    np.testing.assert_array_equal(
+        observe(dataclasses.replace(plain, command=dusty)).counts, observe(plain).counts
+    )
+
+
 def test_samples_after_the_last_stop_are_left_out_unless_kept():
     command = Command(time=[2.0, 3.0, 4.0, 6.0], omega=[0.0, 1.0, 0.0, 0.0])
     measured = Measured(time=np.arange(2.0, 8.0, 0.5), z=np.zeros(12))
