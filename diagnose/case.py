@@ -235,10 +235,11 @@ def baseline(case: Case) -> np.ndarray:
 
 def _early(case: Case, run: int) -> np.ndarray:
     """The samples compared early in the motion, past its start: before most effects have grown."""
-    trial = case.candidates[run].trial
+    each, time = case.candidates[run], case.time(run)
     omega, vx = (
-        np.abs(np.interp(case.time(run), np.asarray(trial.time), np.asarray(each)))
-        for each in (trial.omega, trial.vx)
+        np.abs(np.interp(time, np.asarray(each.trial.time), np.asarray(speed)))
+        for speed in (each.trial.omega, each.trial.vx)
     )
-    moved = np.cumsum(omega + vx)
+    speed = each.setup.wheel.radius * omega + vx
+    moved = np.cumsum(speed * np.gradient(time)) if len(time) > 1 else speed
     return (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])

@@ -15,12 +15,15 @@ from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.stage import AbstractEffect
+from drftjax.errors import InputError
 from drftjax.tuner import StepTuner
 from identify.summary import summary_html, summary_text
 
 if TYPE_CHECKING:
     from diagnose.tuned import Moves
 
+# What reports call the model that is held against the reference model.
+WITH = "the model with the effects"
 CHANNEL_UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1.0), "fz": ("N", 1.0)}
 TORQUE = ("N m", 1.0)
 
@@ -56,7 +59,14 @@ class Evaluation:
     @property
     def notes(self) -> list[str]:
         """What else must be known, in sentences."""
-        return [self.how, *(f"Left out: {why}" for why in self.left_out.values())]
+        off = [
+            f"{self.case.candidates[run].name}: no zeta was found at which {model} meets its mean "
+            "sinkage; what is told of it is at the last that was tried."
+            for model, runs in (("the reference model", self.before), (WITH, self.after))
+            for run, each in enumerate(runs)
+            if not each.met and not (model == WITH and not self.effects)
+        ]
+        return [self.how, *off, *(f"Left out: {why}" for why in self.left_out.values())]
 
     def summary(self, width: int = 110) -> str:
         """Table and notes as text, so many columns wide."""
@@ -150,15 +160,34 @@ def evaluated(
         case: The runs.
         effects: Added to what each run's set-up says.
         left_out: Why other runs are not among them, by name.
+
+    Raises:
+        InputError: where a wheel leaves what the model covers, with or without the effects.
     """
     model, coordinates = as_model(effects)
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, model, coordinates) if effects else before
+    _require_covered(case, before, "the reference model")
+    _require_covered(case, after, WITH)
     residuals = [each.residual for each in before], [each.residual for each in after]
     own = own_errors(case, np.array([each.log_zeta for each in before]))
     floors, how = noise_floors(case, *residuals, own)
     gap = gaps(case, *residuals, floors)
     return Evaluation(case, tuple(effects), before, after, gap, floors, how, left_out or {})
+
+
+def _require_covered(case: Case, runs: Sequence[Followed], model: str) -> None:
+    """Refuse runs whose wheel takes off, or sinks deeper than its plates cover."""
+    z = case.channels.index("z")
+    for run, each in enumerate(runs):
+        limit = float(case.candidates[run].trial.simulator.wheel.cut().sinkage_limit)
+        farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
+        if not farthest < limit:
+            raise InputError(
+                f"{case.candidates[run].name}: by {model} its z reaches {1e3 * farthest:.4g} mm, "
+                f"must stay within {1e3 * limit:.4g} mm, which the wheel's plates cover; leave the "
+                "run out, or look at the numbers of the model"
+            )
 
 
 def _rms(values: np.ndarray) -> float:

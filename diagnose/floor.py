@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnose.case import Case
 from diagnose.left_out import conditions
+from identify.repeats import recorded_at
 
 
 def noise_floors(
@@ -36,14 +37,13 @@ def noise_floors(
                     _apart(case, (first, second), [each[run][index] for run in (first, second)])
                     for each in (before, after)
                 ]
-                power = min(float(np.mean(a**2)) / 2 for a in apart)
-                if not np.isfinite(power):  # one of the two lacks the channel
-                    continue
-                powers.setdefault(channel, []).append(power)
+                # Nothing where they were never recorded at once, or one of the two lacks it.
+                if apart[0].size and np.isfinite(apart).all():
+                    power = min(float(np.mean(a**2)) / 2 for a in apart)
+                    powers.setdefault(channel, []).append(power)
     floors = {}
-    for index, channel in enumerate(case.channels):
-        noise = np.mean([_instrument(case, run, index) ** 2 for run in range(len(before))])
-        power = np.mean(powers[channel]) if powers.get(channel) else noise
+    for channel in case.channels:
+        power = np.mean(powers[channel]) if powers.get(channel) else _noise_power(case, channel)
         floors[channel] = float(np.sqrt(power + own[channel] ** 2))
     names = [[case.candidates[r].name for r in group] for group in repeats]
     if names:
@@ -61,15 +61,13 @@ def noise_floors(
 
 
 def _apart(case: Case, runs: tuple[int, int], residual: Sequence[np.ndarray]) -> np.ndarray:
-    """What two repeats' residuals differ by, for as long as both were recorded."""
+    """What two repeats' residuals differ by, where both were recorded."""
     first, second = (case.time(run) for run in runs)
-    both = first <= second[-1]
+    both = recorded_at(second, first)
     return residual[0][both] - np.interp(first[both], second, residual[1])
 
 
-def _instrument(case: Case, run: int, index: int) -> float:
-    observation = case.candidates[run].observation
-    channel = case.channels[index]
-    if channel not in observation.channels:
-        return 0.0
-    return float(observation.noise[observation.channels.index(channel)])
+def _noise_power(case: Case, channel: str) -> float:
+    """Mean square of the instrument's white noise, over the runs that have the channel."""
+    known = [each.observation.by_channel() for each in case.candidates]
+    return float(np.mean([each[channel][1] ** 2 for each in known if channel in each]))

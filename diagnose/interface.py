@@ -12,7 +12,7 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
 from diagnose.model_file import read_effects
-from diagnose.runs import from_one_start, gather, of_one_wheel
+from diagnose.runs import from_one_start, gather, of_one_wheel, usable
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -117,11 +117,9 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
         paths = [Path(each) for each in several if isinstance(each, str | Path)]
         if paths and len(paths) == len(several):
             return gather(paths)
-    candidates = candidates_of(runs)
-    if not candidates:
-        raise InputError("there is no run: give files, folders or run logs")
-    kept = of_one_wheel(candidates)
-    return Gathered(from_one_start(kept.candidates), kept.left_out)
+    told = usable(candidates_of(runs))
+    kept = of_one_wheel(told.candidates)
+    return Gathered(from_one_start(kept.candidates), told.left_out | kept.left_out)
 
 
 def diagnosed(

@@ -16,6 +16,8 @@ from identify.candidate import candidates_of
 # A run's own zeta is found by so many secant steps on its mean sinkage.
 MOST_TURNS = 8
 CLOSE_ENOUGH = 1e-4
+# A mean sinkage is met within this [m]: half the noise of a good scale.
+MET = 1e-5
 
 
 def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
@@ -43,10 +45,12 @@ class Followed:
     Attributes:
         residual: Simulated less recorded, shape (channels, samples).
         log_zeta: Logarithm of its zeta over its set-up's.
+        met: Whether that zeta meets the run's mean sinkage.
     """
 
     residual: np.ndarray
     log_zeta: float
+    met: bool
 
 
 def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed]:
@@ -80,4 +84,4 @@ def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) 
         move = float(np.clip(-here[z].mean() / slope, -0.2, 0.2))
         if abs(move) < CLOSE_ENOUGH:
             break
-    return Followed(here, at)
+    return Followed(here, at, met=bool(abs(here[z].mean()) < MET))

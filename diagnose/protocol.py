@@ -15,7 +15,7 @@ import numpy as np
 from drftjax.arrays import require_between
 from drftjax.errors import InputError
 from drftjax.setup import CommandSetUp, SetUp, StartSetUp, ZetaKnots
-from drftjax.statics import sinkage_under_load
+from drftjax.statics import standing_sinkage
 
 # Loads of the lightest and the heaviest run, as shares of the rig's own.
 LIGHT, HEAVY = 0.75, 1.25
@@ -124,4 +124,4 @@ def _standing(setup: SetUp) -> float:
     """Sinkage at which the wheel stands under this load [m]."""
     zeta = setup.terrain.zeta
     first = zeta.value[0] if isinstance(zeta, ZetaKnots) else zeta
-    return round(float(sinkage_under_load(setup.trial().simulator, first)), 5)
+    return round(standing_sinkage(setup.trial().simulator, first), 5)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from drftjax.errors import InputError
+from drftjax.setup import ZetaKnots
 from identify.candidate import STEPS_A_ROW, Candidate
 from identify.gathering import Gathered
 from identify.gathering import gather as gather_runs
@@ -31,6 +32,29 @@ def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) 
     for why in kept.left_out.values():
         tell(f"left out: {why}")
     return Gathered(from_one_start(kept.candidates), gathered.left_out | kept.left_out)
+
+
+def usable(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs that a gap can be told of, and why the others are left out.
+
+    Raises:
+        InputError: where there are none.
+    """
+    kept, left_out = [], {}
+    for each in candidates:
+        if "z" not in each.observation.channels:
+            left_out[each.name] = f"{each.name}: has no z, so its sinkage is not known"
+        elif isinstance(each.setup.terrain.zeta, ZetaKnots):
+            left_out[each.name] = (
+                f"{each.name}: the zeta of its set-up changes in time, must be one number: what "
+                "changes would be the gap"
+            )
+        else:
+            kept.append(each)
+    if not kept:
+        why = next(iter(left_out.values()), "there is no run: give files, folders or run logs")
+        raise InputError(why)
+    return Gathered(kept, left_out)
 
 
 def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:

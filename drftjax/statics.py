@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from drftjax.arrays import as_real, require_between
+from drftjax.errors import InputError
 from drftjax.simulator import Simulator
 
 # Descent [m/s]: far over the regulariser at rest, far below where the momentum flux counts.
@@ -100,6 +101,28 @@ def sinkage_under_load(
     """
     load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
     return _sinkage_under(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
+
+
+def standing_sinkage(simulator: Simulator, zeta: float, load: float | None = None) -> float:
+    """Sinkage at which a wheel that was let down stands [m]: `sinkage_under_load` as a number.
+
+    Args:
+        simulator: Wheel, terrain and rig.
+        zeta: Scaling factor [-].
+        load: Vertical load [N]; the rig's weight m_z g where none is given.
+
+    Raises:
+        InputError: where the load sinks the wheel deeper than its plates cover.
+    """
+    load = float(simulator.rig.mass_z * simulator.rig.gravity) if load is None else load
+    limit = float(simulator.wheel.cut().sinkage_limit)
+    most = float(vertical_support(simulator, limit, zeta))
+    if not most > load:
+        raise InputError(
+            f"sand with a zeta of {zeta:g} carries {most:.4g} N of this wheel at {1e3 * limit:.4g} "
+            f"mm, as deep as its plates reach; its load is {load:.4g} N, must be less"
+        )
+    return float(sinkage_under_load(simulator, zeta, load))
 
 
 # Compiled as a whole: by itself the root finder would take each call for another program.

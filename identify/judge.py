@@ -13,7 +13,7 @@ from drftjax.ensemble import map_runs, stack
 from drftjax.errors import InputError
 from drftjax.integrator import steady_step
 from drftjax.setup import CommandSetUp, SetUp
-from drftjax.statics import sinkage_under_load
+from drftjax.statics import standing_sinkage
 from drftjax.trial import Trial
 from identify.information import (
     Instrument,
@@ -103,9 +103,7 @@ class Judge:
         simulator = self.base.trial().simulator
         zeta = simulator.terrain.zeta
         factor = float(getattr(zeta, "value", np.array([1.0])).ravel()[0])
-        depths = [
-            float(sinkage_under_load(simulator, factor, each)) for each in (load, self.load())
-        ]
+        depths = [standing_sinkage(simulator, factor, each) for each in (load, self.load())]
         return depths[0] - depths[1]
 
     def options(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[Option]:

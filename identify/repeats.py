@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from drftjax.runlog.record import Command
-from identify.observation import ROUNDING
+from identify.observation import ROUNDING, intervals_of
 from identify.result import RunFit
 
 # Numbers of set-ups and commands are the same within this share of their size, and within so much
@@ -79,7 +79,7 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
         for first, second in pairwise(group):
             a, b = runs[first], runs[second]
             told = b.time[b.counts]
-            both = a.counts & (a.time >= told[0] - ROUNDING) & (a.time <= told[-1] + ROUNDING)
+            both = a.counts & recorded_at(told, a.time)
             if not both.any():
                 continue
             for channel, residual in a.residuals.items():
@@ -87,3 +87,16 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
                 power = float(np.mean((residual[both] - beside) ** 2)) / 2
                 powers.setdefault(channel, []).append(power)
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
+
+
+def recorded_at(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Whether a recording can be read at other times: not outside it, and not where it has gaps.
+
+    Args:
+        time: Of its samples [s], increasing.
+        wanted: Other times [s], shape (times,).
+    """
+    inside = (wanted >= time[0] - ROUNDING) & (wanted <= time[-1] + ROUNDING)
+    after = np.clip(np.searchsorted(time, wanted - ROUNDING), 0, len(time) - 1)
+    at_sample = np.abs(time[after] - wanted) <= ROUNDING
+    return inside & (at_sample | (intervals_of(time)[after] <= 1))

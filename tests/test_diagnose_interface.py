@@ -1,5 +1,6 @@
 """`diagnose.diagnose` and `diagnose.evaluate`: runs in; a verdict, summaries and figures out."""
 
+import dataclasses
 import subprocess
 import sys
 from typing import ClassVar
@@ -16,7 +17,7 @@ from drftjax.effects.stage import About, MemorylessSurface, strength
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import write_run
-from drftjax.setup import read_setup
+from drftjax.setup import ZetaKnots, read_setup, setup_from_run
 from tests.virtual_cases import PROFILES
 from tests.virtual_runs import recorded, setup_of
 
@@ -127,6 +128,43 @@ def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
     found = diagnose.evaluate((tmp_path,), [])
     assert [each.name for each in found.case.candidates] == ["good"]
     assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
+
+
+def test_runs_without_sinkage_are_left_out_and_alone_refused(runs):
+    kept, lacking = list(runs)[:2]
+    blind = dataclasses.replace(runs[lacking].measured, z=None)
+    given = {kept: runs[kept], lacking: dataclasses.replace(runs[lacking], measured=blind)}
+    found = diagnose.evaluate(given, [])
+    assert [each.name for each in found.case.candidates] == [kept]
+    assert f"Left out: {lacking}: has no z, so its sinkage is not known" in found.notes
+    with pytest.raises(InputError, match="has no z"):
+        diagnose.evaluate([given[lacking]], [])
+
+
+def test_a_zeta_that_changes_in_time_is_refused(runs):
+    run = next(iter(runs.values()))
+    setup = setup_from_run(run)
+    setup.terrain.zeta = ZetaKnots([0.0, 2.0], [0.75, 0.76])
+    with pytest.raises(InputError, match="changes in time"):
+        diagnose.evaluate([(setup, run)], [])
+
+
+@pytest.mark.parametrize("slope", [1e7, 1e200])
+def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope):
+    name = next(iter(runs))
+    with pytest.raises(InputError, match=r"0: by the model with the effects its z reaches"):
+        diagnose.evaluate({name: runs[name]}, [SurfaceSlope(slope=slope)])
+
+
+def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
+    name = next(iter(runs))
+    deeper = dataclasses.replace(runs[name].measured, z=runs[name].measured.z - 0.1)
+    found = diagnose.evaluate({name: dataclasses.replace(runs[name], measured=deeper)}, [])
+    assert not found.before[0].met
+    said = f"{name}: no zeta was found at which the reference model meets its mean sinkage"
+    assert [note for note in found.notes if note.startswith(said)]
+    assert not any("with the effects" in note for note in found.notes)
+    assert all(each.met for each in diagnose.evaluate(runs, []).before)
 
 
 def test_bad_input_is_one_sentence(runs):

@@ -75,6 +75,13 @@ def test_a_driven_carriage_is_refused():
         list(telling_runs(rig))
 
 
+def test_sand_that_does_not_bear_the_wheel_is_refused():
+    soft = copy.deepcopy(RIG)
+    soft.terrain.zeta = 0.02
+    with pytest.raises(InputError, match=r"a zeta of 0\.02 carries .* its load is 184.8 N, must"):
+        list(telling_runs(soft))
+
+
 def test_the_blind_sets_are_of_the_same_runs():
     for run, blind in zip(TELLING, BLIND_TELLING, strict=True):
         assert blind.time == run.time

@@ -121,6 +121,51 @@ def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
     assert "whole and whole" in how
 
 
+LOST = {
+    "a gap": lambda time: (time < 0.5) | (time > 1.5),
+    "a late start": lambda time: time > 1.0,
+    "an early end": lambda time: time < 1.0,
+}
+
+
+@pytest.mark.parametrize("lost", LOST.values(), ids=LOST)
+@pytest.mark.parametrize("shorter", [0, 1])
+def test_samples_that_one_of_two_repeats_lost_are_not_compared(whole, lost, shorter):
+    """Both miss by the same wave, which no straight line between two samples far apart follows."""
+    time = whole.observation.time
+    kept = [np.ones(len(time), bool), np.ones(len(time), bool)]
+    kept[shorter] = lost(time)
+    case = SimpleNamespace(
+        candidates=[whole, whole], channels=("z",), time=lambda run: time[kept[run]]
+    )
+    residual = [1e-3 * np.sin(5 * time[each])[None] for each in kept]
+    floors, _ = noise_floors(case, residual, residual, {"z": 0.0})  # pyright: ignore
+    assert floors == {"z": 0.0}
+    fits = []
+    for each, wave in zip(kept, residual, strict=True):
+        run = fitted(f"run {len(fits)}", 0.75)
+        channels = {"recorded": 0 * wave, "before": wave, "after": wave}
+        counts = np.ones(int(each.sum()), bool)
+        fits.append(dataclasses.replace(run, time=time[each], counts=counts, **channels))
+    assert noise_floor(fits) == {"z": 0.0}
+
+
+def test_without_repeats_the_floor_is_the_noise_of_the_runs_that_have_the_channel(whole):
+    observation = whole.observation
+    lacking = dataclasses.replace(
+        observation,
+        channels=("z",),
+        values=observation.values[1:],
+        noise=observation.noise[1:],
+    )
+    other = dataclasses.replace(changed(whole, rig_mass_z=25.0), observation=lacking)
+    case = SimpleNamespace(candidates=[whole, other], channels=("x", "z"))
+    residual = [np.zeros((2, len(observation.time))) for _ in range(2)]
+    floors, how = noise_floors(case, residual, residual, {"x": 0.0, "z": 0.0})  # pyright: ignore
+    assert floors == pytest.approx(dict(zip(("x", "z"), observation.noise, strict=True)))
+    assert "No run was repeated" in how
+
+
 def fitted(name: str, zeta: float, wrong: float = 0.0, status: str = "converged") -> RunFit:
     """A run fitted to a recording that it misses by `wrong` in z [m]."""
     time = np.linspace(0.0, 2.0, 101)
