@@ -21,6 +21,7 @@ from drftjax.wheel import (
     AbstractWheel,
     Plates,
     TurningCut,
+    plate_count,
 )
 
 # Points closer than this are the same point [m]: a closing point repeated, not an edge.
@@ -72,7 +73,8 @@ class OutlineWheel(AbstractWheel):
         self.points = as_real(points)
         self.radius = as_real(radius)
         self.width = as_real(width)
-        self.edge_plates = tuple(math.ceil(length / plate_size) for length in lengths)
+        # An edge that rounding took for no length still is one.
+        self.edge_plates = tuple(max(1, plate_count(length, plate_size)) for length in lengths)
 
     @classmethod
     def from_csv(

@@ -27,6 +27,8 @@ from drftjax.rollout import step_times
 from drftjax.scaling import LARGEST_ZETA, PerStepZeta
 from drftjax.simulator import Output, Simulator, State
 
+# A sample is old after so many of the record's usual intervals; loggers come a little late.
+OLD = 1.5
 # Ticks of the paper's kind; longer ones are a slip of units [s].
 LONGEST_TICK = 10.0
 
@@ -232,7 +234,10 @@ def tick_commands(
 
 
 def known_sinkage(tick_time: np.ndarray, time: np.ndarray, sinkage: np.ndarray) -> np.ndarray:
-    """The newest recorded sinkage [m] at or before each tick; NaN before the first.
+    """The newest recorded sinkage [m] at or before each tick; NaN where there is none or it is old.
+
+    A sample is old where the next one would have come, by the record's usual interval: the loop
+    tunes nothing while no fresh reading comes, and a replay of it must not either.
 
     Args:
         tick_time: Starts of the ticks [s].
@@ -241,4 +246,7 @@ def known_sinkage(tick_time: np.ndarray, time: np.ndarray, sinkage: np.ndarray) 
     """
     # A sample of the tick's own instant counts, whatever the rounding of either clock.
     newest = np.searchsorted(time, tick_time + 1e-9, side="right") - 1
-    return np.where(newest >= 0, np.asarray(sinkage)[np.maximum(newest, 0)], np.nan)
+    known = np.maximum(newest, 0)
+    usual = np.median(np.diff(time)) if len(time) > 1 else np.inf
+    fresh = (newest >= 0) & (tick_time - np.asarray(time)[known] < OLD * usual)
+    return np.where(fresh, np.asarray(sinkage)[known], np.nan)

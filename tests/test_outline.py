@@ -88,6 +88,14 @@ def test_outline_keeps_its_perimeter_and_its_normals_point_outward():
     assert float(area) / 0.12 == pytest.approx(rim + grousers, rel=1e-3)
 
 
+def test_rounding_of_an_edge_makes_no_plate_more():
+    """Or wheels written by two programs would not go into one batch."""
+    corner = 0.1
+    for side in (corner, corner * (1 + 1e-15), corner * (1 - 1e-15)):
+        square = [(-side, -side), (side, -side), (side, side), (-side, side)]
+        assert OutlineWheel(square, 0.1, plate_size=4e-3).edge_plates == (50,) * 4
+
+
 def test_outline_is_differentiable_by_its_points():
     points = jnp.asarray(circle(60))
 
