@@ -22,7 +22,7 @@ from diagnose.report_figures import (
     weights,
 )
 from diagnose.shrinkage import Gap
-from diagnose.weights import NONE, UNKNOWN
+from diagnose.weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
@@ -98,11 +98,6 @@ def group_sentences(found: Diagnosis) -> list[str]:
         elif others:
             sentences.append(f"These runs cannot tell {_worded(first)} from {others}.")
     return sentences
-
-
-def percent(weight: float) -> str:
-    """A weight in words: none is certain."""
-    return "over 99%" if weight > 0.99 else f"{weight:.0%}"
 
 
 def _worded(name: str) -> str:

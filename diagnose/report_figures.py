@@ -15,6 +15,7 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.evaluation import shown
 from diagnose.follows import against
 from diagnose.unwritten import Unwritten
+from diagnose.weights import percent
 from drftjax.effects.correction import VARIABLES, Curve
 
 NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}
@@ -109,7 +110,7 @@ def weights(found: Diagnosis) -> Figure:
     colours = [AFTER if name in found.verdict else "0.75" for name, _ in ranked]
     axes.barh(place, [100 * weight for _, weight in ranked], color=colours)
     for at, (_, weight) in zip(place, ranked, strict=True):
-        axes.text(100 * weight, at, f" {weight:.1%}", va="center", fontsize=8)
+        axes.text(100 * weight, at, f" {percent(weight)}", va="center", fontsize=8)
     axes.set_yticks(place)
     axes.set_yticklabels([name for name, _ in ranked], fontsize=8, parse_math=False)
     axes.invert_yaxis()

@@ -129,3 +129,10 @@ def weights(
     share /= share.sum()
     names = [each.names or (NONE,) for each in judged] + [(UNKNOWN,)]
     return dict(zip(names, share.tolist(), strict=True))
+
+
+def percent(weight: float) -> str:
+    """A weight in words: nothing is certain, nor ruled out."""
+    if weight > 0.99:
+        return "over 99%"
+    return "under 1%" if weight < 0.01 else f"{weight:.0%}"

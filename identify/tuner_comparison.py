@@ -14,6 +14,8 @@ SUSTAINED = 10
 # A lag is looked for up to so long, and up to a third of the moving part [s].
 LONGEST_LAG = 5.0
 LEAST_CORRELATION = 0.5
+# A zeta that stays within one step of the tuner, as the paper's is, is not followed at all.
+LEAST_CHANGE = 1e-3
 # By so much the best lag must beat the longest ones: a straight line is like itself at any lag.
 LEAST_PEAK = 0.02
 
@@ -93,8 +95,10 @@ def comparison(
 def lag(late: np.ndarray, early: np.ndarray, tick: float) -> tuple[float | None, float | None]:
     """How long after `early` `late` does the same [s], and their correlation then.
 
-    None where nothing changes, they are unlike, or the longest lags tried are as good.
+    None where one of them hardly changes, they are unlike, or the longest lags are as good.
     """
+    if min(np.ptp(late), np.ptp(early)) < LEAST_CHANGE:
+        return None, None
     most = int(min(LONGEST_LAG / tick, len(late) // 3))
     count = len(late)
     shifts = np.arange(-most, most + 1)

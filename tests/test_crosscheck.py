@@ -72,6 +72,13 @@ def test_lag_behind_nothing_or_a_straight_line_is_not_told(early):
     assert lag(np.linspace(0, 1, 500), early, TICK) == (None, None)
 
 
+def test_lag_behind_a_zeta_that_stays_within_a_step_of_the_tuner_is_not_told():
+    time = np.arange(0, 8, TICK)
+    late, early = 0.75 + 0.01 * np.sin(time - 0.35), np.sin(time)
+    assert lag(late, 0.75 + 1e-5 * early, TICK) == (None, None)
+    assert lag(late, 0.75 + 1e-3 * early, TICK)[0] == pytest.approx(0.35, abs=2 * TICK)
+
+
 def test_ripple_is_its_size_and_frequency():
     time = np.arange(0, 10, TICK)
     # The straight line taken off takes some of the wave; a spectrum of 10 s tells 0.1 Hz apart.

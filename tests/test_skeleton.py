@@ -50,6 +50,16 @@ def fail(how: str):
         raise InputError("the wheel radius is 150 m, not below 2 m, in rig.toml")
     if how == "interrupt":
         raise KeyboardInterrupt
+    if how == "swallowed":
+        import gc, signal
+        def collecting(phase, info):
+            gc.callbacks.remove(collecting)
+            signal.raise_signal(signal.SIGINT)
+        gc.callbacks.append(collecting)
+        gc.collect()
+        import time
+        time.sleep(30)
+        print("went on as if nothing had been")
     if how == "full":
         raise OSError(28, "No space left on device", "run.h5")
     if how == "bug":
@@ -180,6 +190,7 @@ def test_typo_shows_the_nearest_names(drft):
     [
         ("input", 2, "drft: the wheel radius is 150 m, not below 2 m, in rig.toml\n"),
         ("interrupt", 130, "drft: interrupted\n"),
+        ("swallowed", 130, "drft: interrupted\n"),
         ("full", 2, "drft: run.h5: No space left on device\n"),
     ],
 )

@@ -11,8 +11,11 @@ group. `drft --help` imports every app to show its first line, so an app imports
 slow packages inside its functions.
 """
 
+import _thread
 import os
+import signal
 import sys
+import threading
 from collections import defaultdict
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -27,6 +30,8 @@ from drftjax.commands.group import CommandGroup
 from drftjax.errors import InputError
 
 GROUP = "drft.commands"
+# An interrupt that was lost is raised again after this: not from where it would be lost again [s].
+AGAIN = 0.05
 INTERRUPTED = 128 + 2  # how a shell numbers a program that Ctrl-C ended
 
 
@@ -122,6 +127,7 @@ def root(
 
 def main() -> None:
     """Run `drft`; what a user can mend is one sentence on stderr and exit code 2."""
+    sys.unraisablehook = _lost
     try:
         code = _run()
         sys.stdout.flush()
@@ -130,6 +136,17 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     sys.exit(code)
+
+
+def _lost(error: "sys.UnraisableHookArgs") -> None:
+    """Interrupt once more where Python dropped a Ctrl-C, as it does inside garbage collection.
+
+    A command that has a handler of its own has noted the first.
+    """
+    if not issubclass(error.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(error)
+    elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        threading.Timer(AGAIN, _thread.interrupt_main).start()
 
 
 def _run() -> int | str | None:
