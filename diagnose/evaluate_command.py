@@ -107,7 +107,10 @@ def evaluate(
         document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
         if moved:
             document["tuner"] = moves_document(found, moved, setting)
-        replace_file(output, (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode())
+        replace_file(
+            output,
+            (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
+        )
         say(f"written: {output}")
 
 
