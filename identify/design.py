@@ -20,6 +20,8 @@ from identify.limits import Limits
 from identify.profile_search import Progress, Search, descended, objective_of
 
 DESIGN_SCHEMA = "drft-design"
+# A ramp is shorter than what the limits leave to it by this factor: something is held, if little.
+SHORTEST_HOLD = 1.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +106,16 @@ class Design:
                 "Hold one of them at a known value, or measure it otherwise."
             )
         peak = math.degrees(max(self.best.setup.command.build().omega))
+        change = (
+            f"{self.factor:.3g} times smaller"
+            if self.factor >= 1
+            else f"{1 / self.factor:.3g} times larger, as the limits leave no run that tells more"
+        )
         lines = [
             f"{name} = {now.value:.4g}: standard error {now.error:.3g} with the given profile"
             f"{_percent(now)}, {best.error:.3g} with the best one{_percent(best)}, up to "
-            f"{peak:.0f} deg/s: {self.factor:.3g} times smaller.",
+            f"{peak:.0f} deg/s over {self.best.way:.3g} m of the rim (the given profile's is "
+            f"{self.now.way:.3g} m): {change}.",
             f"An error of the model itself of {self.model_error * 1e3:.3g} mm in x and z, in its "
             f"worst shape, shifts {name} by {self.shift(self.now):.3g} with the given profile and "
             f"by {self.shift(self.best):.3g} with the best one.",
@@ -129,12 +137,24 @@ def _percent(knows: Knowledge) -> str:
     return f" ({knows.relative:.2%})" if math.isfinite(knows.relative) else ""
 
 
-def trapezoid(limits: Limits, peak: float) -> CommandSetUp:
-    """Up to `peak` [rad/s], or as near as the duration allows, and down at the largest rate."""
+def trapezoid(limits: Limits, radius: float, peak: float) -> CommandSetUp:
+    """Up to `peak` [rad/s], or as near as the limits allow, and down at the largest rate.
+
+    Args:
+        limits: Of the rig; it ends early where its way does.
+        radius: Of the wheel's rim [m].
+        peak: Angular velocity that is wanted [rad/s].
+    """
     rest, end = limits.rest, limits.duration - limits.rest
-    ramp = min(peak / limits.acceleration, (end - rest) / 2.02)
+    turn = limits.travel / radius
+    ramp = min(
+        peak / limits.acceleration,
+        (end - rest) / SHORTEST_HOLD / 2,
+        math.sqrt(turn / limits.acceleration / SHORTEST_HOLD),
+    )
     peak = ramp * limits.acceleration
-    time = [0.0, rest, rest + ramp, end - ramp, end, limits.duration]
+    end = min(end, rest + turn / peak + ramp)
+    time = [0.0, rest, rest + ramp, end - ramp, end, end + rest]
     return CommandSetUp(time, [0.0, 0.0, peak, peak, 0.0, 0.0])
 
 
@@ -180,9 +200,11 @@ def design(
     require_between("the starts", search.starts, 1, search.scan)
 
     judge = Judge(setup, quantities, instrument, limits)
-    peaks = np.geomspace(limits.speed / 12, limits.speed, search.scan).tolist()
+    radius = setup.wheel.radius
+    fastest = max(trapezoid(limits, radius, limits.speed).omega)
+    peaks = np.geomspace(fastest / 12, fastest, search.scan).tolist()
     given = judge.setup_of(thinned(setup.command))
-    ramps = [judge.setup_of(trapezoid(limits, peak)) for peak in peaks]
+    ramps = [judge.setup_of(trapezoid(limits, radius, peak)) for peak in peaks]
     report(f"the given profile and {search.scan} peak speeds")
     now, *scan = judge.options(["given profile", *map(_trapezoid_name, peaks)], [given, *ramps])
 

@@ -55,6 +55,9 @@ def design(
     duration: Annotated[
         float | None, typer.Option(help="Of the run [s]. [default: the given profile's]")
     ] = None,
+    max_travel: Annotated[
+        float | None, typer.Option(help="Longest way of the rim [m]. [default: any]")
+    ] = None,
     loads: Annotated[
         tuple[float, float] | None,
         typer.Option(help="Lowest and highest load that may be put on the wheel [N]."),
@@ -108,6 +111,7 @@ def design(
         math.radians(max_acceleration),
         time[-1] - time[0] if duration is None else duration,
         loads,
+        math.inf if max_travel is None else max_travel,
     )
     noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
     noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
@@ -230,6 +234,7 @@ def design_document(result: "Design") -> dict:
         return {
             "name": option.name,
             **_numbers(option.knows),
+            "way": option.way,
             "added": {name: _numbers(each) for name, each in option.added.items()},
             "setup": msgspec.to_builtins(option.setup),
         }

@@ -236,8 +236,15 @@ class Profile(eqx.Module):
     """Speeds at even knots, as a smooth function of free coordinates, inside a rig's limits.
 
     Each knot lies between the lowest and the highest speed that the last one, the acceleration
-    and the stop ahead leave to it; a sigmoid says where. Every profile within reach is met by
-    exactly one set of coordinates.
+    and the stop ahead leave to it; a sigmoid says where. All are slowed down alike where the wheel
+    would turn too far. Every profile within reach that need not be is met by exactly one set of
+    coordinates.
+
+    Attributes:
+        knots: Their number.
+        speed, acceleration: The largest [rad/s, rad/s2].
+        duration, rest: Of the run, and of its rests at both ends [s].
+        turn: Farthest that the wheel may turn [rad].
     """
 
     knots: int = eqx.field(static=True)
@@ -245,6 +252,7 @@ class Profile(eqx.Module):
     acceleration: float = eqx.field(static=True)
     duration: float = eqx.field(static=True)
     rest: float = eqx.field(static=True)
+    turn: float = eqx.field(static=True, default=math.inf)
 
     @property
     def time(self) -> np.ndarray:
@@ -263,7 +271,10 @@ class Profile(eqx.Module):
             low, high = self._reach(index, speeds[-1])
             speeds.append(low + (high - low) * jax.nn.sigmoid(coordinates[index]))
         nought = jnp.zeros((), coordinates.dtype)
-        return jnp.stack([nought, *speeds, nought, nought])
+        omega = jnp.stack([nought, *speeds, nought, nought])
+        if self.turn == math.inf:
+            return omega
+        return omega * jnp.minimum(1.0, self.turn / jnp.trapezoid(omega, self.time))
 
     def coordinates(self, wanted: np.ndarray) -> np.ndarray:
         """Coordinates of the profile nearest to these speeds at the free knots [rad/s]."""

@@ -47,6 +47,13 @@ class Option:
     knows: Knowledge
     added: dict[str, Knowledge]
 
+    @property
+    def way(self) -> float:
+        """Of the rim [m], which the wheel's travel falls short of by slip."""
+        command = self.setup.command.build()
+        way = np.trapezoid(np.abs(command.omega), command.time)
+        return self.setup.wheel.radius * float(way)
+
 
 def quantities_named(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:
     """The parameter of this name, then the nuisances: zeta and lambda where none are given.

@@ -18,12 +18,14 @@ class Limits:
         acceleration: Largest angular acceleration [rad/s2].
         duration: Of the run, its rests included [s].
         loads: Lowest and highest vertical load [N]; the set-up's own only where None.
+        travel: Longest way of the rim, which the wheel's falls short of by slip [m].
     """
 
     speed: float = math.radians(300.0)
     acceleration: float = math.radians(50.0)
     duration: float = 24.0
     loads: tuple[float, float] | None = None
+    travel: float = math.inf
 
     @property
     def rest(self) -> float:
@@ -42,6 +44,8 @@ class Limits:
             " deg/s2, beyond which derivatives of the simulation are not bounded",
         )
         require_between("the duration", self.duration, 1.0, 600.0, " s")
+        if self.travel != math.inf:
+            require_between("the longest way", self.travel, 0.01, 1000.0, " m")
         if self.loads is not None:
             low, high = self.loads
             require_between("the loads", [low, high], 1.0, 1e4, " N")

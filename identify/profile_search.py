@@ -59,12 +59,20 @@ def _rounded(trial: Trial) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
 
 
-def objective_of(judge: Judge, search: Search) -> Objective:
-    """The standard error around the given set-up, on coarse plates with rounded corners."""
+def objective_of(judge: Judge, search: Search, duration: float | None = None) -> Objective:
+    """The standard error around the given set-up, on coarse plates with rounded corners.
+
+    Args:
+        judge: Of the parameter.
+        search: How hard is searched.
+        duration: Of the run [s]; all that the limits allow where none is given.
+    """
     setup = copy.deepcopy(judge.base)
     setup.wheel.plate_size = max(search.plate_size, setup.wheel.plate_size)
     limit = judge.limits
-    profile = Profile(search.knots, limit.speed, limit.acceleration, limit.duration, limit.rest)
+    lasts = limit.duration if duration is None else duration
+    turn = limit.travel / setup.wheel.radius
+    profile = Profile(search.knots, limit.speed, limit.acceleration, lasts, limit.rest, turn)
     setup.command = CommandSetUp(profile.time.tolist(), np.zeros(search.knots + 4).tolist())
     # The whole step is fast, and the rows of the last slow-down, where it is too long, are not
     # needed to tell profiles apart.
@@ -77,7 +85,7 @@ def objective_of(judge: Judge, search: Search) -> Objective:
         loads = np.array(limit.loads) / setup.rig.gravity
         depths = np.array([judge.deeper(each) for each in limit.loads])
     ends = np.asarray(step_times(trial.rows, ROW_INTERVAL))
-    until = (limit.duration - limit.rest) * (1 - LEFT_OUT)
+    until = (lasts - limit.rest) * (1 - LEFT_OUT)
     counts = np.concatenate([[1.0], ends <= until]).astype(float)
     scale = scales(trial, judge.quantities)
     weight = judge.instrument.weight()
@@ -103,7 +111,9 @@ def descended(judge: Judge, search: Search, starts: list[Option], report: Progre
         starts: Where descents begin.
         report: Called with what is being done.
     """
-    objective = objective_of(judge, search)
+    # Where the way ends a run, slower ones last longer.
+    longest = max(each.setup.command.time[-1] for each in starts)
+    objective = objective_of(judge, search, longest)
     profile = objective.profile
     points = []
     for each in starts:

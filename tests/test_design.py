@@ -1,5 +1,6 @@
 """Designing a run: what it would tell is what fits to it scatter by, and limits are kept."""
 
+import dataclasses
 import math
 
 import equinox as eqx
@@ -50,7 +51,7 @@ SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
 
 def given(peak: float = 30.0) -> SetUp:
     limits = Limits(LIMITS.speed, LIMITS.acceleration, LIMITS.duration)
-    command = trapezoid(limits, math.radians(peak))
+    command = trapezoid(limits, WheelSetUp().radius, math.radians(peak))
     return SetUp(command, wheel=WheelSetUp(plate_size=0.008), title="a short run")
 
 
@@ -150,6 +151,27 @@ def test_every_profile_keeps_the_limits():
         assert omega[[0, 1, -2, -1]].tolist() == [0, 0, 0, 0]
 
 
+@pytest.mark.parametrize("travel", [0.05, 1.2, 100.0])
+def test_no_run_goes_farther_than_the_rig(travel):
+    limits = Limits(math.radians(300), math.radians(50), 24.0, travel=travel)
+    radius = 0.15
+    turn = travel / radius
+    for peak in (10.0, 100.0, 300.0):
+        command = trapezoid(limits, radius, math.radians(peak)).build()
+        assert np.trapezoid(command.omega, command.time) <= turn * (1 + 1e-12)
+        assert np.diff(command.omega) / np.diff(command.time) == pytest.approx(
+            [0, limits.acceleration, 0, -limits.acceleration, 0], abs=1e-9
+        )
+        assert command.time[-1] <= limits.duration
+    profile = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest, turn)
+    omega = profile.omega(jnp.asarray(3.0 * np.random.default_rng(1).normal(size=8)))
+    assert np.trapezoid(omega, profile.time) <= turn * (1 + 1e-12)
+    # Far enough is no limit at all.
+    fast = jnp.full(8, 5.0)
+    free = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest).omega(fast)
+    assert np.array_equal(profile.omega(fast), free) == (travel == 100.0)
+
+
 def test_a_profile_within_reach_is_met_by_its_coordinates():
     profile = Profile(5, 5.0, 1.0, 20.0, 1.0)
     wanted = np.array([1.0, 2.5, 3.0, 2.0, 1.5])
@@ -170,6 +192,24 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
     assert np.max(command.omega) <= LIMITS.speed + 1e-6
     slope = np.diff(command.omega) / np.diff(command.time)
     assert np.abs(slope).max() <= LIMITS.acceleration * (1 + 1e-3)
+
+
+def test_a_designed_run_keeps_the_way_and_says_it():
+    limits = dataclasses.replace(LIMITS, travel=0.08)
+    found = design(given(), limits=limits, search=SMALL)
+    assert max(each.way for each in (*found.found, *found.scan, *found.others)) <= 0.08 + 1e-9
+    # The speeds scanned are those that so short a way allows.
+    assert found.peaks[-1] == max(found.scan[-1].setup.command.omega) < limits.speed
+    assert f"over {found.best.way:.3g} m of the rim (the given profile's is" in found.summary()
+    assert design_document(found)["best"]["way"] == found.best.way
+
+
+def test_a_run_that_tells_less_is_not_called_smaller():
+    limits = Limits(math.radians(10), math.radians(50), 2.0)
+    assert (
+        "times larger, as the limits leave"
+        in design(given(), limits=limits, search=SMALL).summary()
+    )
 
 
 def test_a_width_that_scaling_factors_imitate_is_said_to_be_so():
@@ -202,6 +242,7 @@ def test_a_driven_carriage_is_refused():
         (("--max-speed", "nan"), "speed"),
         (("--max-acceleration", "5000"), "acceleration"),
         (("--duration", "0"), "duration"),
+        (("--max-travel", "0"), "the longest way is 0"),
         (("--loads", "220", "150"), "loads"),
         (("--noise-z", "0"), "noise of z is 0, must lie between 1e-09 and 1e+06 m"),
         (("--noise-torque", "0"), "noise of torque is 0, must lie between 1e-09 and 1e+06 N m"),

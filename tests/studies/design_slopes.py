@@ -50,13 +50,14 @@ def main() -> None:
     from identify.limits import Limits
 
     limits = Limits()
-    rounded = search_objective(read_setup(PAPER), "lambda", limits=limits)
+    setup = read_setup(PAPER)
+    rounded = search_objective(setup, "lambda", limits=limits)
     sharp = eqx.tree_at(lambda o: o.trial.simulator.terrain.law.corners, rounded, Sharp())
     names = [*(f"knot {knot + 1}" for knot in KNOTS), "start angle"]
     print(f"| to, deg/s | corners | slope | {' | '.join(names)} |")
     print("|---|---|---|" + "---|" * len(names))
     for peak in PEAKS:
-        shape = trapezoid(limits, math.radians(peak))
+        shape = trapezoid(limits, setup.wheel.radius, math.radians(peak))
         omega = np.interp(rounded.profile.time, shape.time, shape.omega)[2:-2]
         at = jnp.asarray(np.r_[rounded.profile.coordinates(omega), 0.0])
         for corners, objective in (("sharp", sharp), ("rounded", rounded)):
