@@ -273,6 +273,18 @@ def test_the_import_command_writes_a_folder_of_good_run_logs(table, tmp_path):
     assert CliRunner().invoke(app, [*command, "--force"]).exit_code == 0
 
 
+def test_columns_whose_unit_was_left_out_are_noted(table, tmp_path):
+    text = Path(table[1]).read_text()
+    unit = ', unit = "mm"'
+    assert text.count(unit) > 0
+    Path(table[1]).write_text(text.replace(unit, ""))
+    folder = tmp_path / "runs"
+    done = CliRunner().invoke(app, ["import", table[0], "--mapping", table[1], "-o", str(folder)])
+    assert done.exit_code == 0
+    assert f"note: {folder / 'drive_a.h5'}: /measured/z reaches" in done.stderr
+    assert "perhaps these are mm" in done.stderr
+
+
 def test_many_runs_do_not_go_into_one_file(table, tmp_path):
     command = ["import", *table[:1], "--mapping", table[1], "-o", str(tmp_path / "run.h5")]
     done = CliRunner().invoke(app, command)

@@ -129,6 +129,17 @@ def test_zeta_and_lambda_on_the_command_line_outrank_the_set_up(drft, short, tmp
     assert rmse(lighter.measured.z, plain.measured.z) > 0
 
 
+def test_a_speed_that_is_likely_of_another_unit_is_noted(drft, short):
+    """A command in deg/s whose unit was left out: the run is simulated as written, and said."""
+    short.write_text(SHORT.replace("[0, 0, 1, 1]", "[0, 0, 30, 30]"))
+    answer = drft("simulate", short)
+    assert answer.code == 0
+    assert "note: /command/omega reaches 30 rad/s" in answer.err
+    assert "perhaps these are deg/s" in answer.err
+    short.write_text(SHORT)
+    assert "note" not in drft("simulate", short).err
+
+
 def test_step_and_rate_say_how_finely(drft, short, tmp_path):
     plain = final(drft, tmp_path, short).measured
     finer = final(drft, tmp_path, short, "--step", "2.5e-4").measured

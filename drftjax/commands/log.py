@@ -121,6 +121,7 @@ def import_(
 ) -> None:
     """Make run logs from a CSV or TSV table, as a mapping says what its columns mean."""
     from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.plausibility import doubts
     from drftjax.runlog.table import import_named
 
     imported = import_named(table, _mapping(mapping))
@@ -132,6 +133,8 @@ def import_(
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
         typer.echo(f"wrote {path}: {each.run.title}")
+        for doubt in doubts(each.run):
+            typer.echo(f"note: {path}: {doubt}", err=True)
 
 
 def _mapping(given: str) -> Path:

@@ -62,6 +62,7 @@ def simulate(
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.plausibility import doubts
     from drftjax.runlog.replace import require_places
 
     given = [each for each in (setup, like, source) if each is not None]
@@ -101,6 +102,8 @@ def simulate(
     log = saved.simulated_run(chosen, interval=1 / rate, at=sampled)
 
     typer.echo(saved.summary(log))
+    for doubt in doubts(log):
+        typer.echo(f"note: {doubt}", err=True)
     if output is not None:
         write_run(output, log)
         typer.echo(f"run log written to {output}")

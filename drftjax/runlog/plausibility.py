@@ -96,3 +96,21 @@ def require_upright(run: RunLog) -> None:
     if run.measured.z is not None:
         for reason in height_problems(run.measured.z, run.setup.known()):
             raise InputError(f"measured z {reason}")
+
+
+def doubts(run: RunLog) -> Iterator[str]:
+    """What `drft log check` finds in the numbers of a run, in sentences.
+
+    Args:
+        run: As it is to be written.
+    """
+    setup = run.setup.known()
+    for reason in standing_problems(setup):
+        yield f"/setup/sinkage_static {reason}"
+    for title, name in LARGEST:
+        values = getattr(getattr(run, title), name)
+        if values is not None:
+            reasons = [*unit_problems(title, name, values, setup)]
+            reasons += height_problems(values, setup) if name == "z" else ()
+            for reason in reasons:
+                yield f"/{title}/{name} {reason}"
