@@ -180,7 +180,8 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
     grousers = wheel.shape == "grouser"
     return record.Setup(
         wheel_radius=wheel.radius,
-        wheel_width=wheel.width,
+        # A run log has no place for an outline: without a width nothing takes it for a plain rim.
+        wheel_width=None if wheel.shape == "outline" else wheel.width,
         grouser_count=wheel.grouser_count if grousers else 0,
         grouser_height=wheel.grouser_height * wheel.grouser_fraction if grousers else None,
         grouser_thickness=wheel.grouser_thickness if grousers else None,

@@ -14,7 +14,7 @@ from drftjax.errors import InputError
 from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5 import read_run, write_result
 from drftjax.saved import FIT_SCHEMA, simulated_run, thinned
-from drftjax.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
+from drftjax.setup import CommandSetUp, SetUp, WheelSetUp, read_setup, setup_from_run
 from drftjax.trial import check_output
 
 DATA = Path(__file__).parents[1] / "data"
@@ -347,3 +347,13 @@ def test_log_of_a_run_says_what_its_wheel_was():
     setup = SetUp(command=CommandSetUp([0, 0.1], [0, 0]))
     setup.wheel = WheelSetUp(grouser_height=0.03, grouser_fraction=1 / 3, plate_size=0.02)
     assert simulated_run(setup).setup.grouser_height == pytest.approx(0.01)
+
+
+def test_log_of_an_outlined_wheel_is_taken_for_no_other():
+    """The format has no place for an outline: a plain rim of its radius sinks otherwise."""
+    setup = SetUp(command=CommandSetUp([0, 0.1], [0, 0]))
+    corners = 0.15 * np.exp(2j * np.pi * np.arange(7) / 7)
+    points = [(float(each.real), float(each.imag)) for each in corners]
+    setup.wheel = WheelSetUp(shape="outline", points=points, radius=0.14, plate_size=0.02)
+    with pytest.raises(InputError, match="lacks wheel_width, without which it cannot be simulated"):
+        setup_from_run(simulated_run(setup))
