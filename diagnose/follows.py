@@ -6,19 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.case import Case
+from diagnose.left_out import conditions
 from diagnose.motion import Motion, motion_of_run
 from diagnose.smoother import OWN_ZETA
 from diagnose.stages import Columns, Stage
 from drftjax.effects.correction import VARIABLES, Curve, correction
 
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,
-# whichever predicts the runs left out best.
+# whichever predicts the conditions left out best.
 CURVE_LEVELS, CURVE_BENDS = 5.0, (1.5, 0.3, 0.06, 0.012)
+# Knots of a curve, and its change from end to end, in levels: a coarse one that goes straight on
+# where no other run has been, and a fine one that stays level there.
+CURVES = ((6, 10.0), (12, 1.0))
+# Where it may be a matter of places or of moments, patches and waves need more.
+MORE_KNOTS = {"travel": 16, "turning": 16, "time": 16, "wheel angle": 12}
 # Stages whose logarithm of evidence differs by less than this are not told apart by it.
 TIED = 10.0
-# Knots of a curve; where it may be a matter of places or of moments, patches and waves need more.
-KNOTS = 6
-MORE_KNOTS = {"travel": 16, "turning": 16, "time": 16, "wheel angle": 12}
 # The knots span the variable but for this percentage on either side.
 OUTER = 1.0
 
@@ -26,15 +29,15 @@ OUTER = 1.0
 def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
     """How well a curve over each variable stands for a stage's signal, best first.
 
-    One curve for all runs is put in the signal's place and fitted to all runs but one; what it
-    explains of that one, each in turn, is compared with what the signal explains of all.
+    One curve for all runs is put in the signal's place and fitted to all conditions but one; what
+    it explains of that one, each in turn, is compared with what the signal explains of all.
 
     Args:
         case: The runs.
         stage: Of `stages`.
 
     Returns:
-        Variables of `VARIABLES` with that share [-]; with one run, of the run itself.
+        Variables of `VARIABLES` with that share [-]; with one condition, of its runs themselves.
     """
     motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
     found = []
@@ -42,7 +45,7 @@ def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
         values = _at_knots(motions, stage.columns, variable)
         if values is None:
             continue
-        found.append((variable, _share(stage, _Curves.of(stage, values, variable))))
+        found.append((variable, _share(stage, _curves(case, stage, values, variable))))
     return sorted(found, key=lambda each: -each[1])
 
 
@@ -76,22 +79,30 @@ class Fitted:
     precision: np.ndarray
 
 
-def fitted(case: Case, stage: Stage, variable: str) -> Fitted | None:
-    """The curve over a variable that stands for a stage's signal in all runs, on straight lines.
+def fitted(case: Case, stage: Stage, variable: str) -> list[Fitted]:
+    """Curves over a variable that stand for a stage's signal in all runs, on straight lines.
 
     Args:
         case: The runs.
         stage: Of `stages`.
-        variable: That its stage can know; None comes back where some run does not tell it.
+        variable: That its stage can know.
+
+    Returns:
+        One for each of `CURVES`; none where some run does not tell the variable.
     """
     motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
     values = _at_knots(motions, stage.columns, variable)
     if values is None:
-        return None
-    curves = _Curves.of(stage, values, variable)
-    kind = correction(stage.name, variable, curves.knots.tolist())
+        return []
     runs = np.arange(len(values))
-    return Fitted(kind, curves.fitted(runs), curves.precision(curves.bend))
+    return [
+        Fitted(
+            correction(stage.name, variable, each.knots.tolist()),
+            each.fitted(runs, each.belief),
+            each.belief,
+        )
+        for each in _curves(case, stage, values, variable)
+    ]
 
 
 def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -106,18 +117,27 @@ def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, n
 class _Curves:
     """One curve in the place of a stage's signal: its products with the data, by run."""
 
-    def __init__(self, knots: np.ndarray, gram: np.ndarray, level: float, around: bool):
-        self.knots, self.gram, self.level = knots, gram, level
-        unit = np.eye(len(knots))
-        closed = np.roll(unit, 1, axis=0) - 2 * unit + np.roll(unit, -1, axis=0)
-        self.bends = closed if around else np.diff(unit, 2, axis=0)
-        self.bend = max(CURVE_BENDS, key=self.gained)
+    def __init__(
+        self,
+        knots: np.ndarray,
+        gram: np.ndarray,
+        groups: list[list[int]],
+        beliefs: list[np.ndarray],
+    ):
+        self.knots, self.gram, self.groups = knots, gram, groups
+        self.belief = max(beliefs, key=self.gained)
 
     @classmethod
-    def of(cls, stage: Stage, values: list[np.ndarray], variable: str) -> "_Curves":
-        """Of a variable at the knots of every run."""
-        around = variable == "wheel angle"
-        knots = _places(np.concatenate(values), around, MORE_KNOTS.get(variable, KNOTS))
+    def of(
+        cls,
+        stage: Stage,
+        values: list[np.ndarray],
+        knots: np.ndarray,
+        around: bool,
+        groups: list[list[int]],
+        change: float,
+    ) -> "_Curves":
+        """Of a variable at the stage's knots of every run."""
         size = len(knots) + 2
         gram = np.zeros((len(values), size, size))
         for channel, noise in enumerate(stage.noise):
@@ -126,7 +146,7 @@ class _Curves:
                 shape = _basis(at, knots, around)
                 both = np.c_[a[:, :1], a[:, 1 : 1 + len(at)] @ shape, y] / noise
                 gram[run] += both.T @ both
-        return cls(knots, gram, max(stage.level, 1e-12), around)
+        return cls(knots, gram, groups, _beliefs(knots, max(stage.level, 1e-12), change, around))
 
     def free(self, run: int) -> np.ndarray:
         """A run's products with its own zeta fitted away."""
@@ -134,24 +154,19 @@ class _Curves:
         own = gram[0, 0] + OWN_ZETA**-2
         return gram[1:, 1:] - np.outer(gram[1:, 0], gram[0, 1:]) / own
 
-    def fitted(self, runs: np.ndarray, bend: float | None = None) -> np.ndarray:
-        """Values of the curve of these runs."""
+    def fitted(self, runs: np.ndarray, belief: np.ndarray) -> np.ndarray:
+        """Values of the curve of these runs, with the precision of what is believed of them."""
         total = np.sum([self.free(run) for run in runs], axis=0)
-        prior = self.precision(self.bend if bend is None else bend)
-        return np.linalg.solve(total[:-1, :-1] + prior, total[:-1, -1])
+        return np.linalg.solve(total[:-1, :-1] + belief, total[:-1, -1])
 
-    def precision(self, bend: float) -> np.ndarray:
-        """Of the belief that the curve is of about the signal's level, and bends this little."""
-        prior = np.eye(len(self.knots)) / (CURVE_LEVELS * self.level) ** 2
-        return prior + self.bends.T @ self.bends / (bend * self.level) ** 2
-
-    def gained(self, bend: float) -> float:
-        """Squares that a curve takes away from each run in turn, fitted to the others."""
+    def gained(self, belief: np.ndarray) -> float:
+        """Squares that a curve takes away from each condition in turn, fitted to the others."""
         runs, gain = np.arange(len(self.gram)), 0.0
-        for run in range(len(runs)):
-            others = np.delete(runs, run) if len(runs) > 1 else runs
-            values = self.fitted(others, bend)
-            gain += self.left(run, np.zeros(len(values))) - self.left(run, values)
+        for group in self.groups:
+            others = np.setdiff1d(runs, group) if len(self.groups) > 1 else runs
+            values = self.fitted(others, belief)
+            for run in group:
+                gain += self.left(run, np.zeros(len(values))) - self.left(run, values)
         return gain
 
     def left(self, run: int, values: np.ndarray) -> float:
@@ -160,9 +175,40 @@ class _Curves:
         return float(both @ self.free(run) @ both)
 
 
-def _share(stage: Stage, curves: _Curves) -> float:
-    runs = range(len(curves.gram))
-    nothing = sum(curves.left(run, np.zeros(len(curves.knots))) for run in runs)
+def _curves(case: Case, stage: Stage, values: list[np.ndarray], variable: str) -> list[_Curves]:
+    """Every curve of `CURVES` over a variable, given at the stage's knots of every run."""
+    around = variable == "wheel angle"
+    groups = conditions(case.candidates)
+    found = []
+    # A curve around a turn has no ends to go on from.
+    for count, change in CURVES[:1] if around else CURVES:
+        knots = _places(np.concatenate(values), around, MORE_KNOTS.get(variable, count))
+        found.append(_Curves.of(stage, values, knots, around, groups, change))
+    return found
+
+
+def _beliefs(knots: np.ndarray, level: float, change: float, around: bool) -> list[np.ndarray]:
+    """Precisions of a curve's values, one for each bend that it may be believed to have.
+
+    Args:
+        knots: Places of the values, ascending.
+        level: Of the signal.
+        change: From end to end [levels].
+        around: Whether it closes around a turn, where it has no ends and only bends.
+    """
+    unit = np.eye(len(knots))
+    ahead, behind = (np.roll(unit, way, axis=1) for way in (1, -1))
+    steps, bends = ahead - unit, ahead - 2 * unit + behind
+    size = unit / (CURVE_LEVELS * level) ** 2
+    if not around:
+        steps, bends = steps[:-1], bends[1:-1]
+        size += steps.T @ steps * len(steps) / (change * level) ** 2
+    return [size + bends.T @ bends / (bend * level) ** 2 for bend in CURVE_BENDS]
+
+
+def _share(stage: Stage, curves: list[_Curves]) -> float:
+    runs = range(len(curves[0].gram))
+    nothing = sum(curves[0].left(run, np.zeros(len(curves[0].knots))) for run in runs)
     signal = 0.0
     for channel, noise in enumerate(stage.noise):
         for run in runs:
@@ -172,7 +218,10 @@ def _share(stage: Stage, curves: _Curves) -> float:
             given[0] = stage.own[run]
             signal += float((((y - a @ given) / noise) ** 2).sum())
     explained = nothing - signal
-    return float(np.clip(curves.gained(curves.bend) / explained, 0, 1)) if explained > 0 else 0.0
+    if not explained > 0:
+        return 0.0
+    gained = max(each.gained(each.belief) for each in curves)
+    return float(np.clip(gained / explained, 0, 1))
 
 
 def _at_knots(motions: list[Motion], columns: Columns, variable: str) -> list[np.ndarray] | None:

@@ -30,8 +30,10 @@ from drftjax.effects.correction import (
     with_values,
 )
 
-# A signal follows a variable that explains this share of it.
+# A signal follows a variable that explains this share of it; curves over so many of these are
+# simulated, as straight lines tell little of how a curve goes on in runs left out.
 FOLLOWS = 0.5
+LIKELY = 3
 # Simulations that its curve is fitted by.
 TURNS = 6
 # Ways for a curve to bend are left out where they are believed to be this much smaller than the
@@ -78,9 +80,10 @@ class Unwritten:
 
     Attributes:
         stage: Where it would act.
-        follows: Variables with the share of it that a curve over each explains, best first.
-        tried: A correction that was simulated; None where the signal follows nothing that its
-            stage can know.
+        follows: Variables with the share of it that a curve over each explains: first that of
+            `tried`, then the others, best first.
+        tried: Of the corrections that were simulated, the one that leaves least; None where the
+            signal follows nothing that its stage can know.
     """
 
     stage: Stage
@@ -123,12 +126,18 @@ def unwritten(
     """
     stage, variables = simplest(case, found)
     known = [each for each in variables if each[0] in known_to(stage.name)]
-    curve = None
-    if known and known[0][1] >= FOLLOWS:
-        curve = fitted(case, stage, known[0][0])
-    if curve is None:
+    likely = [(name, share) for name, share in known if share >= FOLLOWS][:LIKELY]
+    curves = [(curve, share) for name, share in likely for curve in fitted(case, stage, name)]
+
+    def of(one: tuple[Fitted, float]) -> Correction | None:
+        return corrected(case, *one, none, before, floors)
+
+    tried = [each for each in case.side_by_side(of, curves) if each is not None]
+    if not tried:
         return Unwritten(stage, variables, None)
-    return Unwritten(stage, variables, corrected(case, curve, known[0][1], none, before, floors))
+    best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
+    variables.sort(key=lambda each: each[0] != best.effect.variable)
+    return Unwritten(stage, variables, best)
 
 
 def corrected(

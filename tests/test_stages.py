@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from diagnose.case import Case, with_zeta
-from diagnose.follows import TIED, against, fitted, follows, simplest
+from diagnose.follows import CURVES, TIED, against, fitted, follows, simplest
 from diagnose.kick import READINGS, kick, respond_to
 from diagnose.response import Model
 from diagnose.stages import Stage, stages
@@ -111,9 +111,9 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert ranked[0][1] > 0.9
 
 
-def test_a_curve_in_its_place_closes_the_gap():
-    found = fitted(case(), of_gain()[0], "angular velocity")
-    assert found is not None
+@pytest.mark.parametrize("which", range(len(CURVES)))
+def test_a_curve_in_its_place_closes_the_gap(which):
+    found = fitted(case(), of_gain()[0], "angular velocity")[which]
     knots, values = np.asarray(found.kind.knots), found.values
     assert np.polyfit(knots, values, 1)[0] == pytest.approx(0.05, abs=0.015)
     before = with_(SpeedGain, gain=0.05)
