@@ -46,14 +46,16 @@ def diagnose(
 
     configure_jax()
     from diagnose.interface import diagnosed, effects_among
+    from diagnose.model_file import MARK
     from diagnose.report import gap_table, paragraphs, verdict, write
     from diagnose.runs import gather
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import require_folder
+    from drftjax.runlog.replace import require_folder, require_no_others_setup
 
     chosen = effects_among(_names(effects))
     if output is not None:
         require_folder(output)
+        require_no_others_setup(output / "model.toml", MARK)
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:

@@ -20,6 +20,9 @@ from drftjax.setup import read_setup
 from drftjax.setup_toml import setup_toml
 from drftjax.structfile import read_document
 
+# What every model file's first comment begins with.
+MARK = "From a diagnosis of"
+
 
 def model_toml(found: Diagnosis) -> str:
     """The model with what was found, as a set-up file.
@@ -61,7 +64,7 @@ def told(number: Number) -> str:
 
 def _head(found: Diagnosis) -> list[str]:
     names = ", ".join(printable(each.name) for each in found.case.candidates)
-    lines = [f"From a diagnosis of {names}."]
+    lines = [f"{MARK} {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:

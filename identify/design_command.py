@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from identify.information import Knowledge
     from identify.judge import Option
 
+# What the titles of designed runs hold.
+DESIGNED = ", designed for "
+
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 EXAMPLES = """
@@ -91,7 +94,7 @@ def design(
         raise InputError(f"name one set-up file, or --like RUN{both}")
     configure_jax(devices=os.cpu_count())
     from drftjax.like import setup_like
-    from drftjax.runlog.replace import require_places
+    from drftjax.runlog.replace import require_no_others_setup, require_places
     from drftjax.setup import read_setup
     from identify.design import design as design_run
     from identify.information import Instrument
@@ -99,7 +102,9 @@ def design(
     from identify.profile_search import Search
 
     if output is not None:
-        require_places(result_files(output), [each for each in (setup, like) if each is not None])
+        names = result_files(output)
+        require_places(names, [each for each in (setup, like) if each is not None])
+        require_no_others_setup(names[0], DESIGNED)
     if setup is not None:
         chosen = read_setup(setup)
     else:
@@ -287,5 +292,5 @@ def design_toml(result: "Design") -> str:
     setup.command.time = np.round(built.time, 3).tolist()
     setup.command.omega = (np.round(np.degrees(built.omega), 3) + 0.0).tolist()
     setup.command.omega_unit = "deg/s"
-    setup.title = f"{setup.title}, designed for {result.parameter}"
+    setup.title = f"{setup.title}{DESIGNED}{result.parameter}"
     return setup_toml(setup, result.summary().splitlines())

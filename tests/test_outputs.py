@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from diagnose.model_file import MARK
 from drftjax.errors import InputError
 from drftjax.runlog.check import require_no_recording
 from drftjax.runlog.hdf5 import read_run, write_result, write_run
-from drftjax.runlog.replace import require_places
+from drftjax.runlog.replace import require_no_others_setup, require_places
 from drftjax.saved import FIT_SCHEMA
+from identify.design_command import DESIGNED
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER, RUN = DATA / "paper.toml", DATA / "runs" / "fast.h5"
@@ -71,6 +73,28 @@ def test_an_earlier_fit_in_the_folder_of_runs_is_replaced(tmp_path):
     require_places([tmp_path / "fit.h5"], [tmp_path])
     with pytest.raises(InputError, match="is read here"):
         require_places([tmp_path / "fit.h5"], [tmp_path / "fit.h5"])
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("rig.toml", ("design", PAPER, "-o", "rig")),
+        ("model.toml", ("diagnose", RUN, "--effects", "drawbar", "-o", ".")),
+    ],
+)
+def test_a_set_up_that_somebody_wrote_is_never_replaced(drft, tmp_path, monkeypatch, name, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("# mine\n")
+    assert f"{name} is there and is no earlier result" in drft(*command).refusal
+    assert (tmp_path / name).read_text() == "# mine\n"
+
+
+def test_an_earlier_design_or_diagnosis_is_replaced(tmp_path):
+    for mark in (DESIGNED, MARK):
+        path = tmp_path / "earlier.toml"
+        path.write_text(f"# {mark} something")
+        require_no_others_setup(path, mark)
+        require_no_others_setup(tmp_path / "none.toml", mark)
 
 
 def test_a_design_never_replaces_its_set_up(drft, tmp_path):
