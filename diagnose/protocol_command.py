@@ -49,7 +49,7 @@ def protocol(
         raise InputError(f"name one set-up file, or --like RUN{both}")
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from diagnose.protocol import telling_runs
     from drftjax.commands.runtime import configure_jax
@@ -63,8 +63,10 @@ def protocol(
     runs = list(telling_runs(rig, max_speed, max_travel))
     make_folder(output)
     fast = {}
-    headings = ("set-up", "load [kg]", "speed [deg/s]", "lasts [s]", "tells")
-    table = Table(*map(escape, headings))
+    # Names are copied from here, and stay whole.
+    table = Table(Column("set-up", no_wrap=True))
+    for heading in ("load [kg]", "speed [deg/s]", "lasts [s]", "tells"):
+        table.add_column(escape(heading))
     for number, (run, each) in enumerate(runs, start=1):
         name = f"{number}_{run.name}.toml"
         replace_file(output / name, setup_toml(each, [f"Tells {run.tells}."]).encode())

@@ -1,6 +1,7 @@
 """Effects in set-up files and results, on the command line, and from packages of others."""
 
 import copy
+import io
 import os
 import re
 import subprocess
@@ -9,12 +10,13 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from rich.console import Console
 from virtual_runs import recorded, setup_of
 
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.correction import STAGES, known_to
 from drftjax.effects.entry import built, entry_of, typical
-from drftjax.effects.table import markdown
+from drftjax.effects.table import listing, markdown
 from drftjax.effects.terrain import Loosening
 from drftjax.runlog.hdf5 import read_run, write_result
 from drftjax.saved import model_group, read_model, simulated_run
@@ -352,3 +354,10 @@ def test_a_package_that_adds_no_effect_is_named(package, tmp_path, point, said):
     assert answer.returncode == 2
     assert said in answer.stderr
     assert answer.stderr.count("\n") == 1
+
+
+def test_names_stay_whole_on_a_narrow_terminal():
+    text = io.StringIO()
+    Console(file=text, width=80).print(listing())
+    for name in catalogue():
+        assert re.search(rf"^  {name} ", text.getvalue(), re.MULTILINE), name

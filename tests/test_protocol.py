@@ -91,9 +91,11 @@ def test_the_blind_sets_are_of_the_same_runs():
 
 def test_the_command_writes_nine_set_ups(tmp_path):
     folder = tmp_path / "runs"
-    result = CliRunner().invoke(app, [str(data_file("paper.toml")), "-o", str(folder)])
+    arguments = [str(data_file("paper.toml")), "-o", str(folder)]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "70"})
     assert result.exit_code == 0, result.output
     written = sorted(folder.iterdir())
+    assert all(f" {each.name} " in result.output for each in written)
     assert [each.name for each in written] == [
         f"{n}_{t.name}.toml" for n, t in enumerate(TELLING, 1)
     ]

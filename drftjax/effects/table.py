@@ -40,7 +40,9 @@ def sizes(effect: type[AbstractEffect]) -> str:
 def listing() -> Table:
     """All effects, for a terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in ("effect", "formula", "typical numbers", "what happens"):
+    # Names are copied from here, and stay whole.
+    table.add_column("effect", no_wrap=True)
+    for column in ("formula", "typical numbers", "what happens"):
         table.add_column(column, overflow="fold")
     for stage, effects in by_stage():
         table.add_row(f"\n[bold cyan]{stage}[/]")
