@@ -164,7 +164,14 @@ def _of_one_kind(
                 break
         else:
             kinds.append([each])
-    largest = max(kinds, key=len, default=[])
+    ranked = sorted(kinds, key=len, reverse=True)
+    largest = ranked[0] if ranked else []
+    if len(ranked) > 1 and len(ranked[1]) == len(largest):
+        told = "; ".join(", ".join(each.name for each in kind) for kind in ranked[:2])
+        raise InputError(
+            f"the runs are of different wheels, terrains, carriages or integrators ({told}); fit "
+            "each apart"
+        )
     for each in (each for kind in kinds if kind is not largest for each in kind):
         failures[each.name] = f"it {OTHER_KIND} than {largest[0].name}; fit it apart"
     return largest, failures

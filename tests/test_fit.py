@@ -247,6 +247,15 @@ def test_odd_runs_are_named_and_the_others_fitted(slow_runs):
     )
 
 
+def test_as_many_runs_of_two_wheels_are_refused(slow_runs):
+    """No order in which they were named says which of the two is meant."""
+    grouserless = dataclasses.replace(slow_runs[0].setup, grouser_count=0)
+    plain = coarse("plain", dataclasses.replace(slow_runs[0], setup=grouserless))
+    for runs in ([plain, coarse("run", slow_runs[0])], [coarse("run", slow_runs[0]), plain]):
+        with pytest.raises(InputError, match=r"of different wheels.*\((plain; run|run; plain)\)"):
+            fit(runs, [OWN_ZETA])
+
+
 def test_runs_without_the_number_to_be_fitted_are_named(slow_runs):
     grouserless = dataclasses.replace(slow_runs[0].setup, grouser_count=0)
     plain = coarse("plain", dataclasses.replace(slow_runs[0], setup=grouserless))
