@@ -184,10 +184,12 @@ def plot_design(result: "Design") -> "Figure":
     scan.loglog(peaks, shifts, "s--", label=label)
     value = abs(result.now.knows.value)
     if value:
-        scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":")
-        scan.annotate(f"{result.wanted:.0%} of the value", (peaks[0], result.wanted * value))
+        label = f"{result.wanted:.0%} of the value"
+        scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":", label=label)
+    scan.set_xticks(peaks, [f"{each:.0f}" for each in peaks])
+    scan.minorticks_off()
     scan.set_xlabel("peak speed of a trapezoid [deg/s]")
-    scan.set_ylabel(result.parameter)
+    scan.set_ylabel(f"error of {result.parameter} [{result.unit}]")
     scan.legend(fontsize=8)
     return figure
 
