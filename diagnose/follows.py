@@ -15,8 +15,8 @@ from drftjax.effects.correction import VARIABLES, Curve, correction
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,
 # whichever predicts the conditions left out best.
 CURVE_LEVELS, CURVE_BENDS = 5.0, (1.5, 0.3, 0.06, 0.012)
-# Knots of a curve, and its change from end to end, in levels: a coarse one that goes straight on
-# where no other run has been, and a fine one that stays level there.
+# Knots of a curve, and how far it may well change from end to end, in levels: a coarse one that may
+# go far, also where no other run has been, and a fine one that is held to the signal's own size.
 CURVES = ((6, 10.0), (12, 1.0))
 # Where it may be a matter of places or of moments, patches and waves need more.
 MORE_KNOTS = {"travel": 16, "turning": 16, "time": 16, "wheel angle": 12}

@@ -10,6 +10,7 @@ from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
 from diagnose.response import Model
+from diagnose.runs import from_one_start
 from diagnose.shrinkage import Gap, gaps
 from identify.candidate import candidates_of
 
@@ -27,7 +28,7 @@ def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
         diagnosis: Whose effects or correction are added, with their numbers as they are.
         paths: The other runs.
     """
-    case = Case.of(candidates_of(list(paths)))
+    case = Case.of(from_one_start(candidates_of(list(paths))))
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, *as_model(diagnosis.added.effects))
     return gaps(
