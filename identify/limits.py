@@ -48,6 +48,7 @@ class Limits:
             require_between("the longest way", self.travel, 0.01, 1000.0, " m")
         if self.loads is not None:
             low, high = self.loads
-            require_between("the loads", [low, high], 1.0, 1e4, " N")
+            require_between("the lowest load", low, 1.0, 1e4, " N")
+            require_between("the highest load", high, 1.0, 1e4, " N")
             if low >= high:
                 raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")

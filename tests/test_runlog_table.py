@@ -217,6 +217,8 @@ def test_a_mapping_that_cannot_be_meant_is_refused_with_a_hint(made, old, new, r
         ("a,30,200", "a,30,1,200", r"line 4: has 8 cells under 7 headings"),
         (",load", ",torque", "'torque' stands over two columns"),
         (TABLE, "", "line 1 must hold the headings"),
+        (TABLE, TABLE.replace(",", ";"), r"one cell.*write separator = \";\" in the mapping"),
+        (TABLE, TABLE.replace(",", "\t"), r"one cell.*write separator = \"\\t\" in the mapping"),
         (TABLE, "drive,t,rim,x,depth,torque,load\n", "no row is selected"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import json
 import math
 import re
 import zlib
@@ -122,6 +123,10 @@ def import_named(path: str | Path, mapping_path: str | Path) -> list[ImportedRun
     return [_run(each, mapping, mapping_path) for each in _runs(selected, mapping)]
 
 
+# What else may stand between cells than was taken.
+SEPARATORS = (";", "\t", ",", "|")
+
+
 def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) -> Table:
     """Read a table's headings and cells."""
     plain = path.name.removesuffix(".gz")
@@ -150,6 +155,12 @@ def _parsed(path: Path, reader: "Iterator[list[str]]", skipped: int) -> Table:
     headings = tuple(cell.strip() for cell in next(reader, []))
     if not any(headings):
         raise InputError(f"{path}: line {skipped + 1} must hold the headings, but it is empty")
+    other = next((each for each in SEPARATORS if each in headings[0]), None)
+    if len(headings) == 1 and other is not None:
+        raise InputError(
+            f"{path}: its headings are one cell, {headings[0]!r}; if {other!r} stands between "
+            f"cells, write separator = {json.dumps(other)} in the mapping"
+        )
     twice = next((name for name in headings if headings.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path}: the heading {twice!r} stands over two columns")
