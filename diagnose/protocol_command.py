@@ -12,6 +12,9 @@ from hils.commands.run import USUAL_OMEGA_MAX
 if TYPE_CHECKING:
     from drftjax.setup import SetUp
 
+# A run that limits slow down below this share of its speed tells little of what it is for.
+SLOWED = 0.5
+
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 EXAMPLES = """
@@ -69,13 +72,16 @@ def protocol(
         table.add_column(escape(heading))
     for number, (run, each) in enumerate(runs, start=1):
         name = f"{number}_{run.name}.toml"
-        replace_file(output / name, setup_toml(each, [f"Tells {run.tells}."]).encode())
-        speed = max(each.command.omega, key=abs)
+        speed, wanted = max(each.command.omega, key=abs), max(run.speed, key=abs)
+        tells = run.tells
+        if abs(speed) < SLOWED * abs(wanted):
+            tells = f"little, slowed down from {abs(wanted):.0f} deg/s: {tells}"
+        replace_file(output / name, setup_toml(each, [f"Tells {tells}."]).encode())
         omega = math.radians(abs(speed))
         if omega > USUAL_OMEGA_MAX:
             fast[name] = omega
         lasts = f"{each.command.time[-1]:.1f}"
-        table.add_row(name, f"{each.rig.mass_z:.1f}", f"{speed:.0f}", lasts, run.tells)
+        table.add_row(name, f"{each.rig.mass_z:.1f}", f"{speed:.0f}", lasts, tells)
     Console().print(table)
     typer.echo(f"nine set-ups written to {output}")
     if fast:

@@ -103,6 +103,18 @@ def test_the_command_writes_nine_set_ups(tmp_path):
         assert read_setup(path) == setup
 
 
+def test_runs_that_a_short_way_slows_down_say_that_they_tell_little(tmp_path):
+    folder = tmp_path / "runs"
+    paper = str(data_file("paper.toml"))
+    result = CliRunner().invoke(app, [paper, "--max-travel", "0.02", "-o", str(folder)])
+    assert result.exit_code == 0, result.output
+    fast = (folder / "8_fast_light.toml").read_text()
+    assert fast.startswith("# Tells little, slowed down from 200 deg/s: momentum of the sand")
+    folder = tmp_path / "long"
+    assert CliRunner().invoke(app, [paper, "-o", str(folder)]).exit_code == 0
+    assert not [each.name for each in folder.iterdir() if "Tells little" in each.read_text()]
+
+
 def test_a_folder_that_is_not_empty_is_refused(tmp_path):
     (tmp_path / "kept.h5").write_bytes(b"")
     result = CliRunner().invoke(app, [str(data_file("paper.toml")), "-o", str(tmp_path)])
