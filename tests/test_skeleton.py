@@ -52,6 +52,8 @@ def fail(how: str):
         raise KeyboardInterrupt
     if how == "swallowed":
         import gc, signal
+        # Ignored where a shell started the tests in the background.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         def collecting(phase, info):
             gc.callbacks.remove(collecting)
             signal.raise_signal(signal.SIGINT)

@@ -11,7 +11,6 @@ group. `drft --help` imports every app to show its first line, so an app imports
 slow packages inside its functions.
 """
 
-import _thread
 import os
 import signal
 import sys
@@ -146,7 +145,9 @@ def _lost(error: "sys.UnraisableHookArgs") -> None:
     if not issubclass(error.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(error)
     elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        threading.Timer(AGAIN, _thread.interrupt_main).start()
+        # To that thread itself, so that a wait ends early too.
+        main_thread = threading.main_thread().ident
+        threading.Timer(AGAIN, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
 
 
 def _run() -> int | str | None:
