@@ -16,7 +16,7 @@ from diagnose.path import Path as Trace
 from diagnose.path import steadied, steps_in_a_node, trace
 from diagnose.response import Model, predict
 from drftjax.arrays import as_real
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, roomy
 from identify.candidate import Candidate
@@ -226,7 +226,7 @@ def baseline(case: Case) -> np.ndarray:
             at, here = nxt, there
             if not np.isfinite(slope) or slope == 0:
                 name = case.candidates[run].name
-                raise InputError(f"{name}: no zeta lets the reference model follow its sinkage")
+                raise RunError(name, "no zeta lets the reference model follow its sinkage")
             nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
         return at
 

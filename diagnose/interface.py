@@ -16,7 +16,7 @@ from diagnose.runs import from_one_start, gather, of_one_wheel, usable
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from identify.candidate import Run, candidates_of
 from identify.gathering import Gathered
 
@@ -144,12 +144,10 @@ def diagnosed(
         try:
             found = diagnose_case(Case.of(kept), effects, report)
             break
-        except InputError as problem:
-            why = str(problem)
-            others = [each for each in kept if not why.startswith(f"{each.name}: ")]
-            if not others or len(others) == len(kept):
+        except RunError as problem:
+            kept = [each for each in kept if each.name != problem.run]
+            if not kept:
                 raise
-            kept = others
-            notes.append(why)
-            tell(f"left out: {why}")
+            notes.append(str(problem))
+            tell(f"left out: {problem}")
     return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])

@@ -1,4 +1,4 @@
-"""The one exception that reaches a user."""
+"""The exceptions that reach a user."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,16 @@ class InputError(ValueError):
     The message is one sentence that says what was given, what must hold and where. The
     command line prints it without a traceback and leaves with exit code 2.
     """
+
+
+class RunError(InputError):
+    """One run of several cannot be used; the others can go on without it.
+
+    Args:
+        run: Its name, with which the message begins.
+        why: What is wrong with it.
+    """
+
+    def __init__(self, run: str, why: str) -> None:
+        super().__init__(f"{run}: {why}")
+        self.run = run

@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
 import diagnose
+from diagnose import interface
 from drftjax.effects.sensor import TravelGain
 from drftjax.effects.stage import About, MemorylessSurface, strength
 from drftjax.effects.surface import SurfaceSlope
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from drftjax.runlog.hdf5 import write_run
 from drftjax.setup import ZetaKnots, read_setup, setup_from_run
 from tests.virtual_cases import PROFILES
@@ -139,6 +140,39 @@ def test_runs_without_sinkage_are_left_out_and_alone_refused(runs):
     assert f"Left out: {lacking}: has no z, so its sinkage is not known" in found.notes
     with pytest.raises(InputError, match="has no z"):
         diagnose.evaluate([given[lacking]], [])
+
+
+def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, monkeypatch):
+    """Whichever the search finds first."""
+    lost = set(list(runs)[:2])
+
+    @dataclasses.dataclass(frozen=True)
+    class Found:
+        names: list[str]
+        notes: list[str]
+
+    def search(case, effects, report):
+        names = [each.name for each in case.candidates]
+        for name in names:
+            if name in lost:
+                raise RunError(name, "no zeta lets the reference model follow its sinkage")
+        return Found(names, ["A note."])
+
+    monkeypatch.setattr(interface, "diagnose_case", search)
+    told = []
+    found = interface.diagnosed(
+        interface.gathered_from(runs), (SurfaceSlope,), lambda stage: None, told.append
+    )
+    assert found.names == [name for name in runs if name not in lost]
+    assert [each.removeprefix("left out: ") for each in told] == [
+        each.removeprefix("Left out: ") for each in found.notes[1:]
+    ]
+    assert len(told) == 2
+    lost |= set(runs)
+    with pytest.raises(RunError, match="no zeta"):
+        interface.diagnosed(
+            interface.gathered_from(runs), (SurfaceSlope,), lambda stage: None, told.append
+        )
 
 
 def test_a_zeta_that_changes_in_time_is_refused(runs):
