@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from diagnose import odd_runs
 from diagnose.added import Added, effects_of, most_helpful
 from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.caveats import caveats
+from diagnose.chance import chance
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, foremost, left_of
@@ -208,12 +210,18 @@ def diagnose(
     chosen = _chosen(found, leading, share, verdict)
     before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
     after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
-    floors, how = noise_floors(case, before, after, own_errors(case, found.none.log_zeta))
+    own = own_errors(case, found.none.log_zeta)
+    floors, how = noise_floors(case, before, after, own)
     known = Added(effects_of(chosen), chosen.log_zeta, after, gaps(case, before, after, floors))
     rival = _rival(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
-    notes = [how, *caveats(case)]
+    notes = [
+        how,
+        *caveats(case),
+        *odd_runs.of_repeats(found.bench, [before, after], own),
+        *odd_runs.by_zeta(found.bench, chosen),
+    ]
     signal, added, lies = None, known, []
     if verdict != (NONE,):
         lies = stages(case, found.none.log_zeta)
@@ -226,6 +234,7 @@ def diagnose(
         reference = Added((), found.none.log_zeta, before, gaps(case, before, before, floors))
         added = most_helpful([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
+        notes += odd_runs.alone_in_the_gap(found.bench, places, before, floors)
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
@@ -264,7 +273,9 @@ def _weights(
         judged.append(Judged(each.names, left, line.left, line.scatter, len(each.coordinates)))
     total = products.number.sum(axis=0)
     runs = len(products.log_zeta)
-    return weights(judged, products.blocks, total, found.bench.noise, runs)
+    noise = found.bench.noise
+    differ = chance(found.bench, [each.residual for each in (found.none, *leading)])
+    return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 
 def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:

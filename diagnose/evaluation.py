@@ -14,6 +14,7 @@ from diagnose.plates import own_errors
 from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
+from diagnose.units import shown
 from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError
 from drftjax.tuner import StepTuner
@@ -24,13 +25,6 @@ if TYPE_CHECKING:
 
 # What reports call the model that is held against the reference model.
 WITH = "the model with the effects"
-CHANNEL_UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1.0), "fz": ("N", 1.0)}
-TORQUE = ("N m", 1.0)
-
-
-def shown(channel: str) -> tuple[str, float]:
-    """Unit that a channel is told in, and how many of it make one of SI."""
-    return CHANNEL_UNITS.get(channel, TORQUE)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

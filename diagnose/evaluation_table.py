@@ -3,7 +3,8 @@
 from rich.markup import escape
 from rich.table import Table
 
-from diagnose.evaluation import Evaluation, shown
+from diagnose.evaluation import Evaluation
+from diagnose.units import shown
 
 
 def sentences(found: Evaluation) -> list[str]:

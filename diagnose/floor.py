@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 
 from diagnose.case import Case
+from diagnose.chance import apart
 from diagnose.left_out import conditions
-from identify.repeats import recorded_at
 
 
 def noise_floors(
@@ -33,13 +33,10 @@ def noise_floors(
     for group in repeats:
         for first, second in pairwise(group):
             for index, channel in enumerate(case.channels):
-                apart = [
-                    _apart(case, (first, second), [each[run][index] for run in (first, second)])
-                    for each in (before, after)
-                ]
+                differ = [apart(case, (first, second), each)[index] for each in (before, after)]
                 # Nothing where they were never recorded at once, or one of the two lacks it.
-                if apart[0].size and np.isfinite(apart).all():
-                    power = min(float(np.mean(a**2)) / 2 for a in apart)
+                if differ[0].size and np.isfinite(differ).all():
+                    power = min(float(np.mean(each**2)) / 2 for each in differ)
                     powers.setdefault(channel, []).append(power)
     floors = {}
     for channel in case.channels:
@@ -58,13 +55,6 @@ def noise_floors(
             "half as long would change, and says nothing of how runs scatter."
         )
     return floors, how
-
-
-def _apart(case: Case, runs: tuple[int, int], residual: Sequence[np.ndarray]) -> np.ndarray:
-    """What two repeats' residuals differ by, where both were recorded."""
-    first, second = (case.time(run) for run in runs)
-    both = recorded_at(second, first)
-    return residual[0][both] - np.interp(first[both], second, residual[1])
 
 
 def _noise_power(case: Case, channel: str) -> float:

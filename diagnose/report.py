@@ -12,7 +12,6 @@ from rich.table import Table
 
 from diagnose import where as location
 from diagnose.diagnosis import Diagnosis, conditions_of
-from diagnose.evaluation import shown
 from diagnose.model_file import model_toml, told
 from diagnose.report_figures import (
     as_source,
@@ -22,6 +21,7 @@ from diagnose.report_figures import (
     weights,
 )
 from diagnose.shrinkage import Gap
+from diagnose.units import shown
 from diagnose.weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.effects.catalogue import spoken

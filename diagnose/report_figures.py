@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from diagnose.cut import Share
 from diagnose.diagnosis import Diagnosis
-from diagnose.evaluation import shown
 from diagnose.follows import against
+from diagnose.units import shown
 from diagnose.unwritten import Unwritten
 from diagnose.weights import percent
 from drftjax.effects.correction import VARIABLES, Curve

@@ -82,6 +82,7 @@ def log_weights(
     noise: np.ndarray,
     runs: int,
     scale: Scale = SCALE,
+    chance: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, float]:
     """Logarithms of the weights, not yet summing to one: of each hypothesis, and of unknown.
 
@@ -92,10 +93,13 @@ def log_weights(
         noise: Mean square of the instruments' white noise in each block.
         runs: Number of runs.
         scale: What evidence is worth.
+        chance: Mean square of what repeats differ by in each block. What of it is beyond noise and
+            a model's own error is neither held against a model nor for `unknown` to explain.
     """
     floor = (scale.floor * np.array([FLOOR[block] for block in blocks])) ** 2
-    beyond = np.maximum(judged[0].left - noise - floor, 0)
-    allowed = floor + scale.form**2 * beyond
+    by_chance = np.maximum(chance - noise - floor, 0)
+    beyond = np.maximum(judged[0].left - noise - floor - by_chance, 0)
+    allowed = floor + by_chance + scale.form**2 * beyond
     worth = number * np.array([getattr(scale, kind) for _, kind in blocks])
     zeta = scale.zeta * max(runs - 1, 0)
 
@@ -121,9 +125,10 @@ def weights(
     noise: np.ndarray,
     runs: int,
     scale: Scale = SCALE,
+    chance: np.ndarray | float = 0.0,
 ) -> dict[tuple[str, ...], float]:
     """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too."""
-    known, unwritten = log_weights(judged, blocks, number, noise, runs, scale)
+    known, unwritten = log_weights(judged, blocks, number, noise, runs, scale, chance)
     logs = np.r_[known, unwritten]
     share = np.exp(logs - logs.max())
     share /= share.sum()

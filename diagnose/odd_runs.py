@@ -1,0 +1,125 @@
+"""Runs that do not go with the others, which an operator should look at before any effect."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diagnose.bench import Bench
+from diagnose.case import Case
+from diagnose.chance import apart, repeats
+from diagnose.cut import Share
+from diagnose.hypothesis import Hypothesis
+from diagnose.units import shown
+
+# Repeats disagree where they differ by so many times what instruments and plates make, and by more
+# than this share of the gap.
+DISAGREE, OF_GAP = 3.0, 0.5
+# A run's zeta is odd where it lies beyond the others' by so many of their scatters, and by so much
+# [of a logarithm]: sand that is prepared alike scatters by a per cent or a few.
+ODD_SCATTERS, ODD_ZETA = 5.0, 0.05
+# The fewest others that a run is held against.
+FEWEST = 4
+# One run holds a gap where it has this share of it, and so many times its share of the time.
+MOST, TIMES = 0.5, 3.0
+
+
+def of_repeats(
+    bench: Bench, residuals: Sequence[list[np.ndarray]], own: Mapping[str, float]
+) -> list[str]:
+    """Repeats that differ by what no effect of command, load or state can make, in sentences.
+
+    Args:
+        bench: The case.
+        residuals: By model and run, simulated less recorded, the reference model first: the
+            smallest difference counts.
+        own: The simulation's own error in each channel [m, N, N m].
+    """
+    case, found = bench.case, []
+    for pair in repeats(case):
+        differences = [apart(case, pair, each) for each in residuals]
+        told = []
+        for index, channel in enumerate(case.channels):
+            differ = min(_rms(each[index]) for each in differences)
+            whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
+            alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
+            if differ > max(DISAGREE * alone, OF_GAP * whole):
+                unit, scale = shown(channel)
+                told.append(
+                    f"{scale * differ:.2g} {unit} in {channel}, {differ / alone:.0f} times what "
+                    "instruments and plates make"
+                )
+        if told:
+            names = " and ".join(case.candidates[run].name for run in pair)
+            found.append(
+                f"{names} repeat each other and differ by {'; by '.join(told)}: no effect of "
+                "command, load or state does that. Was the sand prepared alike, and z zeroed alike?"
+            )
+    return found
+
+
+def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
+    """The run whose zeta is far from all others', if there is one.
+
+    Args:
+        bench: The case.
+        chosen: The effects added, or the reference model.
+    """
+    zetas = chosen.log_zeta + bench.reference
+    if len(zetas) <= FEWEST:
+        return []
+    odd = int(np.argmax(np.abs(zetas - np.median(zetas))))
+    others = np.delete(zetas, odd)
+    least, most = float(others.min()), float(others.max())
+    away = abs(float(zetas[odd] - np.clip(zetas[odd], least, most)))
+    if away < max(ODD_ZETA, ODD_SCATTERS * float(np.std(others, ddof=1))):
+        return []
+    z = bench.case.channels.index("z")
+    unit, scale = shown("z")
+    sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
+    return [
+        f"The zeta of {bench.case.candidates[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
+        f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, or its z "
+        f"zeroed elsewhere (by about {sinkage:.2g} {unit})."
+    ]
+
+
+def alone_in_the_gap(
+    bench: Bench,
+    places: Sequence[Share],
+    before: Sequence[np.ndarray],
+    floors: Mapping[str, float],
+) -> list[str]:
+    """The run that holds most of the gap, and what is left without it.
+
+    Args:
+        bench: The case.
+        places: Shares of the gap by axis.
+        before: By run, simulated less recorded by the reference model, shape (channels, samples).
+        floors: Noise floor of each channel [m, N, N m].
+    """
+    case, runs = bench.case, [each for each in places if each.axis == "run"]
+    most = max(runs, key=lambda each: each.share, default=None)
+    if most is None or len(runs) <= FEWEST or most.share < max(MOST, TIMES * most.time):
+        return []
+    named = zip(case.candidates, before, strict=True)
+    others = [each for candidate, each in named if candidate.name != most.label]
+    left = [
+        f"{_rms(np.concatenate([each[index] for each in others])) / floors[channel]:.1f} noise "
+        f"floors in {channel}"
+        for index, channel in enumerate(case.channels)
+    ]
+    return [
+        f"{most.label} holds {most.share:.0%} of the gap in {most.time:.0%} of the time; the gap "
+        f"of the other runs alone would be {' and '.join(left)}. Look at its record first."
+    ]
+
+
+def _noise(case: Case, run: int, channel: str) -> float:
+    return case.candidates[run].observation.by_channel().get(channel, ((), 0.0))[1]
+
+
+def _rms(values: np.ndarray) -> float:
+    """Root mean square of what was recorded; NaN of nothing."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan

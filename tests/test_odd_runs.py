@@ -1,0 +1,130 @@
+"""Runs that do not go with the others: what repeats call chance, and what is told of odd ones."""
+
+import copy
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnose.case import Case
+from diagnose.chance import chance, repeats
+from diagnose.cut import Share
+from diagnose.evidence import block_names
+from diagnose.odd_runs import alone_in_the_gap, by_zeta, of_repeats
+from diagnose.weights import NONE, UNKNOWN, Judged, weights
+from tests.virtual_cases import case_with
+
+NOISE = {"x": 1e-6, "z": 1e-6}
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    """Three runs, of which the first two repeat each other."""
+    return case_with()
+
+
+def bench_of(case: Case) -> Any:
+    blocks = block_names(case.channels)
+    return SimpleNamespace(case=case, products=SimpleNamespace(blocks=blocks))
+
+
+def misses(case: Case, **by_run: float) -> list[np.ndarray]:
+    """Residuals that are a constant in z for some runs, zero in all else."""
+    found = [np.zeros((2, len(case.time(run)))) for run in range(len(case.candidates))]
+    for name, size in by_run.items():
+        found["abc".index(name)][case.channels.index("z")] = size
+    return found
+
+
+def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
+    assert repeats(case) == [(0, 1)]
+    found = dict(
+        zip(block_names(case.channels), chance(bench_of(case), [misses(case, b=1e-3)]), strict=True)
+    )
+    assert found.pop(("z", "slow")) == pytest.approx(0.5e-6)
+    # A constant has no fast part, but for rounding.
+    assert max(found.values()) < 1e-20
+
+
+def test_what_a_model_explains_of_two_repeats_is_no_chance(case):
+    told = chance(bench_of(case), [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)])
+    assert told.max() < 1e-20
+
+
+def test_runs_that_begin_elsewhere_do_not_tell_chance(case):
+    for field, much in (("x", 0.05), ("angle", 0.2)):
+        moved = copy.deepcopy(case.candidates[1].setup)
+        setattr(moved.start, field, getattr(moved.start, field) + much)
+        runs = list(case.candidates)
+        runs[1] = dataclasses.replace(runs[1], setup=moved)
+        alone = Case.of(runs)
+        assert repeats(alone) == []
+        assert not chance(bench_of(alone), [misses(alone, b=1e-3)]).any()
+    turned = copy.deepcopy(case.candidates[1].setup)
+    turned.start.angle += 2 * np.pi
+    runs[1] = dataclasses.replace(case.candidates[1], setup=turned)
+    assert repeats(Case.of(runs)) == [(0, 1)]
+
+
+def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
+    gap, number, noise = np.array([1e-6]), np.array([400.0]), np.array([1e-12])
+    judged = [Judged((), gap, gap, 0.0, 0)]
+
+    def of(by_chance: float) -> dict:
+        return weights(judged, (("z", "slow"),), number, noise, 9, chance=np.array([by_chance]))
+
+    assert of(0.0)[(UNKNOWN,)] > 0.99
+    assert of(1e-12) == of(0.0)  # within noise and a model's own error
+    assert of(1e-6)[(NONE,)] > 0.9
+
+
+def test_repeats_that_disagree_are_named(case):
+    bench = bench_of(case)
+    (told,) = of_repeats(bench, [misses(case, b=1e-3), misses(case, b=0.5e-3)], NOISE)
+    assert told.startswith("run 0 and run 1 repeat each other and differ by 0.5 mm in z, ")
+    # The same gap in both is an effect's.
+    assert of_repeats(bench, [misses(case, a=1e-3, b=1.2e-3)], NOISE) == []
+    assert of_repeats(bench, [misses(case, b=1e-6)], NOISE) == []
+
+
+def test_a_zeta_far_from_all_others_is_named(case):
+    candidates = [
+        dataclasses.replace(case.candidates[0], name=f"run {number}") for number in range(6)
+    ]
+    columns = [np.full((2, 3, 1), 0.02)] * 6
+    bench: Any = SimpleNamespace(
+        case=SimpleNamespace(candidates=candidates, channels=("x", "z")), reference=np.zeros(6)
+    )
+
+    def of(*zetas: float) -> list[str]:
+        chosen: Any = SimpleNamespace(log_zeta=np.log(zetas), columns=columns)
+        return by_zeta(bench, chosen)
+
+    (told,) = of(0.75, 0.76, 0.755, 0.68, 0.752, 0.758)
+    assert told.startswith("The zeta of run 3 is 0.68, of the others 0.75 to 0.76")
+    # 20 mm of sinkage by a logarithm, of 0.75 / 0.68.
+    assert "by about 2 mm" in told
+    assert of(0.75, 0.76, 0.755, 0.73, 0.752, 0.758) == []  # three per cent
+    assert of(0.75, 0.80, 0.70, 0.66, 0.78, 0.72) == []  # all scatter
+    assert of(0.75, 0.76, 0.755, 0.68, 0.752, 0.68) == []  # two alike: a load, or an effect
+
+
+def test_a_run_that_holds_most_of_the_gap_is_named(case):
+    candidates = [
+        dataclasses.replace(case.candidates[0], name=f"run {number}") for number in range(5)
+    ]
+    bench: Any = SimpleNamespace(case=SimpleNamespace(candidates=candidates, channels=("z",)))
+    before = [np.full((1, 10), 2e-5)] * 4 + [np.full((1, 10), 1e-3)]
+
+    def of(share: float, time: float) -> list[str]:
+        rest = [Share("run", f"run {n}", (1 - share) / 4, (0.0, 1.0), 0.2) for n in range(4)]
+        last = Share("run", "run 4", share, (0.0, 1.0), time)
+        return alone_in_the_gap(bench, [*rest, last], before, {"z": 2e-5})
+
+    (told,) = of(0.9, 0.2)
+    assert told.startswith("run 4 holds 90% of the gap in 20% of the time")
+    assert "1.0 noise floors in z" in told
+    assert of(0.45, 0.1) == []
+    assert of(0.9, 0.4) == []
