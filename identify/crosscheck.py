@@ -17,7 +17,8 @@ from drftjax.runlog.record import Online
 from identify.candidate import Candidate
 from identify.tuner_comparison import Comparison, Path, comparison, moving_part, root_mean_square
 from identify.tuner_replays import Replayed, Setting, replays
-from identify.zeta_path import KNOT_SPACING, ZetaPath, zeta_paths
+from identify.zeta_path import ZetaPath
+from identify.zeta_smoother import KNOT_SPACING, zeta_paths
 
 CROSSCHECK_SCHEMA = "drft-crosscheck"
 

@@ -6,7 +6,8 @@ import numpy as np
 from drftjax.trial import Trial
 from identify.candidate import Candidate
 from identify.result import FitResult, RunFit
-from identify.zeta_path import KNOT_SPACING, ZetaPath, zeta_paths
+from identify.zeta_path import ZetaPath
+from identify.zeta_smoother import KNOT_SPACING, zeta_paths
 
 
 def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -> FitResult:

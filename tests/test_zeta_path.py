@@ -14,10 +14,12 @@ from drftjax.scaling import KnotZeta
 from drftjax.setup import IntegratorSetUp
 from identify.batch import make_batch
 from identify.candidate import Candidate, candidate
+from identify.drawn_zeta import predicted
 from identify.evidence import WEIGHTS, Instrument, Noise, Products, posterior
 from identify.observation import intervals_of
 from identify.spline import LINES, between, cardinal
-from identify.zeta_path import ZetaPath, predicted, zeta_paths
+from identify.zeta_path import ZetaPath
+from identify.zeta_smoother import zeta_paths
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 
 # Coarse plates and the fit's own integrator: the program is tested, not the step's error. At longer

@@ -1,0 +1,65 @@
+"""A run with zeta in straight lines that draw a spline, and its derivative by the knots."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.scaling import KnotZeta
+from drftjax.trial import Trial
+from identify.batch import Batch, Observed, sampled
+
+# Standard deviation of the start's sinkage and travel about their recorded means [m].
+START_SPREAD = 1e-3
+
+
+def in_lines(trial: Trial, ends: np.ndarray) -> Trial:
+    """The trial with straight lines of zeta that end here [s]; `placed` says at which zeta."""
+    return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, 1 + 0 * ends))
+
+
+def placed(
+    trial: Trial, curve: Float[Array, "ends knots"], coordinates: Float[Array, " all"]
+) -> Trial:
+    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD].
+
+    Args:
+        trial: A trial whose zeta is straight lines.
+        curve: The spline that they draw, from `identify.spline.cardinal`.
+        coordinates: Log zeta at the spline's knots, and the start's two.
+    """
+    knots = curve.shape[1]
+    trial = eqx.tree_at(
+        lambda t: t.simulator.terrain.zeta.value, trial, jnp.exp(curve @ coordinates[:knots])
+    )
+    moved = trial.start.position + START_SPREAD * coordinates[knots:]
+    return eqx.tree_at(lambda t: t.start.position, trial, moved)
+
+
+def predicted(
+    trial: Trial,
+    observed: Observed,
+    channels: tuple[str, ...],
+    curve: Float[Array, "ends knots"],
+    coordinates: Float[Array, " all"],
+) -> Float[Array, "channels samples"]:
+    """Simulated channels of one run at its recorded times [m]."""
+    return sampled(placed(trial, curve, coordinates).run(), observed, channels)
+
+
+@eqx.filter_jit
+def simulated(
+    batch: Batch, curves: Float[Array, "runs ends knots"], coordinates: Float[Array, "runs all"]
+) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
+    """Every run's channels at its recorded times [m], and their derivative by its coordinates."""
+
+    def one(trial: Trial, observed: Observed, curve: Float[Array, "ends knots"], at: Array):
+        def both(at):
+            values = predicted(trial, observed, batch.channels, curve, at)
+            return values, values
+
+        derivative, values = jax.jacfwd(both, has_aux=True)(at)
+        return values, derivative
+
+    return jax.vmap(one)(batch.trials, batch.observed, curves, coordinates)

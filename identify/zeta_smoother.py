@@ -1,0 +1,103 @@
+r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
+
+The logarithm of zeta is a natural cubic spline through knots, simulated as short straight lines;
+its values u at the knots are fitted to recorded sinkage and, once that is met, to travel too. The
+prior is a discrete cubic smoothing spline's,
+
+$$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
+
+and each channel's residual is first-order autoregressive, with a variance and a correlation of its
+own; sinkage's lasts no longer than knots can draw, as what lasts is zeta's to explain. With the
+simulation linearised by its exact derivative, the data's probability given w and the noise (the
+evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its largest value
+over a grid of w, with the noise found by expectation-maximisation at each, chooses w; Gauss-Newton
+steps move the linearisation to where it settles.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.errors import InputError
+from identify.batch import make_batch
+from identify.candidate import Candidate
+from identify.drawn_zeta import in_lines, simulated
+from identify.path_steps import PathSteps, sinkage_and_travel
+from identify.spline import between, cardinal
+from identify.zeta_path import ZetaPath
+
+KNOT_SPACING = 1.0
+
+
+def zeta_paths(
+    candidates: Sequence[Candidate], knot_spacing: float = KNOT_SPACING
+) -> list[ZetaPath]:
+    """zeta(t) of each run; the runs are simulated side by side.
+
+    Args:
+        candidates: Runs of the same kind of wheel, law and carriage.
+        knot_spacing: Time from knot to knot [s]; stretched a little, so that they end with the
+            samples compared.
+
+    Raises:
+        InputError: where a run has no sinkage, is too short, or cannot be simulated.
+    """
+    channels = [sinkage_and_travel(each).channels for each in candidates]
+    found: dict[int, ZetaPath] = {}
+    for kind in dict.fromkeys(channels):
+        alike = [number for number, own in enumerate(channels) if own == kind]
+        paths = _paths_of_alike([candidates[number] for number in alike], knot_spacing)
+        found |= dict(zip(alike, paths, strict=True))
+    return [found[number] for number in range(len(candidates))]
+
+
+def _paths_of_alike(candidates: Sequence[Candidate], knot_spacing: float) -> list[ZetaPath]:
+    """`zeta_paths` of runs that have the same channels."""
+    grids = [_knots(each, knot_spacing) for each in candidates]
+    longest = max(grids, key=len)
+    most, lines = len(longest), len(between(longest))
+    trials = [
+        in_lines(each.trial, _padded(between(grid), lines))
+        for each, grid in zip(candidates, grids, strict=True)
+    ]
+    batch = make_batch(trials, [sinkage_and_travel(each) for each in candidates])
+    fits = [
+        PathSteps(each, batch, number, grid)
+        for number, (each, grid) in enumerate(zip(candidates, grids, strict=True))
+    ]
+    curves = np.zeros((len(fits), lines, most))
+    for curve, grid in zip(curves, grids, strict=True):
+        drawn = cardinal(grid, between(grid))
+        curve[: len(drawn), : len(grid)] = drawn
+    curves = jnp.asarray(curves)
+    while not all(fit.settled for fit in fits):
+        # Knots after a run's last one bear on nothing.
+        coordinates = jnp.asarray(
+            [np.insert(f.coordinates, [f.knots] * (most - f.knots), 0.0) for f in fits]
+        )
+        predicted, derivative = map(np.asarray, simulated(batch, curves, coordinates))
+        for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
+            if not fit.settled:
+                fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
+    return [fit.path() for fit in fits]
+
+
+def _knots(each: Candidate, spacing: float) -> np.ndarray:
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"the knot spacing is {spacing:g} s, must be positive")
+    duration = float(each.observation.time[each.observation.counts].max(initial=0.0))
+    duration = min(duration, float(each.trial.time[-1]))
+    intervals = max(2, round(duration / spacing))
+    samples = int(each.observation.counts.sum())
+    if samples < 2 * intervals:
+        raise InputError(
+            f"{each.name}: has {samples} samples to compare, too few for {intervals + 1} knots "
+            "of zeta; give a longer knot spacing"
+        )
+    return np.linspace(0.0, duration, intervals + 1)
+
+
+def _padded(ends: np.ndarray, length: int) -> np.ndarray:
+    """Further ends of lines after the run, which nothing depends on."""
+    return np.concatenate([ends, ends[-1] + np.arange(1.0, length - len(ends) + 1)])
