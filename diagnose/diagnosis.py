@@ -17,7 +17,7 @@ from diagnose.chance import chance
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, foremost, left_of
-from diagnose.left_out import Unseen, at_mean_sinkage, conditions, predicted_unseen
+from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
@@ -25,6 +25,7 @@ from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import stages
 from diagnose.steps import Step, one_by_one
 from diagnose.unwritten import Correction, Unwritten, unwritten
+from diagnose.verdict import by_name, rival_of, stands_for, verdict_of
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
 from drftjax.effects.catalogue import effect_class, numbers, spoken, spoken_of
@@ -35,16 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "drft-diagnosis"
-# Effects are named together until this much of the weight is named.
-GROUPED = 0.9
-# An effect of less weight than this is not named at all.
-NAMED = 0.1
-# Effects are named at all where together they outweigh `none` by this. It holds down the rate of
-# false alarms, and is no part of the weights, which say what is likely: many rigs have an effect so
-# faint that these runs could as well have none.
-ALARM = 4.5
-# An explanation that has less weight than this needs no run that tells it from the verdict.
-RIVAL = 0.02
 # Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
 JUDGED_SINGLES, JUDGED_PAIRS = 4, 4
 
@@ -207,13 +198,13 @@ def diagnose(
     unseen = {each.names: left for each, left in zip(leading, of_each, strict=True)}
     share = _weights(found, leading, unseen)
     verdict, groups = verdict_of(share)
-    chosen = _chosen(found, leading, share, verdict)
+    chosen = stands_for(found, leading, share, verdict)
     before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
     after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
     own = own_errors(case, found.none.log_zeta)
     floors, how = noise_floors(case, before, after, own)
     known = Added(effects_of(chosen), chosen.log_zeta, after, gaps(case, before, after, floors))
-    rival = _rival(found, leading, share, verdict)
+    rival = rival_of(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
     notes = [
@@ -239,7 +230,7 @@ def diagnose(
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
         verdict=spoken(verdict),
-        weights=_by_name(share),
+        weights=by_name(share),
         groups=[spoken(group) for group in groups],
         added=added,
         parameters=_parameters(found.bench, chosen) if chosen.names and added is known else {},
@@ -278,91 +269,6 @@ def _weights(
     return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 
-def _by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Weight of each name: that of every hypothesis it is part of."""
-    total: dict[str, float] = {}
-    for names, weight in share.items():
-        for name in spoken(names):
-            total[name] = total.get(name, 0.0) + weight
-    return dict(sorted(total.items(), key=lambda each: -each[1]))
-
-
-def verdict_of(
-    share: Mapping[tuple[str, ...], float],
-) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The explanation that stands, and the groups that cannot be told apart from it.
-
-    Effects that share their weight speak together: all of them against none and unknown, then all
-    pairs against all effects alone. A second effect that has many likenesses is no less there.
-    `none` stands until effects or unknown outweigh it `ALARM` times.
-    """
-    ranked = sorted(share.items(), key=lambda each: -each[1])
-    effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
-    none, unknown = ALARM * share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)
-    if effects and _total(effects) >= max(none, unknown):
-        alone = [each for each in effects if len(each[0]) == 1]
-        pairs = [each for each in effects if len(each[0]) == 2]
-        ranked = max(alone, pairs, key=_total)
-    else:
-        stands = (NONE,) if none >= unknown else (UNKNOWN,)
-        ranked.sort(key=lambda each: each[0] != stands)
-    verdict, whole = ranked[0][0], _total(ranked)
-    kept, total = [], 0.0
-    for names, weight in ranked:
-        if kept and (total >= GROUPED * whole or weight < NAMED):
-            break
-        kept.append(names)
-        total += weight
-    groups: list[list[str]] = []
-    for first in verdict:
-        group = [first]
-        for names in kept[1:]:
-            others = [n for n in names if n not in verdict]
-            if len(names) == len(verdict):
-                same = set(names) & set(verdict)
-                if len(verdict) == 1 or (len(same) == 1 and first not in same):
-                    group += [n for n in others if n not in group]
-        groups.append(group)
-    return verdict, groups
-
-
-def _total(ranked: Sequence[tuple[tuple[str, ...], float]]) -> float:
-    return sum(weight for _, weight in ranked)
-
-
-def _chosen(
-    found: Found,
-    leading: Sequence[Hypothesis],
-    share: Mapping[tuple[str, ...], float],
-    verdict: tuple[str, ...],
-) -> Hypothesis:
-    """The hypothesis that the verdict stands for; for unknown, the likeliest written one."""
-    if verdict == (NONE,):
-        return found.none
-    if verdict == (UNKNOWN,):
-        return max(leading, key=lambda each: share[each.names], default=found.none)
-    return next(each for each in leading if each.names == verdict)
-
-
-def _rival(
-    found: Found,
-    leading: Sequence[Hypothesis],
-    share: Mapping[tuple[str, ...], float],
-    verdict: tuple[str, ...],
-) -> Hypothesis | None:
-    """The likeliest other explanation, where it is likely enough to matter."""
-    others = {each.names or (NONE,): each for each in (found.none, *leading)}
-    # Two forms of one effect need no telling apart.
-    named = {
-        names: share[names]
-        for names in others
-        if spoken(names) != spoken(verdict) and share[names] >= RIVAL
-    }
-    if not named or verdict == (UNKNOWN,):
-        return None
-    return others[max(named, key=lambda names: named[names])]
-
-
 def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]]:
     """The chosen effects' numbers with standard errors, by their own columns."""
     products = bench.products_of(chosen.columns, chosen.residual, chosen.log_zeta)
@@ -385,8 +291,3 @@ def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]
         unit = numbers(effect)[free.field]["unit"]
         fields[free.field] = Number(value, float(scale * spread), unit)
     return found
-
-
-def conditions_of(case: Case) -> list[list[int]]:
-    """Runs of the same command and load, by number."""
-    return conditions(case.candidates)

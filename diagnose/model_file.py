@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnose.diagnosis import SCHEMA, Diagnosis, Number, conditions_of
+from diagnose.diagnosis import SCHEMA, Diagnosis, Number
+from diagnose.left_out import conditions
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import spoken_of
@@ -68,7 +69,7 @@ def _head(found: Diagnosis) -> list[str]:
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
-        on = "runs left out" if len(conditions_of(found.case)) > 1 else "these very runs"
+        on = "runs left out" if len(conditions(found.case.candidates)) > 1 else "these very runs"
         lines += [
             "No effect that is known explains these runs. A curve fitted to them changes the gap",
             f"on {on}, in noise floors: {_in_floors(found.gap)}.",

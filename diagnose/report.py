@@ -11,7 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from diagnose import where as location
-from diagnose.diagnosis import Diagnosis, conditions_of
+from diagnose.diagnosis import Diagnosis
+from diagnose.left_out import conditions
 from diagnose.model_file import model_toml, told
 from diagnose.report_figures import (
     as_source,
@@ -110,7 +111,7 @@ def shrunk(found: Diagnosis, gap: Gap) -> str:
     """How far a gap shrinks; with the interval, where there are conditions to draw from."""
     if not gap.can_shrink:
         return "at the floor"
-    if len(conditions_of(found.case)) == 1:
+    if len(conditions(found.case.candidates)) == 1:
         return f"{gap.shrinkage:.0%}"
     low, high = gap.interval
     return f"{gap.shrinkage:.0%} ({low:.0%} to {high:.0%})"
@@ -166,7 +167,7 @@ def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
 
 
 def _measured_on(found: Diagnosis, what: str) -> str:
-    if len(conditions_of(found.case)) > 1:
+    if len(conditions(found.case.candidates)) > 1:
         return f"on runs left out while {what} found"
     return f"on the very runs that {what} found on, which flatters it"
 

@@ -7,13 +7,14 @@ import pytest
 
 from diagnose.bench import Bench
 from diagnose.case import Case, baseline
-from diagnose.diagnosis import diagnose, verdict_of
+from diagnose.diagnosis import diagnose
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import proposed, refreshed, settled
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.pairs import proposals
 from diagnose.report import step_sentences
 from diagnose.shrinkage import shrinkage
+from diagnose.verdict import verdict_of
 from diagnose.weights import Judged, Scale, weights
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.rig import Drawbar
