@@ -9,7 +9,7 @@ from diagnose.bench import Bench
 from diagnose.blocks import KINDS, Splitter
 from diagnose.case import Case
 from diagnose.left_out import conditions
-from identify.repeats import recorded_at
+from identify.repeats import LEAST_SHARED, recorded_at
 
 # Repeats begin at the same place [m] and wheel angle [rad] within this; where an effect lies along
 # the bed or goes with the wheel's angle, others differ by it.
@@ -29,30 +29,37 @@ def chance(bench: Bench, residuals: Sequence[list[np.ndarray]]) -> np.ndarray:
     Returns:
         Shape (blocks,), in the blocks' units squared; zero where no run was repeated.
     """
-    case = bench.case
-    number = len(bench.products.blocks)
-    least = np.full(number, np.inf)
-    for residual in residuals:
-        pairs = [_by_block(case, pair, residual) for pair in repeats(case)]
-        told = np.array(pairs).reshape(-1, number)
-        known = np.isfinite(told)
-        power = np.where(known, told, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        least = np.minimum(least, power)
-    return np.where(np.isfinite(least), least, 0.0)
-
-
-def repeats(case: Case) -> list[tuple[int, int]]:
-    """Neighbours among the runs of one condition that begin alike, by number."""
-    starts = [each.setup.start for each in case.candidates]
-
-    def alike(one: int, other: int) -> bool:
-        a, b = starts[one], starts[other]
-        turned = np.angle(np.exp(1j * (a.angle - b.angle)))
-        return abs(a.x - b.x) <= SAME_PLACE and abs(turned) <= SAME_ANGLE
-
-    return [
-        pair for group in conditions(case.candidates) for pair in pairwise(group) if alike(*pair)
+    found = [
+        power
+        for index, channel in enumerate(bench.case.channels)
+        for power in _of_channel(bench.case, index, repeats(bench.case, channel), residuals)
     ]
+    return np.array(found)
+
+
+def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple[int, int]]:
+    """Runs that have a channel and repeat each other, by number: each with the next of its kind.
+
+    Args:
+        case: The runs.
+        channel: The channel.
+        from_one_start: Whether they must begin at the same place and wheel angle too.
+    """
+    kinds: list[list[int]] = []
+    for condition in conditions(case.candidates):
+        of_condition: list[list[int]] = []
+        for run in condition:
+            if channel not in case.candidates[run].observation.channels:
+                continue
+            for kind in of_condition:
+                begin = not from_one_start or _begin_alike(case, kind[0], run)
+                if begin and _recorded_alike(case, kind[0], run):
+                    kind.append(run)
+                    break
+            else:
+                of_condition.append([run])
+        kinds += of_condition
+    return [pair for kind in kinds for pair in pairwise(kind)]
 
 
 def apart(case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray]) -> np.ndarray:
@@ -73,16 +80,39 @@ def apart(case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray]) -> 
     return residual[one][:, both] - at_same_times
 
 
-def _by_block(case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray]) -> list[float]:
-    """Half the mean square of the difference, block by block; NaN where one lacks the channel."""
-    differ = apart(case, pair, residual)
-    if not differ.size:
-        return [np.nan] * (len(KINDS) * len(case.channels))
+def _begin_alike(case: Case, one: int, other: int) -> bool:
+    a, b = (case.candidates[run].setup.start for run in (one, other))
+    turned = np.angle(np.exp(1j * (a.angle - b.angle)))
+    return abs(a.x - b.x) <= SAME_PLACE and bool(abs(turned) <= SAME_ANGLE)
+
+
+def _recorded_alike(case: Case, one: int, other: int) -> bool:
+    time, there = case.time(one), case.time(other)
+    shared = (recorded_at(there, time).mean(), recorded_at(time, there).mean())
+    return bool(min(shared) >= LEAST_SHARED)
+
+
+def _of_channel(
+    case: Case,
+    index: int,
+    pairs: Sequence[tuple[int, int]],
+    residuals: Sequence[list[np.ndarray]],
+) -> list[float]:
+    """Half the mean square of the difference in each of a channel's blocks, by the best model."""
+    if not pairs:
+        return [0.0] * len(KINDS)
+    by_model = [
+        np.mean([_by_block(case, index, pair, residual) for pair in pairs], axis=0)
+        for residual in residuals
+    ]
+    return np.min(by_model, axis=0).tolist()
+
+
+def _by_block(
+    case: Case, index: int, pair: tuple[int, int], residual: Sequence[np.ndarray]
+) -> list[float]:
     time = case.time(pair[0])
     splitter = Splitter.of(time[recorded_at(case.time(pair[1]), time)])
-    blocks = [
-        part
-        for channel, row in zip(case.channels, differ, strict=True)
-        for part in splitter.split(channel, row[:, None]).values()
-    ]
-    return [float(np.mean(part**2)) / 2 if part.size else np.nan for part in blocks]
+    differ = apart(case, pair, residual)[index]
+    parts = splitter.split(case.channels[index], differ[:, None]).values()
+    return [float(np.mean(part**2)) / 2 if part.size else 0.0 for part in parts]

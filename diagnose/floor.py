@@ -1,13 +1,11 @@
 """The noise floor: what repeated runs differ by, or else what instruments scatter by."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from diagnose.case import Case
-from diagnose.chance import apart
-from diagnose.left_out import conditions
+from diagnose.chance import apart, repeats
 
 
 def noise_floors(
@@ -28,33 +26,38 @@ def noise_floors(
         own: The simulation's own error in each channel [m, N, N m], which no repeat shows, as both
             share it.
     """
-    powers: dict[str, list[float]] = {}
-    repeats = [group for group in conditions(case.candidates) if len(group) > 1]
-    for group in repeats:
-        for first, second in pairwise(group):
-            for index, channel in enumerate(case.channels):
-                differ = [apart(case, (first, second), each)[index] for each in (before, after)]
-                # Nothing where they were never recorded at once, or one of the two lacks it.
-                if differ[0].size and np.isfinite(differ).all():
-                    power = min(float(np.mean(each**2)) / 2 for each in differ)
-                    powers.setdefault(channel, []).append(power)
+    pairs = {each: repeats(case, each, from_one_start=False) for each in case.channels}
     floors = {}
-    for channel in case.channels:
-        power = np.mean(powers[channel]) if powers.get(channel) else _noise_power(case, channel)
+    for index, channel in enumerate(case.channels):
+        powers = [
+            min(float(np.mean(apart(case, pair, each)[index] ** 2)) / 2 for each in (before, after))
+            for pair in pairs[channel]
+        ]
+        power = np.mean(powers) if powers else _noise_power(case, channel)
         floors[channel] = float(np.sqrt(power + own[channel] ** 2))
-    names = [[case.candidates[r].name for r in group] for group in repeats]
-    if names:
-        how = (
-            "The noise floor is from repeats: "
-            + "; ".join(" and ".join(n) for n in names)
-            + ", and from what plates half as long would change."
-        )
-    else:
-        how = (
+    return floors, _in_words(case, pairs)
+
+
+def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:
+    """How floors were found, by the repeats of each channel."""
+    if not any(pairs.values()):
+        return (
             "No run was repeated: the noise floor is the instruments' fast scatter and what plates "
             "half as long would change, and says nothing of how runs scatter."
         )
-    return floors, how
+    chains: list[list[int]] = []
+    for first, second in sorted({pair for each in pairs.values() for pair in each}):
+        chain = next((each for each in chains if first in each), None)
+        if chain is None:
+            chains.append([first, second])
+        elif second not in chain:
+            chain.append(second)
+    names = "; ".join(" and ".join(case.candidates[r].name for r in chain) for chain in chains)
+    told = f"The noise floor is from repeats: {names}, and from what plates half as long would "
+    lacking = [channel for channel, each in pairs.items() if not each]
+    if not lacking:
+        return f"{told}change."
+    return f"{told}change; that of {', '.join(lacking)}, which no repeats have, from fast scatter."
 
 
 def _noise_power(case: Case, channel: str) -> float:

@@ -24,7 +24,7 @@ SAME = 1e-6
 SAME_PACE = 0.02
 # Runs whose sands are believed to differ by more than this in log zeta do not repeat each other.
 SAME_SAND = 0.2
-# A run that was stopped early repeats another where it holds this share of it.
+# A run that was stopped early is of the condition of another where it holds this share of it.
 LEAST_SHARED = 0.5
 
 

@@ -35,27 +35,25 @@ def of_repeats(
             smallest difference counts.
         own: The simulation's own error in each channel [m, N, N m].
     """
-    case, found = bench.case, []
-    for pair in repeats(case):
-        differences = [apart(case, pair, each) for each in residuals]
-        told = []
-        for index, channel in enumerate(case.channels):
-            differ = min(_rms(each[index]) for each in differences)
+    case = bench.case
+    told: dict[tuple[int, int], list[str]] = {}
+    for index, channel in enumerate(case.channels):
+        for pair in repeats(case, channel):
+            differ = min(_rms(apart(case, pair, each)[index]) for each in residuals)
             whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
             alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
             if differ > max(DISAGREE * alone, OF_GAP * whole):
                 unit, scale = shown(channel)
-                told.append(
+                told.setdefault(pair, []).append(
                     f"{scale * differ:.2g} {unit} in {channel}, {differ / alone:.0f} times what "
                     "instruments and plates make"
                 )
-        if told:
-            names = " and ".join(case.candidates[run].name for run in pair)
-            found.append(
-                f"{names} repeat each other and differ by {'; by '.join(told)}: no effect of "
-                "command, load or state does that. Was the sand prepared alike, and z zeroed alike?"
-            )
-    return found
+    return [
+        f"{' and '.join(case.candidates[run].name for run in pair)} repeat each other and differ "
+        f"by {'; by '.join(by)}: no effect of command, load or state does that. Was the sand "
+        "prepared alike, and z zeroed alike?"
+        for pair, by in told.items()
+    ]
 
 
 def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
@@ -79,8 +77,9 @@ def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
     sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
     return [
         f"The zeta of {bench.case.candidates[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
-        f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, or its z "
-        f"zeroed elsewhere (by about {sinkage:.2g} {unit})."
+        f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, its z zeroed "
+        f"elsewhere (by about {sinkage:.2g} {unit}), or an effect bears on it as on no other, as "
+        "may be where it alone has its load, speed or length."
     ]
 
 
@@ -104,14 +103,14 @@ def alone_in_the_gap(
         return []
     named = zip(case.candidates, before, strict=True)
     others = [each for candidate, each in named if candidate.name != most.label]
-    left = [
-        f"{_rms(np.concatenate([each[index] for each in others])) / floors[channel]:.1f} noise "
-        f"floors in {channel}"
+    left = {
+        channel: _rms(np.concatenate([each[index] for each in others])) / floors[channel]
         for index, channel in enumerate(case.channels)
-    ]
+    }
+    told = [f"{x:.1f} noise floors in {channel}" for channel, x in left.items() if np.isfinite(x)]
     return [
         f"{most.label} holds {most.share:.0%} of the gap in {most.time:.0%} of the time; the gap "
-        f"of the other runs alone would be {' and '.join(left)}. Look at its record first."
+        f"of the other runs alone would be {' and '.join(told)}. Look at its record first."
     ]
 
 

@@ -12,14 +12,15 @@ from identify.result import RunFit
 # Numbers of set-ups and commands are the same within this share of their size, and within so much
 # where they are zero: what files of different makers round.
 SAME, NOUGHT = 1e-6, 1e-9
-# A run that was stopped early repeats another where it holds this share of it.
-LEAST_SHARED = 0.5
+# Repeats were recorded over this share of each other's time at least. With more missing, the zeta
+# of one meets other parts of the run than the other's, and a misfit that grows passes for chance.
+LEAST_SHARED = 0.95
 
 
 def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
     """Groups of two or more runs with the same command and believed set-up, by index.
 
-    Clocks may differ, and one run may have been stopped earlier than another.
+    Clocks may differ, and one run may have been stopped a little earlier than another.
     """
     groups: list[list[int]] = []
     commands = [run.setup.command.build() for run in runs]
@@ -80,7 +81,7 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
             a, b = runs[first], runs[second]
             told = b.time[b.counts]
             both = a.counts & recorded_at(told, a.time)
-            if not both.any():
+            if both.sum() < LEAST_SHARED * max(a.counts.sum(), len(told)):
                 continue
             for channel, residual in a.residuals.items():
                 beside = np.interp(a.time[both], told, b.residuals[channel][b.counts])

@@ -39,7 +39,7 @@ def misses(case: Case, **by_run: float) -> list[np.ndarray]:
 
 
 def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
-    assert repeats(case) == [(0, 1)]
+    assert repeats(case, "z") == [(0, 1)]
     found = dict(
         zip(block_names(case.channels), chance(bench_of(case), [misses(case, b=1e-3)]), strict=True)
     )
@@ -60,12 +60,21 @@ def test_runs_that_begin_elsewhere_do_not_tell_chance(case):
         runs = list(case.candidates)
         runs[1] = dataclasses.replace(runs[1], setup=moved)
         alone = Case.of(runs)
-        assert repeats(alone) == []
+        assert repeats(alone, "z") == []
         assert not chance(bench_of(alone), [misses(alone, b=1e-3)]).any()
     turned = copy.deepcopy(case.candidates[1].setup)
     turned.start.angle += 2 * np.pi
     runs[1] = dataclasses.replace(case.candidates[1], setup=turned)
-    assert repeats(Case.of(runs)) == [(0, 1)]
+    assert repeats(Case.of(runs), "z") == [(0, 1)]
+
+
+def test_runs_that_begin_alike_repeat_each_other_whatever_comes_between(case):
+    other = copy.deepcopy(case.candidates[0].setup)
+    other.start.angle += 0.2
+    named = [dataclasses.replace(case.candidates[0], name=name) for name in "abc"]
+    named[1] = dataclasses.replace(named[1], setup=other)
+    assert repeats(Case.of(named), "z") == [(0, 2)]
+    assert repeats(Case.of(named), "z", from_one_start=False) == [(0, 1), (1, 2)]
 
 
 def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
@@ -115,16 +124,19 @@ def test_a_run_that_holds_most_of_the_gap_is_named(case):
     candidates = [
         dataclasses.replace(case.candidates[0], name=f"run {number}") for number in range(5)
     ]
-    bench: Any = SimpleNamespace(case=SimpleNamespace(candidates=candidates, channels=("z",)))
-    before = [np.full((1, 10), 2e-5)] * 4 + [np.full((1, 10), 1e-3)]
+    bench: Any = SimpleNamespace(
+        case=SimpleNamespace(candidates=candidates, channels=("z", "torque"))
+    )
+    # No other run has torque.
+    before = [np.array([[2e-5] * 10, [np.nan] * 10])] * 4 + [np.full((2, 10), 1e-3)]
 
     def of(share: float, time: float) -> list[str]:
         rest = [Share("run", f"run {n}", (1 - share) / 4, (0.0, 1.0), 0.2) for n in range(4)]
         last = Share("run", "run 4", share, (0.0, 1.0), time)
-        return alone_in_the_gap(bench, [*rest, last], before, {"z": 2e-5})
+        return alone_in_the_gap(bench, [*rest, last], before, {"z": 2e-5, "torque": 0.1})
 
     (told,) = of(0.9, 0.2)
     assert told.startswith("run 4 holds 90% of the gap in 20% of the time")
-    assert "1.0 noise floors in z" in told
+    assert "1.0 noise floors in z. Look" in told
     assert of(0.45, 0.1) == []
     assert of(0.9, 0.4) == []
