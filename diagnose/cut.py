@@ -33,7 +33,7 @@ class Share:
 
 
 @dataclass(frozen=True, eq=False)
-class RunError:
+class RunMisfit:
     """One run's error.
 
     Attributes:
@@ -66,7 +66,7 @@ class Cut:
 
 
 def placed(
-    runs: Sequence[RunError], axis: str, labels: Sequence[str], places: Sequence[np.ndarray]
+    runs: Sequence[RunMisfit], axis: str, labels: Sequence[str], places: Sequence[np.ndarray]
 ) -> Cut:
     """An axis by the number of each sample's bin."""
     power, samples = [], []
@@ -77,7 +77,7 @@ def placed(
     return Cut(axis, labels, power, samples)
 
 
-def named(runs: Sequence[RunError], axis: str, names: Sequence[str]) -> Cut:
+def named(runs: Sequence[RunMisfit], axis: str, names: Sequence[str]) -> Cut:
     """An axis by a name of each run."""
     labels = list(dict.fromkeys(names))
     places = [

@@ -176,6 +176,11 @@ def _require_covered(case: Case, runs: Sequence[Followed], model: str) -> None:
     for run, each in enumerate(runs):
         limit = float(case.candidates[run].trial.simulator.wheel.cut().sinkage_limit)
         farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
+        if not np.isfinite(farthest):
+            raise InputError(
+                f"{case.candidates[run].name}: its simulation by {model} diverges; leave the run "
+                "out, or look at the numbers of the model"
+            )
         if not farthest < limit:
             raise InputError(
                 f"{case.candidates[run].name}: by {model} its z reaches {1e3 * farthest:.4g} mm, "

@@ -17,7 +17,7 @@ from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError, RunError
-from identify.candidate import Run, candidates_of
+from identify.candidate import Run, made_ready, named_runs
 from identify.gathering import Gathered
 
 
@@ -117,9 +117,19 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
         paths = [Path(each) for each in several if isinstance(each, str | Path)]
         if paths and len(paths) == len(several):
             return gather(paths)
-    told = usable(candidates_of(runs))
+    candidates, left_out = [], {}
+    for name, run in named_runs(runs).items():
+        try:
+            candidates.append(made_ready(name, run))
+        except RunError as problem:
+            left_out[name] = str(problem)
+    if left_out and not candidates:
+        raise InputError("; ".join(left_out.values()))
+    told = usable(candidates)
     kept = of_one_wheel(told.candidates)
-    return Gathered(from_one_start(kept.candidates), told.left_out | kept.left_out)
+    return Gathered(
+        from_one_start(kept.candidates), left_out | dict(told.left_out) | dict(kept.left_out)
+    )
 
 
 def diagnosed(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.cut import Cut, RunError
+from diagnose.cut import Cut, RunMisfit
 from diagnose.motion import PHASES
 from diagnose.spectrum import (
     HERTZ_LABELS,
@@ -33,7 +33,7 @@ FEWEST_TURNS = 3.0
 NO_PERIOD = (SLOWER, UNPARTED, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
 
 
-def by_hertz(runs: Sequence[RunError]) -> Cut:
+def by_hertz(runs: Sequence[RunMisfit]) -> Cut:
     """The axis of frequencies [Hz]."""
     power = []
     for run in runs:
@@ -42,13 +42,13 @@ def by_hertz(runs: Sequence[RunError]) -> Cut:
     return Cut("frequency", HERTZ_LABELS, power)
 
 
-def _whole(run: RunError, found: np.ndarray) -> np.ndarray:
+def _whole(run: RunMisfit, found: np.ndarray) -> np.ndarray:
     """Powers made to add up to the run's: interpolation loses some of the fastest."""
     total = found.sum()
     return found * (run.power.sum() / total) if total > 0 else found
 
 
-def by_order(runs: Sequence[RunError]) -> Cut:
+def by_order(runs: Sequence[RunMisfit]) -> Cut:
     """The axis of periods in a turn, of what keeps its frequency, and of what stands."""
     hertz = _shared_hertz(runs)
     grousers = runs[0].motion.grousers
@@ -106,14 +106,14 @@ def _orders(grousers: int, drive: float | None) -> tuple[tuple[float, ...], list
     return tuple(edges), [*names, f"over {ORDER_TO:g} a turn"]
 
 
-def _parted(run: RunError, names: Sequence[str]) -> list[str]:
+def _parted(run: RunMisfit, names: Sequence[str]) -> list[str]:
     """Names of the bands in one run."""
     if np.ptp(run.motion.turning) >= FEWEST_TURNS * 2 * np.pi:
         return list(names)
     return [UNPARTED if name in (SLOWER, ONCE) else name for name in names]
 
 
-def _series(run: RunError, unit: float):
+def _series(run: RunMisfit, unit: float):
     """Every channel's even series in time and over turning, in some unit, each with its step."""
     motion = run.motion
     stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
@@ -122,7 +122,7 @@ def _series(run: RunError, unit: float):
         yield evenly(motion.time, row), in_turning(motion.time, motion.turning, row, stands)[:2]
 
 
-def _lines(runs: Sequence[RunError]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _lines(runs: Sequence[RunMisfit]) -> tuple[tuple[float, float], tuple[float, float]]:
     """The strongest line over time [Hz] and over turning, each with its share of its octave."""
     steps = [float(np.diff(run.motion.time).mean()) for run in runs if len(run.motion.time) > 1]
     hertz = Line(LINE_FROM, 0.5 / max(steps, default=1.0), LINE_WIDTH)
@@ -135,13 +135,13 @@ def _lines(runs: Sequence[RunError]) -> tuple[tuple[float, float], tuple[float, 
     return hertz.strongest(), order.strongest()
 
 
-def _shared_hertz(runs: Sequence[RunError]) -> float | None:
+def _shared_hertz(runs: Sequence[RunMisfit]) -> float | None:
     """A frequency that the error keeps at every speed [Hz]; None without one."""
     (at, share), (_, other) = _lines(runs)
     return at if share > LINE_SHARE and share > LINE_GAIN * other else None
 
 
-def _shared_order(runs: Sequence[RunError], grousers: int) -> float | None:
+def _shared_order(runs: Sequence[RunMisfit], grousers: int) -> float | None:
     """Periods in a turn that the error keeps, other than the grousers'; None without any."""
     _, (at, share) = _lines(runs)
     known = [1.0, *(k * grousers for k in (1, 2) if grousers)]

@@ -17,7 +17,7 @@ from identify.candidate import candidates_of
 # A run's own zeta is found by so many secant steps on its mean sinkage.
 MOST_TURNS = 8
 CLOSE_ENOUGH = 1e-4
-# A mean sinkage is met within this [m]: half the noise of a good scale.
+# A mean sinkage is met within this [m], half the noise of a good scale, or where steps end.
 MET = 1e-5
 
 
@@ -85,4 +85,5 @@ def _with_own_zeta(case: Case, model: Model, run: int, coordinates: np.ndarray) 
         move = float(np.clip(-here[z].mean() / slope, -0.2, 0.2))
         if abs(move) < CLOSE_ENOUGH:
             break
-    return Followed(here, at, met=bool(abs(here[z].mean()) < MET))
+    close = abs(here[z].mean()) < MET or abs(move) < CLOSE_ENOUGH
+    return Followed(here, at, met=bool(close))

@@ -13,7 +13,7 @@ from rich.table import Table
 from diagnose import where as location
 from diagnose.diagnosis import Diagnosis
 from diagnose.left_out import conditions
-from diagnose.model_file import model_toml, told
+from diagnose.model_file import MARK, model_toml, told
 from diagnose.report_figures import (
     as_source,
     at_a_glance,
@@ -28,7 +28,7 @@ from drftjax import __version__
 from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
-from drftjax.runlog.replace import make_folder, replace_file
+from drftjax.runlog.replace import make_folder, replace_file, require_no_others_setup
 
 # Weights under this are not told.
 TOLD = 0.01
@@ -330,8 +330,9 @@ def write(found: Diagnosis, folder: Path) -> list[Path]:
     """Write diagnosis.json, model.toml and report.html.
 
     Raises:
-        InputError: where one cannot be written.
+        InputError: where one cannot be written, or would replace a set-up that somebody wrote.
     """
+    require_no_others_setup(folder / "model.toml", MARK)
     make_folder(folder)
     texts = {
         "diagnosis.json": json.dumps(found.document(), indent=1, ensure_ascii=False) + "\n",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.cut import Cut, RunError, placed
+from diagnose.cut import Cut, RunMisfit, placed
 from diagnose.spectrum import STANDS
 
 # About as many bins in a state variable.
@@ -18,7 +18,7 @@ SLIP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.5)
 UNSEEN = "not recorded"
 
 
-def by_state(runs: Sequence[RunError]) -> list[Cut]:
+def by_state(runs: Sequence[RunMisfit]) -> list[Cut]:
     """An axis for every variable of the state that some run tells."""
 
     def all_of(pick, scale: float = 1.0) -> list[np.ndarray] | None:

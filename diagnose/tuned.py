@@ -23,6 +23,7 @@ from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError
 from drftjax.trial import Trial
 from drftjax.tuner import Loop, StepTuner, known_sinkage, replay, tick_commands, tunable
+from identify.pace import asked_to_move
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +103,7 @@ def _replay(
 def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np.ndarray) -> Moves:
     each = case.candidates[run]
     knots = np.asarray(each.trial.time)
-    asked = sum(
-        np.abs(np.interp(starts, knots, np.asarray(v))) for v in (each.trial.omega, each.trial.vx)
-    )
-    moving = np.flatnonzero((asked > 1e-9) & (starts < knots[-1]))
+    moving = np.flatnonzero(asked_to_move(each.trial, starts) & (starts < knots[-1]))
     ticks = slice(moving[0], moving[-1] + 1)
     counted = zeta[ticks]
     if not np.isfinite(counted).all():

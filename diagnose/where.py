@@ -10,7 +10,7 @@ from diagnose.cut import (
     PROBABILITY,
     SEED,
     Cut,
-    RunError,
+    RunMisfit,
     Share,
     drawn_anew,
     named,
@@ -143,7 +143,7 @@ def _in_words(part: Share) -> str:
     return f"{place} ({part.share:.0%} of it{spent})"
 
 
-def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float]) -> RunError:
+def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float]) -> RunMisfit:
     splitter = Splitter.of(case.time(number))
     error = np.zeros(residual.shape)
     for row, channel in enumerate(case.channels):
@@ -155,7 +155,7 @@ def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float])
             change = np.r_[0.0, parts["slow"][:, 0]]
             values = splitter.back @ change + parts["fast"][:, 0]
         error[row] = values / floor[channel]
-    return RunError(motion_of_run(case, number, splitter), error)
+    return RunMisfit(motion_of_run(case, number, splitter), error)
 
 
 def _loads(candidates: Sequence) -> list[str]:
@@ -184,6 +184,6 @@ def _profiles(candidates: Sequence) -> list[str]:
     return found
 
 
-def _by_channel(runs: Sequence[RunError], channels: Sequence[str]) -> Cut:
+def _by_channel(runs: Sequence[RunMisfit], channels: Sequence[str]) -> Cut:
     power = [run.in_bins(run.motion.bins, run.error**2) for run in runs]
     return Cut("channel", channels, power)

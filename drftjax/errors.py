@@ -18,5 +18,8 @@ class RunError(InputError):
     """
 
     def __init__(self, run: str, why: str) -> None:
-        super().__init__(f"{run}: {why}")
+        super().__init__(run, why)  # as it is made anew where a process sends it to another
         self.run = run
+
+    def __str__(self) -> str:
+        return ": ".join(self.args)

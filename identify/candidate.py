@@ -4,11 +4,11 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from drftjax.integrator import steady_step
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.plausibility import require_upright
@@ -76,8 +76,8 @@ def candidate(
     """
     try:
         require_upright(run)
-        observation = observe(run, keep_rest=keep_rest)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
+        observation = observe(run, setup.wheel.radius, keep_rest=keep_rest)
         put_effects(setup, fitted)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
         setup.integrator.step = (
@@ -102,7 +102,7 @@ def candidate(
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
         return Candidate(name, setup, trial, observation)
     except InputError as problem:
-        raise InputError(f"{name}: {problem}") from None
+        raise RunError(name, str(problem)) from None
 
 
 def _sets_off(run: RunLog, radius: float) -> float:
@@ -162,6 +162,15 @@ def candidates_of(
     Raises:
         InputError: names the run, and what must hold.
     """
+    return [made_ready(name, each, model, **options) for name, each in named_runs(runs).items()]
+
+
+def named_runs(runs: Run | Sequence[Run] | Mapping[str, Run]) -> dict[str, object]:
+    """Runs as `candidates_of` takes them, by their names.
+
+    Raises:
+        InputError: where two have one name.
+    """
     if isinstance(runs, Mapping):
         named: dict[str, object] = dict(runs)
     else:
@@ -179,14 +188,20 @@ def candidates_of(
         if len(set(names)) < len(names):
             raise InputError(f"two runs have one name among {', '.join(names)}; names must differ")
         named = dict(zip(names, several, strict=True))
-    return [_made_ready(name, each, model, options) for name, each in named.items()]
+    return named
 
 
 def _is_pair(run: object) -> bool:
     return isinstance(run, tuple) and len(run) == 2 and isinstance(run[0], SetUp)
 
 
-def _made_ready(name: str, run: object, model: SetUp | None, options: dict) -> Candidate:
+def made_ready(name: str, run: object, model: SetUp | None = None, **options: Any) -> Candidate:
+    """One run made ready; see `candidates_of`.
+
+    Raises:
+        RunError: where it cannot be used.
+        InputError: for what is no run.
+    """
     if isinstance(run, Candidate):
         return run
     if _is_pair(run):

@@ -1,7 +1,7 @@
 """The online tuner beside the offline zeta(t): how far apart, how late, how restless.
 
 Eq. 7 is replayed over each recorded run (`drftjax.tuner`), and zeta(t) is fitted to the same run
-(`identify.zeta_path`). One factor at a time, tick, zeta step and tolerance are varied about the
+(`identify.zeta_smoother`). One factor at a time, tick, zeta step and tolerance are varied about the
 setting asked for; all settings and runs are one compiled program.
 """
 

@@ -31,7 +31,8 @@ class Design:
     Attributes:
         parameter, unit, nuisances: Names in reports.
         now: The profile given.
-        best: The run to make.
+        beyond: What of it goes beyond the limits, in words; nothing where it can be run.
+        best: The run to make: that of least standard error, the given one among them if it can be.
         found: Where the descents ended.
         scan: Trapezoids to rising peak speeds.
         peaks: Those speeds [rad/s].
@@ -45,6 +46,7 @@ class Design:
     unit: str
     nuisances: tuple[str, ...]
     now: Option
+    beyond: tuple[str, ...]
     best: Option
     found: tuple[Option, ...]
     scan: tuple[Option, ...]
@@ -106,11 +108,15 @@ class Design:
                 "Hold one of them at a known value, or measure it otherwise."
             )
         peak = math.degrees(max(self.best.setup.command.build().omega))
-        change = (
-            f"{self.factor:.3g} times smaller"
-            if self.factor >= 1
-            else f"{1 / self.factor:.3g} times larger, as the limits leave no run that tells more"
-        )
+        if self.best is self.now:
+            change = "no run within the limits was found that tells more than the given one"
+        elif self.factor >= 1:
+            change = f"{self.factor:.3g} times smaller"
+        else:
+            change = (
+                f"{1 / self.factor:.3g} times larger, as the given profile cannot be run: "
+                f"{' and '.join(self.beyond)}"
+            )
         lines = [
             f"{name} = {now.value:.4g}: standard error {now.error:.3g} with the given profile"
             f"{_percent(now)}, {best.error:.3g} with the best one{_percent(best)}, up to "
@@ -200,6 +206,8 @@ def design(
     require_between("the starts", search.starts, 1, search.scan)
 
     judge = Judge(setup, quantities, instrument, limits)
+    for load in limits.loads or ():
+        judge.deeper(load)  # refuses what the sand does not bear, before the search
     radius = setup.wheel.radius
     fastest = max(trapezoid(limits, radius, limits.speed).omega)
     peaks = np.geomspace(fastest / 12, fastest, search.scan).tolist()
@@ -215,8 +223,11 @@ def design(
         found = descended(judge, search, [scan[index] for index in order], report)
         report("the profiles found, on the real plates")
         found = judge.options([each.name for each in found], [each.setup for each in found])
-    # A long plateau at the limit may be best: the search must not lose to where it began.
-    best = min([*found, *scan], key=lambda each: each.knows.error)
+    # A long plateau at the limit may be best: the search must not lose to where it began, nor to
+    # what is run already.
+    beyond = tuple(limits.beyond(given.command.build(), radius))
+    able = [*found, *scan] if beyond else [*found, *scan, now]
+    best = min(able, key=lambda each: each.knows.error)
     report("other loads and start angles")
     others = [] if unseen else judge.options(*_variations(judge, best.setup))
     return Design(
@@ -224,6 +235,7 @@ def design(
         quantities[0].unit,
         tuple(each.label for each in quantities[1:]),
         now,
+        beyond,
         best,
         tuple(found),
         tuple(scan),
@@ -278,11 +290,13 @@ def _trapezoid_name(peak: float) -> str:
 def _variations(judge: Judge, best: SetUp) -> tuple[list[str], list[SetUp]]:
     """The best run under other loads, and from other start angles."""
     own = best.rig.mass_z * best.rig.gravity
-    loads = judge.limits.loads or (0.8 * own, 1.2 * own)
     names, setups = [], []
-    for load in loads:
+    for load in judge.limits.loads or (0.8 * own, 1.2 * own):
+        try:
+            setups.append(judge.setup_of(best.command, angle=best.start.angle, load=load))
+        except InputError:  # a load that nobody asked for, and that this sand does not bear
+            continue
         names.append(f"load {load:.0f} N")
-        setups.append(judge.setup_of(best.command, angle=best.start.angle, load=load))
     if best.wheel.shape == "grouser":
         pitch = 2 * math.pi / best.wheel.grouser_count
         for part, word in ((0.25, "a quarter of"), (0.5, "half")):

@@ -3,10 +3,16 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from drftjax.arrays import require_between
 from drftjax.errors import InputError
 from drftjax.integrator import LARGEST_CHANGE, STEPS
+from drftjax.runlog.record import Command
 from drftjax.stress import REST_SPEED
+
+# A limit is kept where it is exceeded by no more than this share of it, which files round by.
+ROUNDED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,27 @@ class Limits:
     def rest(self) -> float:
         """Rest before and after the motion [s]."""
         return min(1.0, self.duration / 20)
+
+    def beyond(self, command: Command, radius: float) -> list[str]:
+        """What of a profile goes beyond the rig, in words; nothing where it can be run.
+
+        Args:
+            command: The profile, with a wheel that is driven.
+            radius: Of the rim [m].
+        """
+        time, omega = np.asarray(command.time), np.asarray(command.omega)
+        fastest = float(np.abs(np.diff(omega) / np.diff(time)).max(initial=0.0))
+        asked = (
+            ("speed", math.degrees(float(np.abs(omega).max())), math.degrees(self.speed), "deg/s"),
+            ("acceleration", math.degrees(fastest), math.degrees(self.acceleration), "deg/s2"),
+            ("duration", float(time[-1] - time[0]), self.duration, "s"),
+            ("way", radius * float(np.trapezoid(np.abs(omega), time)), self.travel, "m"),
+        )
+        return [
+            f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
+            for name, value, most, unit in asked
+            if value > (1 + ROUNDED) * most
+        ]
 
     def check(self, radius: float) -> None:
         """Refuse limits that no run can keep, or that no step can simulate."""

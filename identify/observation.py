@@ -6,6 +6,7 @@ import numpy as np
 
 from drftjax.errors import InputError
 from drftjax.runlog.record import RunLog
+from identify.pace import STANDS, pace
 
 CHANNELS = ("x", "z", "fx", "fz", "torque")
 FREE_CHANNELS = ("x", "z", "torque")
@@ -16,8 +17,6 @@ SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
 # A median absolute second difference of white noise is this many standard deviations.
 SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
 
-# A wheel stands where its command is this share of its top speed or less.
-STANDS = 1e-4
 # Two clocks that write the same time may differ by this [s].
 ROUNDING = 1e-9
 
@@ -72,7 +71,7 @@ def comparable(driven: bool) -> tuple[str, ...]:
     return DRIVEN_CHANNELS if driven else FREE_CHANNELS
 
 
-def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
+def observe(run: RunLog, radius: float, *, keep_rest: bool = False) -> Observation:
     """The channels of a run that its simulation predicts.
 
     With a free carriage these are x, z and torque, with a driven one z, the forces and torque: x is
@@ -80,6 +79,7 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
 
     Args:
         run: What was recorded.
+        radius: Of the rim [m]; it says when the wheel stands beside a carriage that moves.
         keep_rest: Whether the samples after the wheel has stopped for good are compared too. A
             standing wheel holds whatever sinkage it has reached, so they say nothing of the
             sand's parameters, and what a rig does at rest is not the model's matter.
@@ -102,7 +102,7 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     time = run.measured.time - run.command.time[0]
     # Before the command begins and past its end nothing is simulated.
     end = float(run.command.time[-1] - run.command.time[0])
-    last = end if keep_rest else min(end, _last_motion(run))
+    last = end if keep_rest else min(end, _last_motion(run, radius))
     counts = (time >= -ROUNDING) & (time <= last + ROUNDING)
     if not counts.any():
         raise InputError("nothing to compare; no sample lies within the commanded profile")
@@ -110,21 +110,15 @@ def observe(run: RunLog, *, keep_rest: bool = False) -> Observation:
     return Observation(time, channels, values, np.array(noise), counts, unused)
 
 
-def _last_motion(run: RunLog) -> float:
+def _last_motion(run: RunLog, radius: float) -> float:
     """Time from the run's start after which neither wheel nor carriage is asked to move [s]."""
     command = run.command
-    moving = _moves(command.omega)
-    if command.vx is not None:
-        moving |= _moves(command.vx)
+    asked = pace(radius, command.omega, command.vx)
+    moving = asked > STANDS * asked.max()
     if moving[-1]:
         return np.inf
     last = int(np.flatnonzero(moving)[-1])
     return float(command.time[last + 1] - command.time[0])
-
-
-def _moves(speed: np.ndarray) -> np.ndarray:
-    """Where a commanded speed is more than what a measured or rounded zero leaves."""
-    return np.abs(speed) > STANDS * np.abs(speed).max()
 
 
 def white_noise(values: np.ndarray) -> float:

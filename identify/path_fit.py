@@ -1,4 +1,4 @@
-"""zeta(t) of recorded runs as the result of a fit: `identify.zeta_path` with a fit's reports."""
+"""zeta(t) of recorded runs, by `identify.zeta_smoother`, as the result of a fit."""
 
 import equinox as eqx
 import numpy as np

@@ -23,6 +23,7 @@ from identify.evidence import (
     smoothness_prior,
 )
 from identify.observation import SMALLEST_NOISE, Observation, intervals_of
+from identify.pace import asked_to_move
 from identify.spline import between, cardinal
 from identify.zeta_path import CHANNELS, ZetaPath
 
@@ -307,6 +308,4 @@ def _moves(trial: Trial, grid: np.ndarray) -> np.ndarray:
     """Whether wheel or carriage is asked to move anywhere between a knot's two neighbours."""
     edges = np.r_[grid[0], grid, grid[-1]]
     inside = np.linspace(edges[:-2], edges[2:], 65)[1:-1]
-    time = np.asarray(trial.time)
-    asked = [np.interp(inside, time, np.abs(np.asarray(v))) > 0 for v in (trial.omega, trial.vx)]
-    return np.any(asked, axis=(0, 1))
+    return np.asarray(asked_to_move(trial, inside).any(axis=0))

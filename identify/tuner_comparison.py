@@ -7,6 +7,7 @@ import numpy as np
 
 from drftjax.errors import InputError
 from drftjax.trial import Trial
+from identify.pace import asked_to_move
 
 RIPPLE_WINDOW = 1.0
 # Ticks in a row that make a slope, or a rest, of more than chance.
@@ -153,9 +154,7 @@ def moving_part(trial: Trial, time: np.ndarray) -> np.ndarray:
     Raises:
         InputError: where it is so short that nothing can be said of it.
     """
-    knots = np.asarray(trial.time)
-    asked = sum(np.abs(np.interp(time, knots, np.asarray(v))) for v in (trial.omega, trial.vx))
-    at = np.flatnonzero(asked > 1e-9)
+    at = np.flatnonzero(asked_to_move(trial, time))
     if len(at) < 2 * SUSTAINED:
         raise InputError(
             f"the wheel moves over {len(at)} ticks, too few to compare; give a shorter tick"

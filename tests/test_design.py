@@ -12,7 +12,7 @@ from command_line import Drft
 from studies.design import fitted
 
 from drftjax.errors import InputError
-from drftjax.setup import SetUp, WheelSetUp, read_setup
+from drftjax.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
 from drftjax.stress import Sharp
 from identify.design import design, promised, search_objective, trapezoid
 from identify.design_command import design_document, design_toml
@@ -206,10 +206,23 @@ def test_a_designed_run_keeps_the_way_and_says_it():
 
 def test_a_run_that_tells_less_is_not_called_smaller():
     limits = Limits(math.radians(10), math.radians(50), 2.0)
-    assert (
-        "times larger, as the limits leave"
-        in design(given(), limits=limits, search=SMALL).summary()
-    )
+    told = design(given(), limits=limits, search=SMALL).summary()
+    assert "times larger, as the given profile cannot be run: its speed of" in told
+    assert "is beyond 10 deg/s" in told
+
+
+def test_the_run_that_is_made_already_may_be_the_best():
+    """A search that begins from trapezoids with longer rests does not find it."""
+    setup = given()
+    top = math.radians(60)
+    setup.command = CommandSetUp([0.0, 0.02, 1.22, 4.78, 5.98, 6.0], [0.0, 0.0, top, top, 0.0, 0.0])
+    limits = Limits(top, math.radians(50), 6.0)
+    found = design(setup, limits=limits, search=SMALL)
+    assert found.beyond == ()
+    assert found.best.knows.error <= found.now.knows.error
+    short = design(setup, limits=dataclasses.replace(limits, travel=0.2), search=SMALL)
+    assert short.beyond == ("its way of 0.748 m is beyond 0.2 m",)
+    assert short.best is not short.now
 
 
 def test_a_width_that_scaling_factors_imitate_is_said_to_be_so():

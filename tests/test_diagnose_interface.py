@@ -175,6 +175,33 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
         )
 
 
+def test_a_run_log_that_cannot_be_used_is_left_out(runs):
+    name = next(iter(runs))
+    measured = runs[name].measured
+    given = {
+        name: runs[name],
+        "torque alone": dataclasses.replace(
+            runs[name], measured=dataclasses.replace(measured, x=None, z=None, torque=measured.z)
+        ),
+        "downward": dataclasses.replace(
+            runs[name], measured=dataclasses.replace(measured, z=-measured.z)
+        ),
+    }
+    found = interface.gathered_from(given)
+    assert [each.name for each in found.candidates] == [name]
+    assert found.left_out["torque alone"].startswith("torque alone: nothing to compare")
+    assert found.left_out["downward"].startswith("downward: measured z stands")
+    with pytest.raises(InputError, match=r"torque alone: nothing to compare.*; downward: measured"):
+        interface.gathered_from({key: given[key] for key in ("torque alone", "downward")})
+
+
+def test_a_set_up_that_somebody_wrote_is_not_replaced(found, tmp_path):
+    (tmp_path / "model.toml").write_text("title = 'mine'\n")
+    with pytest.raises(InputError, match="no earlier result"):
+        found.write(tmp_path)
+    assert [each.name for each in tmp_path.iterdir()] == ["model.toml"]
+
+
 def test_a_zeta_that_changes_in_time_is_refused(runs):
     run = next(iter(runs.values()))
     setup = setup_from_run(run)
@@ -183,10 +210,16 @@ def test_a_zeta_that_changes_in_time_is_refused(runs):
         diagnose.evaluate([(setup, run)], [])
 
 
-@pytest.mark.parametrize("slope", [1e7, 1e200])
-def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope):
+@pytest.mark.parametrize(
+    ("slope", "why"),
+    [
+        (1e7, r"0: by the model with the effects its z reaches [\d.e+]+ mm, must"),
+        (1e200, r"0: its simulation by the model with the effects diverges"),
+    ],
+)
+def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope, why):
     name = next(iter(runs))
-    with pytest.raises(InputError, match=r"0: by the model with the effects its z reaches"):
+    with pytest.raises(InputError, match=why):
         diagnose.evaluate({name: runs[name]}, [SurfaceSlope(slope=slope)])
 
 

@@ -16,11 +16,13 @@ from identify.bijector import Interval, Positive, Scaled
 from identify.candidate import candidate
 from identify.fitting import fit
 from identify.observation import observe, white_noise
+from identify.pace import asked_to_move
 from identify.parameter import QUANTITIES, parameter
 from identify.solve import structured_residual
 
 # Half the width of a 90 % interval, in standard errors of a normal distribution.
 NINETY = 1.645
+RADIUS = 0.150
 
 # The structured Jacobian and the plain one are the same sums in another order.
 ROUNDING = 1e-10
@@ -347,7 +349,21 @@ def test_a_command_that_was_measured_stands_where_it_is_as_good_as_zero(dust):
     command = plain.command
     dusty = dataclasses.replace(command, omega=np.where(command.omega == 0, dust, command.omega))
     np.testing.assert_array_equal(
-        observe(dataclasses.replace(plain, command=dusty)).counts, observe(plain).counts
+        observe(dataclasses.replace(plain, command=dusty), RADIUS).counts,
+        observe(plain, RADIUS).counts,
+    )
+
+
+def test_dust_on_a_wheel_that_is_locked_does_not_keep_its_carriage_moving():
+    time, vx = [0.0, 1.0, 2.0, 3.0, 5.0], [0.0, 0.05, 0.05, 0.0, 0.0]
+    plain = recorded(setup_of((time, [0.0] * 5), vx=vx))
+    dusty = dataclasses.replace(plain.command, omega=np.array([2e-7, -2e-7, 2e-7, -2e-7, 2e-7]))
+    found = observe(dataclasses.replace(plain, command=dusty), RADIUS)
+    np.testing.assert_array_equal(found.counts, observe(plain, RADIUS).counts)
+    assert not found.counts[found.time > 3.0].any()
+    trial = candidate("dusty", dataclasses.replace(plain, command=dusty)).trial
+    np.testing.assert_array_equal(
+        asked_to_move(trial, np.array([0.5, 2.5, 3.5])), [True, True, False]
     )
 
 
@@ -356,7 +372,7 @@ def test_samples_after_the_last_stop_are_left_out_unless_kept():
     measured = Measured(time=np.arange(2.0, 8.0, 0.5), z=np.zeros(12))
     base = recorded(setup_of())
     run = dataclasses.replace(base, command=command, measured=measured)
-    moving, kept = observe(run), observe(run, keep_rest=True)
+    moving, kept = observe(run, RADIUS), observe(run, RADIUS, keep_rest=True)
     np.testing.assert_array_equal(moving.counts, moving.time <= 2)
     # Past the command's end nothing is simulated.
     np.testing.assert_array_equal(kept.counts, kept.time <= 4)

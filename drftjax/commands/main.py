@@ -147,7 +147,9 @@ def _lost(error: "sys.UnraisableHookArgs") -> None:
     elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # To that thread itself, so that a wait ends early too.
         main_thread = threading.main_thread().ident
-        threading.Timer(AGAIN, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+        again = threading.Timer(AGAIN, signal.pthread_kill, (main_thread, signal.SIGINT))
+        again.daemon = True  # a program that ends by itself is not kept, nor interrupted
+        again.start()
 
 
 def _run() -> int | str | None:
