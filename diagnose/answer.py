@@ -6,6 +6,7 @@ from pathlib import Path
 from diagnose.case import Case
 from diagnose.diagnosis import diagnose
 from diagnose.promise import measured_on
+from diagnose.runs import from_one_start
 from drftjax.effects.catalogue import catalogue
 from identify.candidate import candidates_of
 
@@ -19,7 +20,8 @@ def answer_set(paths: Sequence[Path]) -> dict:
     Args:
         paths: The runs of the set.
     """
-    found = diagnose(Case.of(candidates_of(list(paths))), tuple(catalogue().values()))
+    case = Case.of(from_one_start(candidates_of(list(paths))))
+    found = diagnose(case, tuple(catalogue().values()))
     fresh = sorted((Path(paths[0]).parent / "fresh").glob("*.h5"))
     answer = found.document()
     if fresh and found.added.effects:

@@ -7,7 +7,16 @@ from identify.observation import comparable
 
 def caveats(case: Case) -> list[str]:
     """What these runs cannot say, in sentences."""
-    return [*_of_conditions(case), *_of_channels(case)]
+    return [*_of_conditions(case), *_of_channels(case), *_of_places(case)]
+
+
+def _of_places(case: Case) -> list[str]:
+    origin = case.candidates[0].setup.start.origin
+    if not origin:
+        return []
+    return [
+        f"x = 0 is {origin:.4g} m of the recorded x, the start of a run that is nearest to zero."
+    ]
 
 
 def _of_conditions(case: Case) -> list[str]:

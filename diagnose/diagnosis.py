@@ -98,6 +98,11 @@ class Diagnosis:
         return self.found.bench.case
 
     @property
+    def origin(self) -> float | None:
+        """Recorded x that the effects' x = 0 stands for [m]; None where x is as recorded."""
+        return self.case.candidates[0].setup.start.origin
+
+    @property
     def gap(self) -> Mapping[str, Gap]:
         """Before, and after with what is added, on runs left out, by channel."""
         return self.added.gap

@@ -68,7 +68,7 @@ def evaluate(
     from diagnose.case import Case
     from diagnose.evaluation import evaluated
     from diagnose.evaluation_table import gap_table, sentences
-    from diagnose.model_file import read_effects
+    from diagnose.model_file import read_model_file
     from diagnose.runs import gather
     from diagnose.tuned import moves
     from drftjax.runlog.content import printable
@@ -76,7 +76,7 @@ def evaluate(
     from drftjax.tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
-    effects = read_effects(model)
+    added = read_model_file(model)
     if output is not None:
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the file of --json must end in .json")
@@ -91,9 +91,9 @@ def evaluate(
     moved: list[tuple[Moves, Moves]] = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs)
+        gathered = gather(runs, origin=added.origin)
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
-        found = evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
+        found = evaluated(Case.of(gathered.candidates), added.effects, gathered.left_out)
         if tuner:
             bar.update(task, description="replaying the tuner")
             moved = moves(found, setting)

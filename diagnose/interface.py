@@ -11,7 +11,7 @@ from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
-from diagnose.model_file import read_effects
+from diagnose.model_file import read_model_file
 from diagnose.runs import from_one_start, gather, of_one_wheel, usable
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
@@ -63,13 +63,15 @@ def evaluate(
         InputError: where no run can be used, or the model cannot.
     """
     with jax.enable_x64(True):
+        origin = None
         if isinstance(model, str | Path):
-            effects = read_effects(Path(model))
+            added = read_model_file(Path(model))
+            effects, origin = added.effects, added.origin
         elif isinstance(model, Diagnosis):
-            effects = model.added.effects
+            effects, origin = model.added.effects, model.origin
         else:
             effects = _numbered(model)
-        gathered = gathered_from(runs)
+        gathered = gathered_from(runs, origin)
         return evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
 
 
@@ -106,8 +108,14 @@ def effects_among(
     return tuple(dict.fromkeys(classes))
 
 
-def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
+def gathered_from(
+    runs: Run | Sequence[Run] | Mapping[str, Run], origin: float | None = None
+) -> Gathered:
     """Runs of one wheel, however they are given.
+
+    Args:
+        runs: As for `diagnose`.
+        origin: See `diagnose.runs.from_one_start`.
 
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
@@ -116,7 +124,7 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
     if isinstance(several, Sequence):
         paths = [Path(each) for each in several if isinstance(each, str | Path)]
         if paths and len(paths) == len(several):
-            return gather(paths)
+            return gather(paths, origin=origin)
     candidates, left_out = [], {}
     for name, run in named_runs(runs).items():
         try:
@@ -127,9 +135,8 @@ def gathered_from(runs: Run | Sequence[Run] | Mapping[str, Run]) -> Gathered:
         raise InputError("; ".join(left_out.values()))
     told = usable(candidates)
     kept = of_one_wheel(told.candidates)
-    return Gathered(
-        from_one_start(kept.candidates), left_out | dict(told.left_out) | dict(kept.left_out)
-    )
+    left_out |= {**told.left_out, **kept.left_out}
+    return Gathered(from_one_start(kept.candidates, origin), left_out)
 
 
 def diagnosed(

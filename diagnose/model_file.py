@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -99,8 +100,21 @@ def _scatter(zeta: np.ndarray) -> str:
     return f"mean of {len(zeta)} runs, which scatter by {zeta.std(ddof=1) / zeta.mean():.2%}"
 
 
-def read_effects(path: Path) -> tuple[AbstractEffect, ...]:
-    """The effects of a model file, with their numbers.
+@dataclass(frozen=True)
+class ModelFile:
+    """What a model file adds to the reference model.
+
+    Attributes:
+        effects: With their numbers.
+        origin: Recorded x that the effects' x = 0 stands for [m]; None where the file says nothing.
+    """
+
+    effects: tuple[AbstractEffect, ...]
+    origin: float | None
+
+
+def read_model_file(path: Path) -> ModelFile:
+    """The effects of a model file, and where they count from.
 
     Raises:
         InputError: names the file, the entry and what must hold.
@@ -108,4 +122,5 @@ def read_effects(path: Path) -> tuple[AbstractEffect, ...]:
     if path.suffix.lower() == ".json" and read_document(path).get("schema") == SCHEMA:
         raise InputError(f"{path}: is a diagnosis; give its model.toml")
     setup = read_setup(path)
-    return tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
+    effects = tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
+    return ModelFile(effects, setup.start.origin)

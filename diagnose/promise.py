@@ -28,7 +28,7 @@ def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
         diagnosis: Whose effects or correction are added, with their numbers as they are.
         paths: The other runs.
     """
-    case = Case.of(from_one_start(candidates_of(list(paths))))
+    case = Case.of(from_one_start(candidates_of(list(paths)), diagnosis.origin))
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, *as_model(diagnosis.added.effects))
     return gaps(

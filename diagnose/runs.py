@@ -17,12 +17,17 @@ PLACES = 3
 AT_ZERO = 0.01
 
 
-def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) -> Gathered:
+def gather(
+    given: Sequence[Path],
+    tell: Callable[[str], None] = lambda _: None,
+    origin: float | None = None,
+) -> Gathered:
     """Runs of one wheel from files and folders; what cannot be used is left out, and says why.
 
     Args:
         given: Run logs, and folders of them.
         tell: Called with a sentence for every run that is left out.
+        origin: See `from_one_start`.
 
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
@@ -31,7 +36,7 @@ def gather(given: Sequence[Path], tell: Callable[[str], None] = lambda _: None) 
     kept = of_one_wheel(gathered.candidates)
     for why in kept.left_out.values():
         tell(f"left out: {why}")
-    return Gathered(from_one_start(kept.candidates), gathered.left_out | kept.left_out)
+    return Gathered(from_one_start(kept.candidates, origin), gathered.left_out | kept.left_out)
 
 
 def usable(candidates: Sequence[Candidate]) -> Gathered:
@@ -81,26 +86,35 @@ def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
     return Gathered(kept, others)
 
 
-def from_one_start(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Runs whose x counts from the start nearest to zero.
+def from_one_start(candidates: Sequence[Candidate], origin: float | None = None) -> list[Candidate]:
+    """Runs whose x counts from one place, which their set-ups then tell.
 
     All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
     x = 0; those that set-ups hold already have places of the recorded x, and nothing is moved.
+
+    Args:
+        candidates: The runs.
+        origin: Recorded x that x = 0 is to stand for [m], as a model was found with; where none is
+            given, the start nearest to zero, or zero where that is as good as there.
     """
-    starts = [each.setup.start.x for each in candidates]
-    nearest = min(starts, key=abs)
     known = any(each.setup.effects for each in candidates)
     recorded = all("x" in each.observation.channels for each in candidates)
-    if known or not recorded or abs(nearest) <= AT_ZERO:
+    if known or not recorded:
         return list(candidates)
-    return [_moved(each, -nearest) for each in candidates]
+    if origin is None:
+        nearest = min((each.setup.start.x for each in candidates), key=abs)
+        origin = 0.0 if abs(nearest) <= AT_ZERO else nearest
+    return [_counted_from(each, origin) for each in candidates]
 
 
-def _moved(each: Candidate, way: float) -> Candidate:
+def _counted_from(each: Candidate, origin: float) -> Candidate:
     setup, observation = copy.deepcopy(each.setup), each.observation
-    setup.start.x += way
+    setup.start.origin = origin
+    if origin == 0.0:
+        return dataclasses.replace(each, setup=setup)
+    setup.start.x -= origin
     values = observation.values.copy()
-    values[observation.channels.index("x")] += way
+    values[observation.channels.index("x")] -= origin
     return dataclasses.replace(
         each,
         setup=setup,

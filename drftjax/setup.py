@@ -150,12 +150,17 @@ class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
-    """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s."""
+    """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s.
+
+    `origin` is where the x of this set-up counts from on the rig's own scale [m]: what a diagnosis
+    leaves behind, so that its effects keep their places on the bed.
+    """
 
     sinkage: float = 0.0176
     x: float = 0.0
     angle: float = 0.0
     speed: float = 0.0
+    origin: float | None = None
 
 
 class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -239,6 +244,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         radius = self.wheel.radius
         require_between("start sinkage", self.start.sinkage, -radius, radius, " m; are these mm?")
         require_between("start x", self.start.x, -1e3, 1e3, " m")
+        require_between("start origin", self.start.origin or 0.0, -1e3, 1e3, " m")
         require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
         require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")
         require_between(

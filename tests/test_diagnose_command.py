@@ -14,7 +14,7 @@ import pytest
 from diagnose.added import as_model
 from diagnose.blind.answers import Answer
 from diagnose.commands import diagnose
-from diagnose.model_file import read_effects
+from diagnose.model_file import read_model_file
 from diagnose.runs import gather
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.errors import InputError
@@ -246,7 +246,7 @@ def test_evaluate_refuses_what_is_no_model(logs, drft, tmp_path):
 
 
 def test_effects_of_a_file_keep_their_numbers(diagnosed):
-    effects = read_effects(diagnosed[0] / "model.toml")
+    effects = read_model_file(diagnosed[0] / "model.toml").effects
     model, coordinates = as_model(effects)
     (again,) = model.build(coordinates)
     assert isinstance(again, SurfaceSlope)

@@ -5,8 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diagnose.case import Case
+from diagnose.caveats import caveats
 from diagnose.interface import gathered_from
+from diagnose.model_file import read_model_file
 from drftjax.runlog.record import RunLog
+from drftjax.setup_toml import setup_toml
 from identify.candidate import candidate
 from tests.virtual_runs import recorded, setup_of
 
@@ -32,6 +36,34 @@ def test_runs_that_start_elsewhere_count_from_there_and_keep_their_places(run):
         difference = other.observation.values[0] + moved - one.observation.values[0]
         np.testing.assert_allclose(difference, 0, rtol=0, atol=1e-12)
         assert other.trial.start.position[0] == pytest.approx(other.setup.start.x, abs=1e-12)
+
+
+def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
+    """However few of them there are, and wherever these start."""
+    model = setup_of()
+    model.start.origin = 2.0
+    model.effects = [{"name": "surface_slope", "slope": 0.01}]
+    path = tmp_path / "model.toml"
+    path.write_text(setup_toml(model))
+    assert read_model_file(path).origin == 2.0
+    for start in (2.0, 2.3, 0.0):
+        (each,) = gathered_from({"b": from_x(run, start)}, read_model_file(path).origin).candidates
+        assert each.setup.start.origin == 2.0
+        recorded_start = candidate("b", from_x(run, start)).setup.start.x
+        assert each.setup.start.x == pytest.approx(recorded_start - 2.0, abs=1e-12)
+        assert each.trial.start.position[0] == each.setup.start.x
+    path.write_text(setup_toml(setup_of()))
+    assert "origin" not in path.read_text()
+    assert read_model_file(path).origin is None
+
+
+def test_where_x_counts_from_is_told(run):
+    (away,) = gathered_from({"a": from_x(run, 2.0)}).candidates
+    assert any(
+        note.startswith("x = 0 is 2 m of the recorded x") for note in caveats(Case.of([away]))
+    )
+    (here,) = gathered_from({"a": run}).candidates
+    assert not any("recorded x" in note for note in caveats(Case.of([here])))
 
 
 def test_runs_that_start_at_zero_stay_as_they_are(run):

@@ -8,7 +8,7 @@ import pytest
 from diagnose.case import Case
 from diagnose.diagnosis import diagnose
 from diagnose.hypothesis import foremost
-from diagnose.model_file import model_toml, read_effects
+from diagnose.model_file import model_toml, read_model_file
 from diagnose.response import Free
 from diagnose.search import search
 from drftjax.effects.catalogue import spoken
@@ -45,7 +45,7 @@ def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     # The model file holds the form itself, whose numbers the other does not have.
     model = tmp_path / "model.toml"
     model.write_text(model_toml(found))
-    (wave,) = read_effects(model)
+    (wave,) = read_model_file(model).effects
     assert isinstance(wave, TerrainWave)
     assert wave.length == numbers["length"].value
 

@@ -12,7 +12,7 @@ import pytest
 from diagnose.added import Added, most_helpful
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
-from diagnose.model_file import model_toml, read_effects
+from diagnose.model_file import model_toml, read_model_file
 from diagnose.promise import measured_on
 from diagnose.report import page, paragraphs, write
 from diagnose.runs import gather
@@ -146,7 +146,7 @@ def test_the_model_file_simulates_and_closes_the_gap_of_a_fresh_run(
     found, files, packing, monkeypatch, capsys, tmp_path
 ):
     drft = Drft(monkeypatch, capsys)
-    (effect,) = read_effects(files / "model.toml")
+    (effect,) = read_model_file(files / "model.toml").effects
     assert isinstance(effect, Curve)
     assert entry_of(effect) == entry_of(found.correction.effect)
     assert drft("simulate", files / "model.toml", "-o", tmp_path / "again.h5").code == 0
