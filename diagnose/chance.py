@@ -1,6 +1,6 @@
 """What repeats differ by beyond their noise: no effect of command, load or state makes that."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -8,15 +8,19 @@ import numpy as np
 from diagnose.bench import Bench
 from diagnose.blocks import KINDS, Splitter
 from diagnose.case import Case
-from diagnose.left_out import conditions
-from identify.repeats import LEAST_SHARED, recorded_at
+from diagnose.left_out import LEAST_SHARED, conditions
+from identify.repeats import recorded_at
 
 # Repeats begin at the same place [m] and wheel angle [rad] within this; where an effect lies along
 # the bed or goes with the wheel's angle, others differ by it.
 SAME_PLACE, SAME_ANGLE = 5e-3, np.deg2rad(1.0)
 
 
-def chance(bench: Bench, residuals: Sequence[list[np.ndarray]]) -> np.ndarray:
+# Change of a run's channels by its log zeta, by its number; shape (channels, samples).
+Response = Callable[[int], np.ndarray]
+
+
+def chance(bench: Bench, residuals: Sequence[list[np.ndarray]], response: Response) -> np.ndarray:
     """Mean square, in each block, of what repeats differ by: half that of their difference.
 
     Every run has its own zeta. Of several models the one counts by which repeats differ least, as
@@ -25,6 +29,7 @@ def chance(bench: Bench, residuals: Sequence[list[np.ndarray]]) -> np.ndarray:
     Args:
         bench: The case.
         residuals: By model and run, simulated less recorded, shape (channels, samples).
+        response: See `apart`.
 
     Returns:
         Shape (blocks,), in the blocks' units squared; zero where no run was repeated.
@@ -32,7 +37,7 @@ def chance(bench: Bench, residuals: Sequence[list[np.ndarray]]) -> np.ndarray:
     found = [
         power
         for index, channel in enumerate(bench.case.channels)
-        for power in _of_channel(bench.case, index, repeats(bench.case, channel), residuals)
+        for power in _of_channel(bench, index, repeats(bench.case, channel), residuals, response)
     ]
     return np.array(found)
 
@@ -53,7 +58,7 @@ def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple
                 continue
             for kind in of_condition:
                 begin = not from_one_start or _begin_alike(case, kind[0], run)
-                if begin and _recorded_alike(case, kind[0], run):
+                if begin and min(_shared(case, (kind[0], run))) >= LEAST_SHARED:
                     kind.append(run)
                     break
             else:
@@ -62,13 +67,20 @@ def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple
     return [pair for kind in kinds for pair in pairwise(kind)]
 
 
-def apart(case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray]) -> np.ndarray:
+def apart(
+    case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray], response: Response
+) -> np.ndarray:
     """What the residuals of two runs differ by, where both were recorded.
+
+    Where one was recorded over less time, the zeta that suits it meets another part of the run, and
+    a misfit that grows in both would differ between them: the first one's zeta is then moved along
+    a straight line until both miss the same mean sinkage over the time that they share.
 
     Args:
         case: The runs.
         pair: Two of them, by number.
         residual: By run, shape (channels, samples).
+        response: Change of a run's channels by its log zeta.
 
     Returns:
         At the first one's samples, shape (channels, times).
@@ -77,7 +89,12 @@ def apart(case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray]) -> 
     time, there = case.time(one), case.time(other)
     both = recorded_at(there, time)
     at_same_times = [np.interp(time[both], there, row) for row in residual[other]]
-    return residual[one][:, both] - at_same_times
+    differ = residual[one][:, both] - at_same_times
+    if min(_shared(case, pair)) == 1:
+        return differ
+    z, by_zeta = case.channels.index("z"), response(one)[:, both]
+    slope = by_zeta[z].mean()
+    return differ - differ[z].mean() / slope * by_zeta if slope > 0 else differ
 
 
 def _begin_alike(case: Case, one: int, other: int) -> bool:
@@ -86,33 +103,38 @@ def _begin_alike(case: Case, one: int, other: int) -> bool:
     return abs(a.x - b.x) <= SAME_PLACE and bool(abs(turned) <= SAME_ANGLE)
 
 
-def _recorded_alike(case: Case, one: int, other: int) -> bool:
-    time, there = case.time(one), case.time(other)
-    shared = (recorded_at(there, time).mean(), recorded_at(time, there).mean())
-    return bool(min(shared) >= LEAST_SHARED)
+def _shared(case: Case, pair: tuple[int, int]) -> tuple[float, float]:
+    """Share of each run's samples at which the other was recorded too."""
+    one, other = (case.time(run) for run in pair)
+    return float(recorded_at(other, one).mean()), float(recorded_at(one, other).mean())
 
 
 def _of_channel(
-    case: Case,
+    bench: Bench,
     index: int,
     pairs: Sequence[tuple[int, int]],
     residuals: Sequence[list[np.ndarray]],
+    response: Response,
 ) -> list[float]:
     """Half the mean square of the difference in each of a channel's blocks, by the best model."""
     if not pairs:
         return [0.0] * len(KINDS)
     by_model = [
-        np.mean([_by_block(case, index, pair, residual) for pair in pairs], axis=0)
+        np.mean([_by_block(bench.case, index, p, residual, response) for p in pairs], axis=0)
         for residual in residuals
     ]
     return np.min(by_model, axis=0).tolist()
 
 
 def _by_block(
-    case: Case, index: int, pair: tuple[int, int], residual: Sequence[np.ndarray]
+    case: Case,
+    index: int,
+    pair: tuple[int, int],
+    residual: Sequence[np.ndarray],
+    response: Response,
 ) -> list[float]:
     time = case.time(pair[0])
     splitter = Splitter.of(time[recorded_at(case.time(pair[1]), time)])
-    differ = apart(case, pair, residual)[index]
+    differ = apart(case, pair, residual, response)[index]
     parts = splitter.split(case.channels[index], differ[:, None]).values()
     return [float(np.mean(part**2)) / 2 if part.size else 0.0 for part in parts]

@@ -207,7 +207,7 @@ def diagnose(
     before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
     after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
     own = own_errors(case, found.none.log_zeta)
-    floors, how = noise_floors(case, before, after, own)
+    floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
     known = Added(effects_of(chosen), chosen.log_zeta, after, gaps(case, before, after, floors))
     rival = rival_of(found, leading, share, verdict)
     report("where the gap lies")
@@ -215,7 +215,7 @@ def diagnose(
     notes = [
         how,
         *caveats(case),
-        *odd_runs.of_repeats(found.bench, [before, after], own),
+        *odd_runs.of_repeats(found.bench, [before, after], own, found.none.by_zeta),
         *odd_runs.by_zeta(found.bench, chosen),
     ]
     signal, added, lies = None, known, []
@@ -270,7 +270,8 @@ def _weights(
     total = products.number.sum(axis=0)
     runs = len(products.log_zeta)
     noise = found.bench.noise
-    differ = chance(found.bench, [each.residual for each in (found.none, *leading)])
+    residuals = [each.residual for each in (found.none, *leading)]
+    differ = chance(found.bench, residuals, found.none.by_zeta)
     return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.floor import noise_floors
-from diagnose.plates import own_errors
+from diagnose.plates import APART, own_errors
 from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
@@ -165,7 +165,14 @@ def evaluated(
     _require_covered(case, after, WITH)
     residuals = [each.residual for each in before], [each.residual for each in after]
     own = own_errors(case, np.array([each.log_zeta for each in before]))
-    floors, how = noise_floors(case, *residuals, own)
+
+    def by_zeta(run: int) -> np.ndarray:
+        """Along a straight line over one per cent."""
+        at, nothing = before[run].log_zeta, np.zeros(0)
+        here, there = (case.predicted(Model(), run, each, nothing) for each in (at, at + APART))
+        return (there - here) / APART
+
+    floors, how = noise_floors(case, *residuals, own, by_zeta)
     gap = gaps(case, *residuals, floors)
     return Evaluation(case, tuple(effects), before, after, gap, floors, how, left_out or {})
 

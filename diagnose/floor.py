@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diagnose.case import Case
-from diagnose.chance import apart, repeats
+from diagnose.chance import Response, apart, repeats
 
 
 def noise_floors(
@@ -13,6 +13,7 @@ def noise_floors(
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     own: Mapping[str, float],
+    response: Response,
 ) -> tuple[dict[str, float], str]:
     """Noise floor of each channel [m, N, N m], and a sentence on how it was found.
 
@@ -25,17 +26,23 @@ def noise_floors(
             (channels, samples): the smaller difference counts, as an effect may differ in strength.
         own: The simulation's own error in each channel [m, N, N m], which no repeat shows, as both
             share it.
+        response: Change of a run's channels by its log zeta; see `diagnose.chance.apart`.
     """
     pairs = {each: repeats(case, each, from_one_start=False) for each in case.channels}
     floors = {}
     for index, channel in enumerate(case.channels):
         powers = [
-            min(float(np.mean(apart(case, pair, each)[index] ** 2)) / 2 for each in (before, after))
+            min(_power(apart(case, pair, each, response)[index]) for each in (before, after))
             for pair in pairs[channel]
         ]
         power = np.mean(powers) if powers else _noise_power(case, channel)
         floors[channel] = float(np.sqrt(power + own[channel] ** 2))
     return floors, _in_words(case, pairs)
+
+
+def _power(differ: np.ndarray) -> float:
+    """Of each of two that differ by so much."""
+    return float(np.mean(differ**2)) / 2
 
 
 def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:

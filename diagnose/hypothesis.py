@@ -60,6 +60,10 @@ class Hypothesis:
     simulated: bool
     ahead: tuple[np.ndarray, np.ndarray] | None = None
 
+    def by_zeta(self, run: int) -> np.ndarray:
+        """Derivative of a run's channels by its log zeta, shape (channels, samples)."""
+        return self.columns[run][:, :, 0]
+
     @property
     def score(self) -> float:
         return self.line.score

@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnose.bench import Bench
 from diagnose.case import Case
-from diagnose.chance import apart, repeats
+from diagnose.chance import Response, apart, repeats
 from diagnose.cut import Share
 from diagnose.hypothesis import Hypothesis
 from diagnose.units import shown
@@ -25,7 +25,10 @@ MOST, TIMES = 0.5, 3.0
 
 
 def of_repeats(
-    bench: Bench, residuals: Sequence[list[np.ndarray]], own: Mapping[str, float]
+    bench: Bench,
+    residuals: Sequence[list[np.ndarray]],
+    own: Mapping[str, float],
+    response: Response,
 ) -> list[str]:
     """Repeats that differ by what no effect of command, load or state can make, in sentences.
 
@@ -34,12 +37,13 @@ def of_repeats(
         residuals: By model and run, simulated less recorded, the reference model first: the
             smallest difference counts.
         own: The simulation's own error in each channel [m, N, N m].
+        response: Change of a run's channels by its log zeta; see `diagnose.chance.apart`.
     """
     case = bench.case
     told: dict[tuple[int, int], list[str]] = {}
     for index, channel in enumerate(case.channels):
         for pair in repeats(case, channel):
-            differ = min(_rms(apart(case, pair, each)[index]) for each in residuals)
+            differ = min(_rms(apart(case, pair, each, response)[index]) for each in residuals)
             whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
             alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
             if differ > max(DISAGREE * alone, OF_GAP * whole):

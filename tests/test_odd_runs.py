@@ -30,6 +30,10 @@ def bench_of(case: Case) -> Any:
     return SimpleNamespace(case=case, products=SimpleNamespace(blocks=blocks))
 
 
+def alike(run: int) -> np.ndarray:
+    raise AssertionError(f"run {run} was recorded as long as its repeat")
+
+
 def misses(case: Case, **by_run: float) -> list[np.ndarray]:
     """Residuals that are a constant in z for some runs, zero in all else."""
     found = [np.zeros((2, len(case.time(run)))) for run in range(len(case.candidates))]
@@ -41,7 +45,11 @@ def misses(case: Case, **by_run: float) -> list[np.ndarray]:
 def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
     assert repeats(case, "z") == [(0, 1)]
     found = dict(
-        zip(block_names(case.channels), chance(bench_of(case), [misses(case, b=1e-3)]), strict=True)
+        zip(
+            block_names(case.channels),
+            chance(bench_of(case), [misses(case, b=1e-3)], alike),
+            strict=True,
+        )
     )
     assert found.pop(("z", "slow")) == pytest.approx(0.5e-6)
     # A constant has no fast part, but for rounding.
@@ -49,7 +57,7 @@ def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
 
 
 def test_what_a_model_explains_of_two_repeats_is_no_chance(case):
-    told = chance(bench_of(case), [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)])
+    told = chance(bench_of(case), [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)], alike)
     assert told.max() < 1e-20
 
 
@@ -61,7 +69,7 @@ def test_runs_that_begin_elsewhere_do_not_tell_chance(case):
         runs[1] = dataclasses.replace(runs[1], setup=moved)
         alone = Case.of(runs)
         assert repeats(alone, "z") == []
-        assert not chance(bench_of(alone), [misses(alone, b=1e-3)]).any()
+        assert not chance(bench_of(alone), [misses(alone, b=1e-3)], alike).any()
     turned = copy.deepcopy(case.candidates[1].setup)
     turned.start.angle += 2 * np.pi
     runs[1] = dataclasses.replace(case.candidates[1], setup=turned)
@@ -91,11 +99,11 @@ def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
 
 def test_repeats_that_disagree_are_named(case):
     bench = bench_of(case)
-    (told,) = of_repeats(bench, [misses(case, b=1e-3), misses(case, b=0.5e-3)], NOISE)
+    (told,) = of_repeats(bench, [misses(case, b=1e-3), misses(case, b=0.5e-3)], NOISE, alike)
     assert told.startswith("run 0 and run 1 repeat each other and differ by 0.5 mm in z, ")
     # The same gap in both is an effect's.
-    assert of_repeats(bench, [misses(case, a=1e-3, b=1.2e-3)], NOISE) == []
-    assert of_repeats(bench, [misses(case, b=1e-6)], NOISE) == []
+    assert of_repeats(bench, [misses(case, a=1e-3, b=1.2e-3)], NOISE, alike) == []
+    assert of_repeats(bench, [misses(case, b=1e-6)], NOISE, alike) == []
 
 
 def test_a_zeta_far_from_all_others_is_named(case):
