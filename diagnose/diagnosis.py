@@ -25,7 +25,7 @@ from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import stages
 from diagnose.steps import Step, one_by_one
 from diagnose.unwritten import Correction, Unwritten, unwritten
-from diagnose.verdict import by_name, rival_of, stands_for, verdict_of
+from diagnose.verdict import by_name, in_another_form, rival_of, stands_for, verdict_of
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
 from drftjax.effects.catalogue import effect_class, numbers, spoken, spoken_of
@@ -62,8 +62,9 @@ class Diagnosis:
         verdict: Effects that explain the runs, or ("none",), or ("unknown",).
         weights: Weight of each effect, of none and of unknown.
         groups: Names that these runs cannot tell apart, the likeliest first.
-        added: What shrinks the gap, as model.toml holds it: the verdict's effects. Where the
-            verdict is unknown, the likeliest effect known or a correction, if either helps.
+        added: What shrinks the gap, as model.toml holds it: the verdict's effects, or a curve that
+            is one of another form than the list's. Where the verdict is unknown, the likeliest
+            effect known or a correction, if either helps.
         steps: The same as two effects are added one by one; empty where there are not two.
         parameters: Numbers of the effects added, by effect and field; none of a correction.
         notes: What else must be known, in sentences.
@@ -75,7 +76,7 @@ class Diagnosis:
             run's mean sinkage, shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         where: Shares of the gap by axis.
-        unwritten: Where the verdict is unknown, what an effect that explains it looks like.
+        unwritten: What an effect that explains the runs looks like, where no form of the list does.
     """
 
     verdict: tuple[str, ...]
@@ -231,6 +232,10 @@ def diagnose(
         added = most_helpful([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
         notes += odd_runs.alone_in_the_gap(found.bench, places, before, floors)
+        meant = signal.tried.means if added is curve and signal and signal.tried else None
+        if meant in {spoken_of(each.about.name) for each in effects}:
+            share = in_another_form(share, meant)
+            verdict, groups = (meant,), [[meant]]
     report("what to run next")
     advice = next_run(case, chosen, rival, floors) if rival is not None else {}
     return Diagnosis(
@@ -249,7 +254,7 @@ def diagnose(
         unwritten=signal,
         steps=(
             one_by_one(found, chosen, unseen, before, floors, known.gap)
-            if verdict == chosen.names
+            if verdict == chosen.names and added is known
             else []
         ),
     )

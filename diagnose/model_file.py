@@ -71,8 +71,13 @@ def _head(found: Diagnosis) -> list[str]:
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
         on = "runs left out" if len(conditions(found.case.candidates)) > 1 else "these very runs"
+        explains = (
+            "No effect that is known explains these runs."
+            if found.verdict == (UNKNOWN,)
+            else f"These runs show {found.verdict[0]}, in another form than the list's."
+        )
         lines += [
-            "No effect that is known explains these runs. A curve fitted to them changes the gap",
+            f"{explains} A curve fitted to them changes the gap",
             f"on {on}, in noise floors: {_in_floors(found.gap)}.",
         ]
     elif found.added.effects and found.verdict == (UNKNOWN,):

@@ -125,7 +125,7 @@ def gap_sentences(found: Diagnosis) -> list[str]:
         return [_stand_in_sentence(found)]
     least = " and ".join(found.verdict)
     shares = _shrunk_by(found)
-    on = _measured_on(found, "the effect's numbers were")
+    on = _measured_on(found, "its curve was" if found.correction else "the effect's numbers were")
     if not shares:
         return [f"There is no gap above the noise floor that {least} could shrink."]
     return [

@@ -5,6 +5,7 @@ state variable. Where it follows one, the curve is fitted as a correction: all i
 freely, then those left out by condition, as any effect's.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from diagnose.left_out import at_mean_sinkage, predicted_unseen
 from diagnose.response import Model, predict
 from diagnose.shrinkage import gaps
 from diagnose.stages import Stage
+from diagnose.weights import SCALE
 from drftjax.effects.correction import (
     STAGES,
     Curve,
@@ -36,6 +38,18 @@ FOLLOWS = 0.5
 LIKELY = 3
 # Simulations that its curve is fitted by.
 TURNS = 6
+# What an effect of the list means, whatever its form: sand that depends on the place, and a surface
+# that is not flat.
+MEANT = {("zeta", "travel"): "terrain_variation", ("height", "travel"): "surface_profile"}
+# A curve of that meaning explains the runs where no more of the gap is left over all channels than
+# `unknown` is taken to leave, or so many noise floors in each channel.
+AT_FLOOR = 1.2
+# It goes up and down along the bed, the lesser by this share of the larger: what only falls or
+# rises with the way may as well be a matter of wear, of turning or of time.
+BOTH_WAYS = 0.2
+# A curve of that meaning stands before one over another variable that leaves hardly less: the way
+# and the wheel's turning are nearly one where slip is.
+HARDLY = 1.25
 # Ways for a curve to bend are left out where they are believed to be this much smaller than the
 # largest.
 SMALLEST_MODE = 0.003
@@ -54,6 +68,17 @@ class Correction:
     effect: Curve
     explained: float
     added: Added
+
+    @property
+    def means(self) -> str | None:
+        """The effect of the list that it is a form of, where it explains the runs; else None."""
+        least = max(SCALE.reached * self.added.before, AT_FLOOR * math.sqrt(len(self.added.gap)))
+        steps = np.diff(np.asarray(self.effect.values()))
+        rises, falls = steps.clip(0).sum(), (-steps).clip(0).sum()
+        explains = self.added.helps and self.added.left <= least
+        if not explains or min(rises, falls) < BOTH_WAYS * max(rises, falls):
+            return None
+        return MEANT.get((self.effect.stage, self.effect.variable))
 
     @property
     def unit(self) -> str:
@@ -99,6 +124,11 @@ class Unwritten:
         found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
         if self.tried is None:
             found.append(f"Nothing that {self.stage.name} can know stands for it: no correction.")
+        elif offered and self.tried.means is not None:
+            found.append(
+                f"That is what {self.tried.means} means, in another form than the list's: "
+                "model.toml holds the curve, which has no numbers to name."
+            )
         elif not offered:
             added = self.tried.added
             found.append(
@@ -135,7 +165,14 @@ def unwritten(
     tried = [each for each in case.side_by_side(of, curves) if each is not None]
     if not tried:
         return Unwritten(stage, variables, None)
-    best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
+
+    def left(one: Correction) -> tuple[bool, float]:
+        return not one.added.helps, one.added.left
+
+    best = min(tried, key=left)
+    listed = min((each for each in tried if each.means is not None), key=left, default=best)
+    if listed.added.left <= HARDLY * best.added.left:
+        best = listed
     variables.sort(key=lambda each: each[0] != best.effect.variable)
     return Unwritten(stage, variables, best)
 

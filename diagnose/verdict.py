@@ -58,6 +58,19 @@ def verdict_of(
     return verdict, groups
 
 
+def in_another_form(
+    share: Mapping[tuple[str, ...], float], name: str
+) -> dict[tuple[str, ...], float]:
+    """The weights where what was unknown is an effect of the list in a form that nobody wrote.
+
+    Args:
+        share: By the names of the effects; of `unknown` too.
+        name: The effect.
+    """
+    moved = share.get((name,), 0.0) + share[(UNKNOWN,)]
+    return {**share, (name,): moved, (UNKNOWN,): 0.0}
+
+
 def by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Weight of each name: that of every hypothesis it is part of."""
     total: dict[str, float] = {}

@@ -1,0 +1,129 @@
+"""An effect of the list in a form that the list lacks: a curve over the place stands for it."""
+
+import json
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diagnose.added import Added
+from diagnose.case import Case
+from diagnose.diagnosis import Diagnosis, diagnose
+from diagnose.model_file import model_toml, read_model_file
+from diagnose.report import paragraphs, verdict, write
+from diagnose.runs import gather
+from diagnose.shrinkage import Gap
+from diagnose.unwritten import BOTH_WAYS, Correction
+from diagnose.verdict import by_name, in_another_form
+from drftjax.effects.catalogue import catalogue
+from drftjax.effects.correction import Curve, correction, with_values
+from drftjax.effects.stage import About, MemorylessZetaFactor, strength
+from drftjax.effects.terrain import TerrainVariation
+from drftjax.runlog.hdf5 import write_run
+from drftjax.setup import read_setup
+from drftjax.statics import sinkage_under_load
+from tests.virtual_runs import recorded, setup_of
+
+# A wave of the sand's strength along the bed [m], which no patch stands for.
+LENGTH, SWING = 0.45, 0.05
+# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions.
+RUNS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 26.0, 0.752))
+BUMP = (0.0, 0.05, 0.0, -0.02, 0.0)
+
+
+class Furrows(MemorylessZetaFactor):
+    """zeta goes up and down along the bed."""
+
+    about: ClassVar = About("furrows", "terrain", "ζ = ζ exp(swing sin 2πx/L)", "uneven sand")
+    swing: float = strength("-", 0.1, "largest change of log zeta")
+
+    def factor(self, moment, memory):
+        return jnp.exp(self.swing * jnp.sin(2 * jnp.pi * moment.position[0] / LENGTH))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> Diagnosis:
+    """With the list's patch to choose from, and not its wave."""
+    folder = tmp_path_factory.mktemp("furrows")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue(), "furrows", Furrows)
+        for number, (speed, mass, zeta) in enumerate(RUNS):
+            profile = ([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed])
+            setup = setup_of(profile, zeta)
+            setup.rig.mass_z = mass
+            setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
+            setup.effects = [{"name": "furrows", "swing": SWING}]
+            setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
+            write_run(folder / f"run_{number}.h5", recorded(setup, seed=number, noise=10e-6))
+    return diagnose(Case.of(gather([folder]).candidates), (TerrainVariation,))
+
+
+def test_a_zeta_that_goes_up_and_down_along_the_bed_is_a_variation_of_the_terrain(found):
+    assert found.verdict == ("terrain_variation",)
+    assert [list(group) for group in found.groups] == [["terrain_variation"]]
+    assert found.weights["terrain_variation"] > 0.9
+    assert found.weights["unknown"] == 0
+    assert sum(found.weights.values()) == pytest.approx(1)
+    assert found.gap["z"].before > 10 * found.gap["z"].floor
+    assert found.gap["z"].shrinkage > 0.9
+    assert any("what terrain_variation means, in another form" in note for note in found.notes)
+
+
+def test_the_curve_follows_the_furrows(found):
+    effect = found.correction.effect
+    knots, values = np.asarray(effect.knots), np.asarray(effect.values())
+    truth = SWING * np.sin(2 * np.pi * knots / LENGTH)
+    # Its level is zeta's own.
+    apart = (values - values.mean()) - (truth - truth.mean())
+    assert np.sqrt(np.mean(apart**2)) < 0.2 * np.sqrt(np.mean((truth - truth.mean()) ** 2))
+
+
+def test_what_is_written_holds_the_curve_and_names_the_effect(found, tmp_path):
+    write(found, tmp_path)
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert document["verdict"] == ["terrain_variation"]
+    assert document["correction"]["variable"] == "travel"
+    assert document["parameters"] == {}
+    (effect,) = read_model_file(tmp_path / "model.toml").effects
+    assert isinstance(effect, Curve)
+    assert "These runs show terrain_variation, in another form" in model_toml(found)
+    assert verdict(found).startswith("These runs show terrain_variation (")
+    (said,) = [each for each in paragraphs(found) if each.startswith("With terrain_variation")]
+    assert "while its curve was found" in said
+
+
+def curve(stage: str, variable: str, values=BUMP, left: float = 1.0) -> Correction:
+    """That leaves so many of twenty noise floors."""
+    knots = np.linspace(0.0, 1.0, len(values)).tolist()
+    effect = with_values(correction(stage, variable, knots), list(values))
+    gap = {"z": Gap(20.0, left, 1.0, 1.0, (0.0, 1.0))}
+    return Correction(effect, 1.0, Added((effect,), np.zeros(1), [], gap))
+
+
+def test_a_curve_means_an_effect_where_that_is_what_the_effect_is():
+    assert curve("zeta", "travel").means == "terrain_variation"
+    assert curve("height", "travel").means == "surface_profile"
+    for stage, variable in (("zeta", "turning"), ("zeta", "time"), ("force_x", "travel")):
+        assert curve(stage, variable).means is None
+
+
+def test_it_must_explain_as_much_as_unknown_is_taken_to():
+    assert curve("zeta", "travel", left=2.9).means == "terrain_variation"
+    assert curve("zeta", "travel", left=3.1).means is None
+
+
+def test_what_only_falls_may_be_wear():
+    falling = (0.05, 0.03, 0.01, 0.0, -0.01)
+    assert curve("zeta", "travel", falling).means is None
+    back = (*falling[:-1], BOTH_WAYS * 0.05 + 0.001)
+    assert curve("zeta", "travel", back).means == "terrain_variation"
+
+
+def test_what_was_unknown_goes_to_the_effect():
+    share = {("none",): 0.1, ("unknown",): 0.6, ("loosening",): 0.1, ("terrain_variation",): 0.2}
+    moved = in_another_form(share, "terrain_variation")
+    assert by_name(moved)["terrain_variation"] == pytest.approx(0.8)
+    assert moved["unknown",] == 0
+    del share["terrain_variation",]
+    assert in_another_form(share, "terrain_variation")["terrain_variation",] == 0.6
