@@ -7,7 +7,7 @@ freely, then those left out by condition, as any effect's.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from diagnose.case import Case
 from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
-from diagnose.left_out import at_mean_sinkage, predicted_unseen
+from diagnose.left_out import at_mean_sinkage, conditions, predicted_unseen
 from diagnose.response import Model, predict
 from diagnose.shrinkage import gaps
 from diagnose.stages import Stage
@@ -44,12 +44,14 @@ MEANT = {("zeta", "travel"): "terrain_variation", ("height", "travel"): "surface
 # A curve of that meaning explains the runs where no more of the gap is left over all channels than
 # `unknown` is taken to leave, or so many noise floors in each channel.
 AT_FLOOR = 1.2
-# It goes up and down along the bed, the lesser by this share of the larger: what only falls or
-# rises with the way may as well be a matter of wear, of turning or of time.
-BOTH_WAYS = 0.2
-# A curve of that meaning stands before one over another variable that leaves hardly less: the way
-# and the wheel's turning are nearly one where slip is.
-HARDLY = 1.25
+# It goes up and down along the bed, the lesser by this share of the larger, or leaps: between three
+# knots, past this share of the bed, by such a share of all its ups and downs. What slowly falls or
+# rises, or does so at first, may as well be a matter of wear, of turning or of time.
+BOTH_WAYS, PAST, LEAP = 0.2, 0.25, 0.5
+# It stands before a curve over the wheel's turning that leaves hardly less, as way and turning are
+# nearly one where slip is; one over any other variable must leave that much more. And time must
+# leave twice as much unexplained of the signal: runs of one profile do not tell place from moment.
+HARDLY, OF_TIME = 1.25, 2.0
 # Ways for a curve to bend are left out where they are believed to be this much smaller than the
 # largest.
 SMALLEST_MODE = 0.003
@@ -63,22 +65,13 @@ class Correction:
         effect: With its values.
         explained: Share of the signal that such a curve explains on runs left out [-].
         added: What it leaves of the gap.
+        means: The effect of the list that it is a form of; None where it is none, or need not be.
     """
 
     effect: Curve
     explained: float
     added: Added
-
-    @property
-    def means(self) -> str | None:
-        """The effect of the list that it is a form of, where it explains the runs; else None."""
-        least = max(SCALE.reached * self.added.before, AT_FLOOR * math.sqrt(len(self.added.gap)))
-        steps = np.diff(np.asarray(self.effect.values()))
-        rises, falls = steps.clip(0).sum(), (-steps).clip(0).sum()
-        explains = self.added.helps and self.added.left <= least
-        if not explains or min(rises, falls) < BOTH_WAYS * max(rises, falls):
-            return None
-        return MEANT.get((self.effect.stage, self.effect.variable))
+    means: str | None = None
 
     @property
     def unit(self) -> str:
@@ -165,16 +158,57 @@ def unwritten(
     tried = [each for each in case.side_by_side(of, curves) if each is not None]
     if not tried:
         return Unwritten(stage, variables, None)
-
-    def left(one: Correction) -> tuple[bool, float]:
-        return not one.added.helps, one.added.left
-
-    best = min(tried, key=left)
-    listed = min((each for each in tried if each.means is not None), key=left, default=best)
-    if listed.added.left <= HARDLY * best.added.left:
-        best = listed
+    best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
+    # With one condition nothing was left out, and sixteen knots follow anything.
+    if len(conditions(case.candidates)) > 1:
+        best = listed_among(tried, dict(variables)) or best
     variables.sort(key=lambda each: each[0] != best.effect.variable)
     return Unwritten(stage, variables, best)
+
+
+def meaning(one: Correction) -> str | None:
+    """The effect of the list that a curve would be a form of, where it explains the runs."""
+    least = max(SCALE.reached * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap)))
+    explains = one.added.helps and one.added.left <= least
+    if not explains or not _of_places(np.asarray(one.effect.values())):
+        return None
+    return MEANT.get((one.effect.stage, one.effect.variable))
+
+
+def _of_places(values: np.ndarray) -> bool:
+    """Whether a curve over the way goes up and down, or leaps on the way."""
+    steps = np.diff(values)
+    rises, falls = steps.clip(0).sum(), (-steps).clip(0).sum()
+    if min(rises, falls) >= BOTH_WAYS * max(rises, falls):
+        return True
+    between_three = np.abs(steps[:-1] + steps[1:])
+    later = between_three[math.ceil(PAST * len(steps)) :]
+    return bool(later.max(initial=0.0) > LEAP * (rises + falls))
+
+
+def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> Correction | None:
+    """The curve that is an effect of the list, where the runs tell it from curves of other things.
+
+    Args:
+        tried: Curves of one stage, simulated.
+        follows: Share of the signal that each variable explains on runs left out [-].
+    """
+    meant = [each for each in tried if meaning(each) is not None]
+    if not meant:
+        return None
+    best = min(meant, key=lambda each: each.added.left)
+
+    def least_over(turning: bool) -> float:
+        over = [each for each in tried if meaning(each) is None and each.added.helps]
+        same = [each.added.left for each in over if (each.effect.variable == "turning") == turning]
+        return min(same, default=math.inf)
+
+    place = best.added.left
+    told = place <= HARDLY * least_over(turning=True)
+    told = told and HARDLY * place <= least_over(turning=False)
+    unexplained = 1 - follows[best.effect.variable]
+    told = told and 1 - follows.get("time", 0.0) >= OF_TIME * unexplained
+    return replace(best, means=meaning(best)) if told else None
 
 
 def corrected(

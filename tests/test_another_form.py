@@ -14,7 +14,7 @@ from diagnose.model_file import model_toml, read_model_file
 from diagnose.report import paragraphs, verdict, write
 from diagnose.runs import gather
 from diagnose.shrinkage import Gap
-from diagnose.unwritten import BOTH_WAYS, Correction
+from diagnose.unwritten import BOTH_WAYS, Correction, listed_among, meaning
 from diagnose.verdict import by_name, in_another_form
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.correction import Curve, correction, with_values
@@ -102,22 +102,43 @@ def curve(stage: str, variable: str, values=BUMP, left: float = 1.0) -> Correcti
 
 
 def test_a_curve_means_an_effect_where_that_is_what_the_effect_is():
-    assert curve("zeta", "travel").means == "terrain_variation"
-    assert curve("height", "travel").means == "surface_profile"
+    assert meaning(curve("zeta", "travel")) == "terrain_variation"
+    assert meaning(curve("height", "travel")) == "surface_profile"
     for stage, variable in (("zeta", "turning"), ("zeta", "time"), ("force_x", "travel")):
-        assert curve(stage, variable).means is None
+        assert meaning(curve(stage, variable)) is None
 
 
 def test_it_must_explain_as_much_as_unknown_is_taken_to():
-    assert curve("zeta", "travel", left=2.9).means == "terrain_variation"
-    assert curve("zeta", "travel", left=3.1).means is None
+    assert meaning(curve("zeta", "travel", left=2.9)) == "terrain_variation"
+    assert meaning(curve("zeta", "travel", left=3.1)) is None
 
 
 def test_what_only_falls_may_be_wear():
     falling = (0.05, 0.03, 0.01, 0.0, -0.01)
-    assert curve("zeta", "travel", falling).means is None
-    back = (*falling[:-1], BOTH_WAYS * 0.05 + 0.001)
-    assert curve("zeta", "travel", back).means == "terrain_variation"
+    assert meaning(curve("zeta", "travel", falling)) is None
+    back = (*falling[:-1], BOTH_WAYS * 0.05 + 0.003)
+    assert meaning(curve("zeta", "travel", back)) == "terrain_variation"
+
+
+def test_a_leap_on_the_way_is_of_a_place_and_one_at_the_start_may_not_be():
+    leap = (0.0, 0.001, 0.002, 0.003, 0.0, 0.05, 0.051, 0.052, 0.053)
+    assert meaning(curve("zeta", "travel", leap)) == "terrain_variation"
+    settling = (0.05, 0.01, 0.0, -0.001, -0.002, -0.003, -0.004, -0.005, -0.006)
+    assert meaning(curve("zeta", "travel", settling)) is None
+
+
+def test_it_must_be_told_from_curves_over_other_things():
+    place, follows = curve("zeta", "travel"), {"travel": 0.95, "time": 0.5}
+    found = listed_among([place, curve("zeta", "vx", left=1.5)], follows)
+    assert found is not None
+    assert found.means == "terrain_variation"
+    # Way and turning are one where slip is; anything else must leave clearly more.
+    assert listed_among([place, curve("zeta", "turning", left=0.9)], follows) is not None
+    assert listed_among([place, curve("zeta", "turning", left=0.7)], follows) is None
+    assert listed_among([place, curve("zeta", "vx", left=1.1)], follows) is None
+    # Runs of one profile do not tell places from moments.
+    assert listed_among([place], follows | {"time": 0.94}) is None
+    assert listed_among([curve("zeta", "turning")], follows) is None
 
 
 def test_what_was_unknown_goes_to_the_effect():
