@@ -14,9 +14,7 @@ def _of_places(case: Case) -> list[str]:
     origin = case.candidates[0].setup.start.origin
     if not origin:
         return []
-    return [
-        f"x = 0 is {origin:.4g} m of the recorded x, the start of a run that is nearest to zero."
-    ]
+    return [f"x = 0 is {origin:.4g} m of the recorded x, where the run nearest to zero starts."]
 
 
 def _of_conditions(case: Case) -> list[str]:

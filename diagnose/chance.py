@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from diagnose.bench import Bench
 from diagnose.blocks import KINDS, Splitter
 from diagnose.case import Case
 from diagnose.left_out import LEAST_SHARED, conditions
@@ -15,19 +14,18 @@ from identify.repeats import recorded_at
 # the bed or goes with the wheel's angle, others differ by it.
 SAME_PLACE, SAME_ANGLE = 5e-3, np.deg2rad(1.0)
 
-
 # Change of a run's channels by its log zeta, by its number; shape (channels, samples).
 Response = Callable[[int], np.ndarray]
 
 
-def chance(bench: Bench, residuals: Sequence[list[np.ndarray]], response: Response) -> np.ndarray:
+def chance(case: Case, residuals: Sequence[list[np.ndarray]], response: Response) -> np.ndarray:
     """Mean square, in each block, of what repeats differ by: half that of their difference.
 
     Every run has its own zeta. Of several models the one counts by which repeats differ least, as
     an effect may bear differently on sands that differ.
 
     Args:
-        bench: The case.
+        case: The runs.
         residuals: By model and run, simulated less recorded, shape (channels, samples).
         response: See `apart`.
 
@@ -36,8 +34,8 @@ def chance(bench: Bench, residuals: Sequence[list[np.ndarray]], response: Respon
     """
     found = [
         power
-        for index, channel in enumerate(bench.case.channels)
-        for power in _of_channel(bench, index, repeats(bench.case, channel), residuals, response)
+        for index, channel in enumerate(case.channels)
+        for power in _of_channel(case, index, repeats(case, channel), residuals, response)
     ]
     return np.array(found)
 
@@ -110,7 +108,7 @@ def _shared(case: Case, pair: tuple[int, int]) -> tuple[float, float]:
 
 
 def _of_channel(
-    bench: Bench,
+    case: Case,
     index: int,
     pairs: Sequence[tuple[int, int]],
     residuals: Sequence[list[np.ndarray]],
@@ -120,7 +118,7 @@ def _of_channel(
     if not pairs:
         return [0.0] * len(KINDS)
     by_model = [
-        np.mean([_by_block(bench.case, index, p, residual, response) for p in pairs], axis=0)
+        np.mean([_by_block(case, index, p, residual, response) for p in pairs], axis=0)
         for residual in residuals
     ]
     return np.min(by_model, axis=0).tolist()

@@ -216,7 +216,7 @@ def diagnose(
     notes = [
         how,
         *caveats(case),
-        *odd_runs.of_repeats(found.bench, [before, after], own, found.none.by_zeta),
+        *odd_runs.of_repeats(case, [before, after], own, found.none.by_zeta),
         *odd_runs.by_zeta(found.bench, chosen),
     ]
     signal, added, lies = None, known, []
@@ -231,7 +231,7 @@ def diagnose(
         reference = Added((), found.none.log_zeta, before, gaps(case, before, before, floors))
         added = most_helpful([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
-        notes += odd_runs.alone_in_the_gap(found.bench, places, before, floors)
+        notes += odd_runs.alone_in_the_gap(case, places, before, floors)
         meant = signal.tried.means if added is curve and signal and signal.tried else None
         if meant in {spoken_of(each.about.name) for each in effects}:
             share = in_another_form(share, meant)
@@ -276,7 +276,7 @@ def _weights(
     runs = len(products.log_zeta)
     noise = found.bench.noise
     residuals = [each.residual for each in (found.none, *leading)]
-    differ = chance(found.bench, residuals, found.none.by_zeta)
+    differ = chance(found.bench.case, residuals, found.none.by_zeta)
     return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 

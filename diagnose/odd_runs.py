@@ -25,7 +25,7 @@ MOST, TIMES = 0.5, 3.0
 
 
 def of_repeats(
-    bench: Bench,
+    case: Case,
     residuals: Sequence[list[np.ndarray]],
     own: Mapping[str, float],
     response: Response,
@@ -33,13 +33,12 @@ def of_repeats(
     """Repeats that differ by what no effect of command, load or state can make, in sentences.
 
     Args:
-        bench: The case.
+        case: The runs.
         residuals: By model and run, simulated less recorded, the reference model first: the
             smallest difference counts.
         own: The simulation's own error in each channel [m, N, N m].
         response: Change of a run's channels by its log zeta; see `diagnose.chance.apart`.
     """
-    case = bench.case
     told: dict[tuple[int, int], list[str]] = {}
     for index, channel in enumerate(case.channels):
         for pair in repeats(case, channel):
@@ -88,7 +87,7 @@ def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
 
 
 def alone_in_the_gap(
-    bench: Bench,
+    case: Case,
     places: Sequence[Share],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
@@ -96,12 +95,12 @@ def alone_in_the_gap(
     """The run that holds most of the gap, and what is left without it.
 
     Args:
-        bench: The case.
+        case: The runs.
         places: Shares of the gap by axis.
         before: By run, simulated less recorded by the reference model, shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
     """
-    case, runs = bench.case, [each for each in places if each.axis == "run"]
+    runs = [each for each in places if each.axis == "run"]
     most = max(runs, key=lambda each: each.share, default=None)
     if most is None or len(runs) <= FEWEST or most.share < max(MOST, TIMES * most.time):
         return []

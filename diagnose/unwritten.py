@@ -198,17 +198,16 @@ def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> C
         return None
     best = min(meant, key=lambda each: each.added.left)
 
-    def least_over(turning: bool) -> float:
-        over = [each for each in tried if meaning(each) is None and each.added.helps]
-        same = [each.added.left for each in over if (each.effect.variable == "turning") == turning]
-        return min(same, default=math.inf)
-
-    place = best.added.left
-    told = place <= HARDLY * least_over(turning=True)
-    told = told and HARDLY * place <= least_over(turning=False)
-    unexplained = 1 - follows[best.effect.variable]
-    told = told and 1 - follows.get("time", 0.0) >= OF_TIME * unexplained
-    return replace(best, means=meaning(best)) if told else None
+    place = best.effect.variable
+    rivals = [each for each in tried if each.effect.variable != place and each.added.helps]
+    told = all(
+        best.added.left <= HARDLY * each.added.left
+        if each.effect.variable == "turning"
+        else HARDLY * best.added.left <= each.added.left
+        for each in rivals
+    )
+    of_place = 1 - follows.get("time", 0.0) >= OF_TIME * (1 - follows[place])
+    return replace(best, means=meaning(best)) if told and of_place else None
 
 
 def corrected(

@@ -24,7 +24,7 @@ from identify.information import (
     scales,
     sensitivities,
 )
-from identify.limits import Limits
+from identify.limits import Limits, way
 from identify.parameter import Quantity, parameter
 
 # Runs evaluated in one call: so many are padded to, and only one program is compiled.
@@ -50,9 +50,7 @@ class Option:
     @property
     def way(self) -> float:
         """Of the rim [m], which the wheel's travel falls short of by slip."""
-        command = self.setup.command.build()
-        way = np.trapezoid(np.abs(command.omega), command.time)
-        return self.setup.wheel.radius * float(way)
+        return way(self.setup.command.build(), self.setup.wheel.radius)
 
 
 def quantities_named(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:

@@ -51,7 +51,7 @@ class Limits:
             ("speed", math.degrees(float(np.abs(omega).max())), math.degrees(self.speed), "deg/s"),
             ("acceleration", math.degrees(fastest), math.degrees(self.acceleration), "deg/s2"),
             ("duration", float(time[-1] - time[0]), self.duration, "s"),
-            ("way", radius * float(np.trapezoid(np.abs(omega), time)), self.travel, "m"),
+            ("way", way(command, radius), self.travel, "m"),
         )
         return [
             f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
@@ -79,3 +79,13 @@ class Limits:
             require_between("the highest load", high, 1.0, 1e4, " N")
             if low >= high:
                 raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")
+
+
+def way(command: Command, radius: float) -> float:
+    """Way of the rim [m], which the wheel's travel falls short of by slip.
+
+    Args:
+        command: Angular velocity over time.
+        radius: Of the rim [m].
+    """
+    return radius * float(np.trapezoid(np.abs(command.omega), command.time))

@@ -21,14 +21,10 @@ from drftjax.effects.correction import Curve, correction, with_values
 from drftjax.effects.stage import About, MemorylessZetaFactor, strength
 from drftjax.effects.terrain import TerrainVariation
 from drftjax.runlog.hdf5 import write_run
-from drftjax.setup import read_setup
-from drftjax.statics import sinkage_under_load
-from tests.virtual_runs import recorded, setup_of
+from tests.virtual_cases import CONDITIONS, run_with
 
 # A wave of the sand's strength along the bed [m], which no patch stands for.
 LENGTH, SWING = 0.45, 0.05
-# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions.
-RUNS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 26.0, 0.752))
 BUMP = (0.0, 0.05, 0.0, -0.02, 0.0)
 
 
@@ -48,14 +44,10 @@ def found(tmp_path_factory) -> Diagnosis:
     folder = tmp_path_factory.mktemp("furrows")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(catalogue(), "furrows", Furrows)
-        for number, (speed, mass, zeta) in enumerate(RUNS):
-            profile = ([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed])
-            setup = setup_of(profile, zeta)
-            setup.rig.mass_z = mass
-            setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
-            setup.effects = [{"name": "furrows", "swing": SWING}]
-            setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
-            write_run(folder / f"run_{number}.h5", recorded(setup, seed=number, noise=10e-6))
+        for number, (speed, mass, zeta) in enumerate(CONDITIONS):
+            effect = {"name": "furrows", "swing": SWING}
+            run = run_with(effect, speed, mass, zeta, seed=number)
+            write_run(folder / f"run_{number}.h5", run)
     return diagnose(Case.of(gather([folder]).candidates), (TerrainVariation,))
 
 
@@ -136,6 +128,9 @@ def test_it_must_be_told_from_curves_over_other_things():
     assert listed_among([place, curve("zeta", "turning", left=0.9)], follows) is not None
     assert listed_among([place, curve("zeta", "turning", left=0.7)], follows) is None
     assert listed_among([place, curve("zeta", "vx", left=1.1)], follows) is None
+    # Another curve over the way is no rival, whatever it looks like.
+    wear = curve("zeta", "travel", (0.05, 0.03, 0.01, 0.0, -0.01), left=1.1)
+    assert listed_among([place, wear], follows) is not None
     # Runs of one profile do not tell places from moments.
     assert listed_among([place], follows | {"time": 0.94}) is None
     assert listed_among([curve("zeta", "turning")], follows) is None

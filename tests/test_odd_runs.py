@@ -25,11 +25,6 @@ def case() -> Case:
     return case_with()
 
 
-def bench_of(case: Case) -> Any:
-    blocks = block_names(case.channels)
-    return SimpleNamespace(case=case, products=SimpleNamespace(blocks=blocks))
-
-
 def alike(run: int) -> np.ndarray:
     raise AssertionError(f"run {run} was recorded as long as its repeat")
 
@@ -47,7 +42,7 @@ def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
     found = dict(
         zip(
             block_names(case.channels),
-            chance(bench_of(case), [misses(case, b=1e-3)], alike),
+            chance(case, [misses(case, b=1e-3)], alike),
             strict=True,
         )
     )
@@ -57,7 +52,7 @@ def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
 
 
 def test_what_a_model_explains_of_two_repeats_is_no_chance(case):
-    told = chance(bench_of(case), [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)], alike)
+    told = chance(case, [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)], alike)
     assert told.max() < 1e-20
 
 
@@ -69,7 +64,7 @@ def test_runs_that_begin_elsewhere_do_not_tell_chance(case):
         runs[1] = dataclasses.replace(runs[1], setup=moved)
         alone = Case.of(runs)
         assert repeats(alone, "z") == []
-        assert not chance(bench_of(alone), [misses(alone, b=1e-3)], alike).any()
+        assert not chance(alone, [misses(alone, b=1e-3)], alike).any()
     turned = copy.deepcopy(case.candidates[1].setup)
     turned.start.angle += 2 * np.pi
     runs[1] = dataclasses.replace(case.candidates[1], setup=turned)
@@ -98,12 +93,11 @@ def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
 
 
 def test_repeats_that_disagree_are_named(case):
-    bench = bench_of(case)
-    (told,) = of_repeats(bench, [misses(case, b=1e-3), misses(case, b=0.5e-3)], NOISE, alike)
+    (told,) = of_repeats(case, [misses(case, b=1e-3), misses(case, b=0.5e-3)], NOISE, alike)
     assert told.startswith("run 0 and run 1 repeat each other and differ by 0.5 mm in z, ")
     # The same gap in both is an effect's.
-    assert of_repeats(bench, [misses(case, a=1e-3, b=1.2e-3)], NOISE, alike) == []
-    assert of_repeats(bench, [misses(case, b=1e-6)], NOISE, alike) == []
+    assert of_repeats(case, [misses(case, a=1e-3, b=1.2e-3)], NOISE, alike) == []
+    assert of_repeats(case, [misses(case, b=1e-6)], NOISE, alike) == []
 
 
 def test_a_zeta_far_from_all_others_is_named(case):
@@ -132,16 +126,14 @@ def test_a_run_that_holds_most_of_the_gap_is_named(case):
     candidates = [
         dataclasses.replace(case.candidates[0], name=f"run {number}") for number in range(5)
     ]
-    bench: Any = SimpleNamespace(
-        case=SimpleNamespace(candidates=candidates, channels=("z", "torque"))
-    )
+    several: Any = SimpleNamespace(candidates=candidates, channels=("z", "torque"))
     # No other run has torque.
     before = [np.array([[2e-5] * 10, [np.nan] * 10])] * 4 + [np.full((2, 10), 1e-3)]
 
     def of(share: float, time: float) -> list[str]:
         rest = [Share("run", f"run {n}", (1 - share) / 4, (0.0, 1.0), 0.2) for n in range(4)]
         last = Share("run", "run 4", share, (0.0, 1.0), time)
-        return alone_in_the_gap(bench, [*rest, last], before, {"z": 2e-5, "torque": 0.1})
+        return alone_in_the_gap(several, [*rest, last], before, {"z": 2e-5, "torque": 0.1})
 
     (told,) = of(0.9, 0.2)
     assert told.startswith("run 4 holds 90% of the gap in 20% of the time")

@@ -22,18 +22,15 @@ from drftjax.effects.correction import Curve
 from drftjax.effects.entry import entry_of
 from drftjax.effects.stage import About, AbstractZetaFactor, Memory, Moment, strength
 from drftjax.runlog.hdf5 import read_run, write_run
-from drftjax.setup import read_setup
-from drftjax.statics import sinkage_under_load
 from tests.command_line import Drft
-from tests.virtual_runs import recorded, setup_of
+from tests.virtual_cases import CONDITIONS, run_with
 
 # log zeta at 30 mm of sinkage over that at the surface.
 RISE, DEPTH = 0.1, 0.03
 # The curve's rise from its first knot to its last is found within this share; six straight pieces
 # stand for a square, and runs leave the outermost knots to few samples.
 RISE_ERR = 0.15
-# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions.
-RUNS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 26.0, 0.752))
+# Another condition, as `CONDITIONS` are.
 FRESH = (1.0, 22.0, 0.754)
 # A promise is kept within this.
 KEPT = 0.1
@@ -66,20 +63,15 @@ def packing():
 
 def written(folder: Path, name: str, speed: float, mass: float, zeta: float, seed: int) -> Path:
     """A run of a rig whose sand packs, as its log."""
-    profile = ([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed])
-    setup = setup_of(profile, zeta)
-    setup.rig.mass_z = mass
-    setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
-    setup.effects = [{"name": "packing", "rise": RISE}]
-    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
-    write_run(folder / f"{name}.h5", recorded(setup, seed=seed, noise=10e-6))
+    run = run_with({"name": "packing", "rise": RISE}, speed, mass, zeta, seed)
+    write_run(folder / f"{name}.h5", run)
     return folder / f"{name}.h5"
 
 
 @pytest.fixture(scope="module")
 def found(packing, tmp_path_factory) -> Diagnosis:
     folder = tmp_path_factory.mktemp("packing")
-    for number, each in enumerate(RUNS):
+    for number, each in enumerate(CONDITIONS):
         written(folder, f"run_{number}", *each, seed=number)
     return diagnose(Case.of(gather([folder]).candidates), ())
 
