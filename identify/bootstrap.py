@@ -142,7 +142,8 @@ def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> I
 
 
 def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
-    """Noise as the fit takes it to be: autoregressive, and a constant in every phase."""
+    """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
+    zeta scatters by from run to run."""
     residual, whitening = optimum.solution.residual, optimum.whitening
     counts = whitening.scale > 0
     intervals = np.asarray(optimum.problem.batch.observed.intervals)
@@ -173,6 +174,9 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
             inside = whitening.phase[run] == phase
             constant = random.standard_normal(count)
             noise[:, run, channel, inside] += constant[:, None] * offset[inside]
+    for shared, variance in enumerate(optimum.scatter):
+        apart = np.sqrt(variance) * random.standard_normal((count, len(residual)))
+        noise += apart[:, :, None, None] * optimum.solution.blocks[..., shared]
     return noise
 
 

@@ -25,10 +25,11 @@ def plot_fit(result: FitResult) -> Figure:
     first.legend(fontsize=7, loc="best")
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
-    left_out = len(result.runs) - len(runs)
-    more = f" (and {left_out} more runs)" if left_out else ""
+    fitted = len(result.runs)
+    count = "one run" if fitted == 1 else f"{fitted} runs"
+    more = f" ({len(runs)} shown)" if len(runs) < fitted else ""
     shared = ", ".join(str(value) for value in result.shared.values())
-    figure.suptitle(f"fit of {len(result.runs)} runs{more}  {shared}", fontsize=10)
+    figure.suptitle(f"fit of {count}{more}  {shared}", fontsize=10)
     return figure
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from identify.parameter import Parameter
 from identify.repeats import noise_floor
 from identify.result import SHOWN, RunFit, Value
+from identify.solve import coordinates_of
+from identify.spread import spread_of
 
 # Two parameters closer than this move the runs alike.
 ALIKE = 0.999
@@ -22,6 +24,7 @@ def findings(
     spread: np.ndarray,
     bounded: Sequence[str],
     unseen: np.ndarray,
+    scattered: Sequence[str] = (),
 ) -> list[str]:
     """Sentences on identifiability, bounds, scatter between runs and the noise floor.
 
@@ -32,6 +35,7 @@ def findings(
         spread: Covariance of all coordinates: shared, then each run's own.
         bounded: Labels of values that ran into a bound.
         unseen: Directions that the runs do not see, in columns, of the same coordinates.
+        scattered: Names of the shared values that runs would have differ beyond the noise.
     """
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
@@ -47,6 +51,11 @@ def findings(
     told += [f"{label} has run into its bound" for label in bounded]
     told += _collinear(parameters, len(shared), runs, spread)
     told += _confused(parameters, len(runs), unseen)
+    told += [
+        f"{shared[name].label} of each run alone would scatter, which the error of the shared one "
+        f"counts in; --own {shared[name].label} tells by how much"
+        for name in scattered
+    ]
     return [*told, *between(runs)]
 
 
@@ -60,29 +69,36 @@ def between(runs: Sequence[RunFit]) -> list[str]:
     floor = noise_floor(runs)
     if floor:
         each = ", ".join(f"{c} {v * SHOWN[c][1]:.3g} {SHOWN[c][0]}" for c, v in floor.items())
-        told.append(f"repeated runs differ by {each} beyond their own values: the noise floor")
+        told.append(
+            f"repeated runs differ by {each} beyond their own values: the noise floor"
+            if all(run.has_own_zeta for run in runs)
+            else f"repeated runs differ by {each}, what their sands differ by included"
+        )
     return told
 
 
 def _collinear(
     parameters: Sequence[Parameter], shared: int, runs: Sequence[RunFit], spread: np.ndarray
 ) -> list[str]:
-    """Pairs of parameters that these runs cannot tell apart, in the first run or among shared."""
-    if not runs:
-        return []
-    own = len(parameters) - shared
-    seen = np.r_[0 : shared + own]
-    error = np.sqrt(np.diag(spread)[seen])
-    alike = np.abs(spread[np.ix_(seen, seen)] / np.outer(error, error))
+    """Pairs of parameters that runs cannot tell apart: shared ones, or with a run's own."""
     ordered = [p.quantity.label for p in parameters if p.shared]
     ordered += [p.quantity.label for p in parameters if not p.shared]
-    return [
-        f"{ordered[i]} and {ordered[j]} cannot be told apart by these runs: they see only a "
-        "combination of the two"
-        for i in range(len(seen))
-        for j in range(i)
-        if alike[i, j] > ALIKE
-    ]
+    blind: dict[tuple[str, str], list[str]] = {}
+    counted = [(number, run) for number, run in enumerate(runs) if run.status != "diverged"]
+    for number, run in counted:
+        seen = coordinates_of(number, len(ordered), shared)
+        error = np.sqrt(np.diag(spread)[seen])
+        alike = np.abs(spread[np.ix_(seen, seen)] / np.outer(error, error))
+        for i, j in np.argwhere(np.tril(alike, -1) > ALIKE):
+            blind.setdefault((ordered[i], ordered[j]), []).append(run.name)
+    told = []
+    for (one, other), names in blind.items():
+        who = "these runs" if len(names) == len(counted) else ", ".join(names)
+        told.append(
+            f"{one} and {other} cannot be told apart by {who}: they see only a combination of the "
+            "two"
+        )
+    return told
 
 
 def _confused(parameters: Sequence[Parameter], runs: int, unseen: np.ndarray) -> list[str]:
@@ -110,19 +126,19 @@ def _confused(parameters: Sequence[Parameter], runs: int, unseen: np.ndarray) ->
 
 
 def _scatter(runs: Sequence[RunFit]) -> list[str]:
-    """Spread of each run's own values beyond their errors: a random effect between runs."""
-    if len(runs) < 2:
-        return []
+    """Spread of each run's own values beyond their errors: a random effect between runs.
+
+    Of values that their runs tell, and only where chance would hardly make it.
+    """
     told = []
-    for name, first in runs[0].values.items():
-        values = np.array([run.values[name].value for run in runs])
-        errors = np.array([run.values[name].error for run in runs])
-        chance = values.var(ddof=1) - np.mean(errors**2)
-        mean = values.mean()
-        if chance > 0 and mean != 0:
-            share = 100 * np.sqrt(chance) / abs(mean)
+    for name in runs[0].values if runs else ():
+        known = [run.values[name] for run in runs if run.values[name].told]
+        values = np.array([each.value for each in known])
+        found = spread_of(values, np.array([each.error for each in known]))
+        if found.told and found.mean != 0:
+            share = 100 * np.sqrt(found.variance) / abs(found.mean)
             told.append(
-                f"{first.label} is {mean:.4g} on average and scatters by {share:.2g} % from run "
-                "to run beyond its errors"
+                f"{known[0].label} is {found.mean:.4g} on average and scatters by {share:.2g} % "
+                "from run to run beyond its errors"
             )
     return told

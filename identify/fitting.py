@@ -262,13 +262,16 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     size = len(optimum.ordered)
     spread = optimum.covariance[:size, :size]
     hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
+    scattered = [
+        p.quantity.name for p, of in zip(problem.shared, optimum.scatter, strict=True) if of > 0
+    ]
     return FitResult(
         shared=shared,
         runs=runs,
         status=solution.status,
         steps=solution.steps,
         failures=failures,
-        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden),
+        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden, scattered),
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
         optimum=optimum,

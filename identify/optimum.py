@@ -12,7 +12,7 @@ from identify.candidate import Candidate
 from identify.corners import cornered
 from identify.parameter import Parameter
 from identify.solve import Coordinates, Solution
-from identify.uncertainty import Whitening, covariance
+from identify.uncertainty import Whitening, covariance, from_run_to_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +25,8 @@ class Optimum:
         candidates: The runs; the batch may hold more, which weigh nothing.
         model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
         whitening: Of the residuals.
+        scatter: Variance of each shared coordinate from run to run, beyond what the noise counts
+            in already; zero where it is not one of sand; shape (shared,).
         covariance: Of all coordinates: shared, then each run's own, padded runs too.
         share: What turns the runs' slope into what they tell, shaped like `covariance`, where
             there are priors; see `identify.weighed`.
@@ -35,6 +37,7 @@ class Optimum:
     candidates: tuple[Candidate, ...]
     model_error: Mapping[str, float]
     whitening: Whitening
+    scatter: np.ndarray
     covariance: np.ndarray
     share: np.ndarray | None = None
 
@@ -58,8 +61,16 @@ class Optimum:
         phases = phases_of(candidates, counts)
         intervals = np.asarray(problem.batch.observed.intervals)
         whitening = Whitening.of(solution.residual, counts, offset, phases, intervals)
-        spread = covariance(solution.blocks, whitening, len(problem.shared))
-        return cls(problem, solution, candidates, model_error, whitening, spread)
+        shared, blocks = len(problem.shared), solution.blocks
+        scatter = np.zeros(shared)
+        for place, each in enumerate(problem.shared):
+            # Sand is never the same twice; what is built stays as it is.
+            if each.quantity.is_zeta:
+                scatter[place] = from_run_to_run(
+                    blocks, solution.residual, whitening, shared, place
+                )
+        spread = covariance(blocks, whitening, shared, scatter)
+        return cls(problem, solution, candidates, model_error, whitening, scatter, spread)
 
     @property
     def shared(self) -> int:

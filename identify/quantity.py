@@ -22,6 +22,11 @@ SHORT_NAMES = {f"zeta.{name}": PHASE_PREFIX + name for name in PHASES} | {
 }
 
 
+def of_zeta(name: str) -> bool:
+    """Whether a quantity's full name is that of zeta, of a whole run or of a phase of it."""
+    return name == SHORT_NAMES["zeta"] or name.startswith(PHASE_PREFIX)
+
+
 class Quantity(eqx.Module):
     """One number of a trial that can be fitted.
 
@@ -43,6 +48,11 @@ class Quantity(eqx.Module):
     def label(self) -> str:
         """The short name in reports, where there is one."""
         return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
+
+    @property
+    def is_zeta(self) -> bool:
+        """Whether it says how strong the sand is, of a whole run or of a phase of it."""
+        return of_zeta(self.name)
 
     def record(self, setup: SetUp, value: float) -> None:
         """Write the number into a set-up; the zeta of a phase is one of several, written whole."""

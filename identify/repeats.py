@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from drftjax.runlog.record import Command
-from identify.observation import ROUNDING, intervals_of
+from identify.observation import ROUNDING, intervals_of, white_noise
 from identify.result import RunFit
 
 # Numbers of set-ups and commands are the same within this share of their size, and within so much
@@ -72,8 +72,8 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     """What two repeats differ by beyond their own fitted values, per run and channel [m, N, N m].
 
     Half the power of the difference of two runs' residuals is what neither model nor sand, the
-    same for both, can account for. One is read between its samples where the clocks differ. Empty
-    where no run was repeated.
+    same for both, can account for. One is read between its samples where the clocks differ, which
+    averages some of its white noise away: that is put back. Empty where no run was repeated.
     """
     powers: dict[str, list[float]] = {}
     for group in repeated(runs):
@@ -83,11 +83,21 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
             both = a.counts & recorded_at(told, a.time)
             if both.sum() < LEAST_SHARED * max(a.counts.sum(), len(told)):
                 continue
+            kept = _noise_kept(told, a.time[both])
             for channel, residual in a.residuals.items():
                 beside = np.interp(a.time[both], told, b.residuals[channel][b.counts])
-                power = float(np.mean((residual[both] - beside) ** 2)) / 2
+                power = float(np.mean((residual[both] - beside) ** 2))
+                averaged = (1 - kept) * white_noise(b.residuals[channel][b.counts]) ** 2
+                power = (power + averaged) / 2
                 powers.setdefault(channel, []).append(power)
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
+
+
+def _noise_kept(time: np.ndarray, wanted: np.ndarray) -> float:
+    """Share of white noise's power that is left where a recording is read at other times."""
+    after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+    way = np.clip((wanted - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)
+    return float(np.mean(way**2 + (1 - way) ** 2))
 
 
 def recorded_at(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import RigSetUp, SetUp, WheelSetUp
 from identify.parameter import typical
+from identify.quantity import of_zeta
 from identify.stem import files_of
 from identify.summary import summary_html, summary_text
 
@@ -110,6 +111,11 @@ class RunFit:
     status: str = "converged"
     path: Any = None  # a ZetaPath; decoders of results evaluate annotations, and need none of it
     believed: tuple[WheelSetUp, RigSetUp] | None = None
+
+    @property
+    def has_own_zeta(self) -> bool:
+        """Whether its zeta was fitted to it alone."""
+        return self.path is not None or any(map(of_zeta, self.values))
 
     @property
     def residuals(self) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ MOST_REFUSED = 3
 # aside for the others' sake.
 MOST_STRIKES = 3
 # A run whose roughness keeps the others from gaining more than this, in residual variances, is
-# left where it is while they go on.
+# left where it is while they go on; they go back where all together lose by it.
 HELD = 1.0
 # Of the sum of squares: less is not worth a warning.
 NEGLIGIBLE = 0.01
@@ -88,6 +88,8 @@ def solve(
         return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
 
     coordinates, ahead, status, number = start, None, "out of steps", 0
+    # Where runs were set aside for the others' sake.
+    parted: list[Coordinates] = []
     task, state, loss, each, refused = begun()
     shortened = False
     for number in range(1, MOST_STEPS + 1):
@@ -122,9 +124,12 @@ def solve(
                 continue
             rough = moving & (each_tried > each)
             others = moving & ~rough
-            if not rough.any() or _gain(each[others], each_tried[others], counted[others]) <= HELD:
+            gain = _gain(each[others], each_tried[others], counted[others])
+            # Of numbers that all share no run may be left out: what one loses, others gain.
+            if not problem.own or not rough.any() or gain <= HELD:
                 status = "stalled"
                 break
+            parted.append(coordinates)
             moving = others
         if not moving.any():
             status = "stalled"
@@ -134,7 +139,11 @@ def solve(
     if (active != moving).any() or not np.isfinite(loss):
         # The solver has not been where it stands with all these runs.
         task = problem, problem.everywhere(jnp.asarray(active))
-        state = _step(task, coordinates, _initial(task, coordinates))[1]
+        stands = [(at, *_step(task, at, _initial(task, at))[1:3]) for at in (coordinates, *parted)]
+        best = min(stands, key=lambda each: np.nan_to_num(float(each[2]), nan=np.inf))
+        if best is not stands[0]:
+            ahead, status = None, "stalled"
+        coordinates, state, _ = best
     ends = _ending(coordinates, ahead or coordinates, state)
     residual, blocks, belief, belief_slope = map(np.asarray, ends)
     coordinates = ahead or coordinates
@@ -161,6 +170,12 @@ def _promised(residual: np.ndarray, information: np.ndarray, slope: np.ndarray) 
     return float(gain / max(np.sum(residual**2), np.finfo(float).tiny))
 
 
+def coordinates_of(run: int, number: int, shared: int) -> np.ndarray:
+    """Places of a run's `number` coordinates, shared ones first, among those of all runs."""
+    own = number - shared
+    return np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
+
+
 def normal_equations(
     blocks: np.ndarray, shared: int, residual: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +190,7 @@ def normal_equations(
     size = shared + runs * own
     information, slope = np.zeros((size, size)), np.zeros(size)
     for run in range(runs):
-        place = np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
+        place = coordinates_of(run, shared + own, shared)
         rows = blocks[run].reshape(-1, shared + own)
         information[np.ix_(place, place)] += rows.T @ rows
         slope[place] += rows.T @ residual[run].ravel()

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.solve import normal_equations
+from identify.solve import coordinates_of, normal_equations
+from identify.spread import spread_of
 
 # Beyond this the inflation is no longer an estimate but a statement that the samples are one.
 LARGEST_CORRELATION = 0.9999
@@ -29,7 +30,9 @@ def lag_one_correlation(residual: np.ndarray, counts: np.ndarray, intervals: np.
     )
 
 
-def covariance(blocks: np.ndarray, whitening: "Whitening", shared: int) -> np.ndarray:
+def covariance(
+    blocks: np.ndarray, whitening: "Whitening", shared: int, scatter: np.ndarray | None = None
+) -> np.ndarray:
     r"""Covariance of (shared, run 1's own, run 2's own, ...) coordinates.
 
     The residual of each run and channel is taken as first-order autoregressive: its variance is
@@ -44,11 +47,13 @@ def covariance(blocks: np.ndarray, whitening: "Whitening", shared: int) -> np.nd
             channels, samples, shared + own).
         whitening: Of those residuals.
         shared: Number of shared coordinates.
+        scatter: Variance of each shared coordinate from run to run, a random effect; none where
+            left out.
 
     Returns:
         Covariance, shape (shared + runs * own,) squared.
     """
-    noise = _information(whitening.colour(blocks), shared)
+    noise = _noise(blocks, whitening, shared, scatter)
     values, vectors, size, unseen = _directions(_information(blocks, shared))
     root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
     stretch = root.T @ noise @ root
@@ -61,7 +66,7 @@ def covariance(blocks: np.ndarray, whitening: "Whitening", shared: int) -> np.nd
 
 
 def rescaled(
-    blocks: np.ndarray, whitening: "Whitening", shared: int
+    blocks: np.ndarray, whitening: "Whitening", shared: int, scatter: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Information that is the inverse of `covariance` without priors, and what makes it.
 
@@ -69,7 +74,7 @@ def rescaled(
     matrix $A^{1/2} K^{-1} A^{-1/2}$ that turns the slope $J^T r$ into that of a sum of squares with
     this curvature. Directions that the data do not see have none.
     """
-    noise = _information(whitening.colour(blocks), shared)
+    noise = _noise(blocks, whitening, shared, scatter)
     values, vectors, size, unseen = _directions(_information(blocks, shared))
     vectors, values = vectors[:, ~unseen], values[~unseen]
     inner = vectors / np.sqrt(values) / size[:, None]
@@ -91,6 +96,46 @@ def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndar
     information = _information(blocks, shared) + np.diag(belief_slope**2)
     _, vectors, _, unseen = _directions(information)
     return vectors[:, unseen]
+
+
+def from_run_to_run(
+    blocks: np.ndarray, residual: np.ndarray, whitening: "Whitening", shared: int, coordinate: int
+) -> float:
+    """Variance from run to run of a coordinate that all share, beyond what each run can tell.
+
+    Each run is given a value of its own, one straight-line step away.
+
+    Args:
+        blocks, whitening, shared: As for `covariance`.
+        residual: Weighted, shape (runs, channels, samples).
+        coordinate: Which of the shared ones.
+    """
+    kept = [coordinate, *range(shared, blocks.shape[-1])]
+    moves, errors = [], []
+    for run in range(len(blocks)):
+        mine = blocks[run : run + 1, ..., kept]
+        if not mine[..., 0].any():
+            continue
+        alone = Whitening(*(part[run : run + 1] for part in whitening.parts))
+        rows = mine.reshape(-1, len(kept))
+        moves.append(-np.linalg.lstsq(rows, residual[run].ravel(), rcond=None)[0][0])
+        errors.append(np.sqrt(covariance(mine, alone, 1)[0, 0]))
+    return spread_of(np.array(moves), np.array(errors)).variance
+
+
+def _noise(
+    blocks: np.ndarray, whitening: "Whitening", shared: int, scatter: np.ndarray | None
+) -> np.ndarray:
+    """J^T S J of the noise, with what shared coordinates scatter by from run to run."""
+    noise = _information(whitening.colour(blocks), shared)
+    for coordinate in np.flatnonzero(0 if scatter is None else scatter):
+        assert scatter is not None
+        for run, block in enumerate(blocks):
+            place = coordinates_of(run, blocks.shape[-1], shared)
+            rows = block.reshape(-1, blocks.shape[-1])
+            along = rows.T @ rows[:, coordinate]
+            noise[np.ix_(place, place)] += scatter[coordinate] * np.outer(along, along)
+    return noise
 
 
 def _information(blocks: np.ndarray, shared: int) -> np.ndarray:
@@ -140,6 +185,11 @@ class Whitening:
     scale: np.ndarray
     unit: np.ndarray
     phase: np.ndarray
+
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Its arrays, runs leading."""
+        return self.scale, self.unit, self.phase
 
     @classmethod
     def of(

@@ -59,7 +59,7 @@ def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = No
 
 def _rescaled(optimum: Optimum, at: Solution) -> tuple[np.ndarray, np.ndarray]:
     """What rescales the runs' slope, and the information of runs and priors together."""
-    information, share = rescaled(at.blocks, optimum.whitening, optimum.shared)
+    information, share = rescaled(at.blocks, optimum.whitening, optimum.shared, optimum.scatter)
     return share, information + np.diag(at.belief_slope**2)
 
 
