@@ -19,7 +19,7 @@ class RunError(InputError):
 
     def __init__(self, run: str, why: str) -> None:
         super().__init__(run, why)  # as it is made anew where a process sends it to another
-        self.run = run
+        self.run, self.why = run, why
 
     def __str__(self) -> str:
         return ": ".join(self.args)

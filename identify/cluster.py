@@ -12,9 +12,10 @@ import logging
 import math
 import os
 import re
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
@@ -166,17 +167,32 @@ def connected(where: Local | Remote) -> Iterator["Client"]:
         with Client(where.address, timeout=CONNECT_LIMIT) as client:
             yield client
         return
-    with (
-        LocalCluster(
-            n_workers=where.workers,
-            silence_logs=logging.CRITICAL,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-        ) as started,
-        Client(started) as client,
-    ):
+    with ExitStack() as ends:
+        with _without_interrupts():
+            started = ends.enter_context(
+                LocalCluster(
+                    n_workers=where.workers,
+                    silence_logs=logging.CRITICAL,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                )
+            )
+            client = ends.enter_context(Client(started))
         yield client
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """No Ctrl-C meanwhile, nor ever for the threads and processes that are begun meanwhile.
+
+    A terminal sends it to every process; the one that was called ends the others.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _require_scheduler(address: str) -> None:

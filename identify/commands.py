@@ -147,6 +147,8 @@ def fit(
             "--zeta path fits zeta(t) alone; leave --own, --share, --parameters, --starts, "
             "--profile and --bootstrap out"
         )
+    if zeta == "path" and autoregressive:
+        raise InputError("--zeta path finds each channel's correlation; leave --autoregressive out")
     require_starts(starts)
     if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
         raise InputError(
@@ -202,7 +204,8 @@ def fit(
             step=step,
             keep_rest=keep_rest,
         )
-        gathered = gather(runs, ready, tell=lambda left_out: say(left_out, "yellow"))
+        tell = lambda left_out: say(left_out, "yellow")  # noqa: E731
+        gathered = gather(runs, ready, sinkage=zeta == "path", tell=tell)
         candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")
 

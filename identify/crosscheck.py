@@ -15,6 +15,7 @@ import numpy as np
 from drftjax import __version__
 from drftjax.runlog.record import Online
 from identify.candidate import Candidate
+from identify.kinds import of_usable
 from identify.tuner_comparison import Comparison, Path, comparison, moving_part, root_mean_square
 from identify.tuner_replays import Replayed, Setting, replays
 from identify.zeta_path import ZetaPath
@@ -148,7 +149,8 @@ def crosscheck(
     """Replay the tuner over recorded runs, and hold it against their offline zeta(t).
 
     Args:
-        candidates: Runs of the same kind of wheel, law and carriage.
+        candidates: Runs; one that cannot be replayed or fitted, or is of another kind of wheel,
+            law or carriage than most, is left out.
         setting: The tuner.
         online: What a run logged of its own tuner, by name.
         truths: The true zeta(t) of a run, by name, where it is known.
@@ -156,11 +158,14 @@ def crosscheck(
         sweep: Whether other settings are tried.
 
     Raises:
-        InputError: where the tuner cannot be, or a run cannot be replayed or fitted.
+        InputError: where the tuner cannot be, or no run is left.
     """
     settings = [setting, *(_sweep(setting) if sweep else [])]
-    paths = zeta_paths(candidates, knot_spacing)
-    replayed = replays(candidates, settings)
+
+    def both_ways(runs: list[Candidate]) -> list[tuple[ZetaPath, Replayed]]:
+        return list(zip(zeta_paths(runs, knot_spacing), replays(runs, settings), strict=True))
+
+    kept, found, left_out = of_usable(candidates, both_ways)
     runs = [
         _check(
             each,
@@ -170,9 +175,9 @@ def crosscheck(
             (online or {}).get(path.name),
             (truths or {}).get(path.name),
         )
-        for each, path, ticks in zip(candidates, paths, replayed, strict=True)
+        for each, (path, ticks) in zip(kept, found, strict=True)
     ]
-    return CrossCheck(setting, runs, {})
+    return CrossCheck(setting, runs, left_out)
 
 
 def _sweep(setting: Setting) -> list[Setting]:

@@ -88,7 +88,9 @@ def crosscheck(
         bar.update(task, description=f"replaying and fitting {len(candidates)} runs")
         setting = Setting(tick, zeta_step, tolerance)
         result = check(candidates, setting, online=online, knot_spacing=knots, sweep=sweep)
-        result = dataclasses.replace(result, failures=gathered.left_out)
+        for name, why in result.failures.items():
+            say(f"left out: {name}: {why}")
+        result = dataclasses.replace(result, failures=gathered.left_out | dict(result.failures))
 
     for table in tables(result):
         console.print(table)

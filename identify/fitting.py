@@ -11,11 +11,12 @@ import numpy as np
 
 from drftjax.errors import InputError
 from drftjax.trial import Trial
-from identify.batch import OTHER_KIND, Problem, alike, device_mesh, make_batch
+from identify.batch import Problem, device_mesh, make_batch
 from identify.bijector import Interval
 from identify.candidate import Candidate
 from identify.descent import Descent
 from identify.findings import findings
+from identify.kinds import of_one_kind
 from identify.multistart import best_start, require_starts
 from identify.noise import AbstractNoise, White
 from identify.optimum import Optimum, predicted
@@ -120,7 +121,7 @@ def _problem(
     candidates: list[Candidate], parameters: tuple[Parameter, ...]
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
-    candidates, failures = _of_one_kind(candidates, parameters)
+    candidates, failures = _to_start_from(candidates, parameters)
     while True:
         if not candidates:
             named = "; ".join(f"{name}: {why}" for name, why in failures.items())
@@ -142,39 +143,19 @@ def _problem(
         candidates = [each for each, good in zip(candidates, fine, strict=True) if good]
 
 
-def _of_one_kind(
+def _to_start_from(
     candidates: list[Candidate], parameters: tuple[Parameter, ...]
 ) -> tuple[list[Candidate], dict[str, str]]:
     """The largest set of runs that one program fits, and why the others are left out."""
-    names = [each.name for each in candidates]
-    if len(set(names)) < len(names):
-        raise InputError(f"two runs have one name among {', '.join(names)}; names must differ")
     failures: dict[str, str] = {}
-    kinds: list[list[Candidate]] = []
     for each in candidates:
         try:
             for parameter in parameters:
                 _require_start(parameter, each.trial)
         except InputError as problem:
             failures[each.name] = str(problem)
-            continue
-        for kind in kinds:
-            if alike(each.trial, kind[0].trial):
-                kind.append(each)
-                break
-        else:
-            kinds.append([each])
-    ranked = sorted(kinds, key=len, reverse=True)
-    largest = ranked[0] if ranked else []
-    if len(ranked) > 1 and len(ranked[1]) == len(largest):
-        told = "; ".join(", ".join(each.name for each in kind) for kind in ranked[:2])
-        raise InputError(
-            f"the runs are of different wheels, terrains, carriages or integrators ({told}); fit "
-            "each apart"
-        )
-    for each in (each for kind in kinds if kind is not largest for each in kind):
-        failures[each.name] = f"it {OTHER_KIND} than {largest[0].name}; fit it apart"
-    return largest, failures
+    kept, others = of_one_kind([each for each in candidates if each.name not in failures])
+    return kept, failures | others
 
 
 def _require_start(parameter: Parameter, trial: Trial) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 
 from drftjax.trial import Trial
 from identify.candidate import Candidate
+from identify.kinds import of_usable
 from identify.result import FitResult, RunFit
 from identify.zeta_path import ZetaPath
 from identify.zeta_smoother import KNOT_SPACING, zeta_paths
@@ -14,14 +15,15 @@ def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -
     """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed.
 
     Args:
-        candidates: Runs of the same kind of wheel, law and carriage.
+        candidates: Runs; one that has no sinkage, is too short, cannot be simulated or is of
+            another kind of wheel, law or carriage than most is left out.
         knot_spacing: Time from knot to knot [s].
 
     Raises:
-        InputError: where a run has no sinkage, is too short, or cannot be simulated.
+        InputError: where no run is left.
     """
-    paths = zeta_paths(candidates, knot_spacing)
-    runs = [_run(each, path) for each, path in zip(candidates, paths, strict=True)]
+    kept, paths, left_out = of_usable(candidates, lambda each: zeta_paths(each, knot_spacing))
+    runs = [_run(each, path) for each, path in zip(kept, paths, strict=True)]
     settled = all(path.converged for path in paths)
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
@@ -35,7 +37,7 @@ def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -
         runs=runs,
         status="converged" if settled else "out of steps",
         steps=max(path.steps for path in paths),
-        failures={},
+        failures=left_out,
         findings=findings,
     )
 

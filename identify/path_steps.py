@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace as replace_struct
 
 from drftjax.command import Command
-from drftjax.errors import InputError
+from drftjax.errors import RunError
 from drftjax.setup import ZetaKnots
 from drftjax.trial import Trial
 from identify.batch import Batch
@@ -106,15 +106,16 @@ class PathSteps:
             derivative: By the coordinates, shape (channels, samples, coordinates).
 
         Raises:
-            InputError: where the run cannot be simulated at the zeta it starts from.
+            RunError: where the run cannot be simulated at the zeta it starts from.
         """
         residual = predicted[:, self.counts] - self.values
         slopes = derivative[:, self.counts]
         known = self.slopes is not None or np.isfinite(slopes).all()
         if not (known and np.isfinite(residual).all()):
             if self.steps == 0:
-                name = self.candidate.name
-                raise InputError(f"{name}: its simulation diverges at the zeta it starts from")
+                raise RunError(
+                    self.candidate.name, "its simulation diverges at the zeta it starts from"
+                )
             self._shorten()
             return
         gain = np.inf if self.last is None else self.objective - self._objective(residual)
@@ -271,7 +272,7 @@ def sinkage_and_travel(each: Candidate) -> Observation:
     observation = each.observation
     channels = tuple(name for name in CHANNELS if name in observation.channels)
     if "z" not in channels:
-        raise InputError(f"{each.name}: the run has no /measured/z, so its sinkage is not known")
+        raise RunError(each.name, "has no /measured/z, so its sinkage is not known")
     picked = [observation.channels.index(name) for name in channels]
     return replace(
         observation,

@@ -150,7 +150,7 @@ def _scaled(optimum: Optimum, number: int) -> Whitening:
     """One scale for all residuals, at which the runs tell of a coordinate what they do tell."""
     solution, counts = optimum.solution, optimum.whitening.scale > 0
     alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
-    told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared)
+    told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared, optimum.scatter)
     share = inverse(alike)[number, number] / inverse(told)[number, number]
     even = counts * np.sqrt(min(share, 1.0))
     return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.command import Command
-from drftjax.errors import InputError
+from drftjax.errors import RunError
 from drftjax.trial import Trial
 from drftjax.tuner import Loop, StepTuner, known_sinkage, replay, tick_commands
 from identify.batch import make_batch
@@ -67,8 +67,12 @@ def replays(candidates: Sequence[Candidate], settings: Sequence[Setting]) -> lis
     )(batch.trials)
     found = _replay_all(batch.trials, first, commands, jnp.asarray(recorded), tuners)
     zeta, error, z, x = map(np.asarray, found)
-    if not np.isfinite(z[:, 0]).all():
-        raise InputError("a replay of the tuner diverges; give a shorter tick or a smaller step")
+    for each, replayed in zip(candidates, z[:, 0], strict=True):
+        if not np.isfinite(replayed).all():
+            raise RunError(
+                each.name,
+                "a replay of the tuner diverges; give a shorter tick or a smaller step",
+            )
     return [
         Replayed(starts[:n], zeta[i, :, :n], error[i, :, :n], z[i, :, :n], x[i, :, :n], every)
         for i, n in enumerate(lengths)
@@ -79,7 +83,7 @@ def _recorded(each: Candidate, starts: np.ndarray, every: Sequence[int]) -> np.n
     """Sinkage known on the fine ticks that a setting measures on, shape (settings, ticks)."""
     observation = each.observation
     if "z" not in observation.channels:
-        raise InputError(f"{each.name}: the run has no /measured/z, so its sinkage is not known")
+        raise RunError(each.name, "has no /measured/z, so its sinkage is not known")
     z = observation.values[observation.channels.index("z")]
     known = known_sinkage(starts, observation.time, -z)
     number = np.arange(len(starts))

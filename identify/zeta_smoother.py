@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from identify.batch import make_batch
 from identify.candidate import Candidate
 from identify.drawn_zeta import in_lines, simulated
@@ -41,7 +41,8 @@ def zeta_paths(
             samples compared.
 
     Raises:
-        InputError: where a run has no sinkage, is too short, or cannot be simulated.
+        RunError: where a run has no sinkage, is too short, or cannot be simulated.
+        InputError: for a knot spacing that is none.
     """
     channels = [sinkage_and_travel(each).channels for each in candidates]
     found: dict[int, ZetaPath] = {}
@@ -91,9 +92,10 @@ def _knots(each: Candidate, spacing: float) -> np.ndarray:
     intervals = max(2, round(duration / spacing))
     samples = int(each.observation.counts.sum())
     if samples < 2 * intervals:
-        raise InputError(
-            f"{each.name}: has {samples} samples to compare, too few for {intervals + 1} knots "
-            "of zeta; give a longer knot spacing"
+        raise RunError(
+            each.name,
+            f"has {samples} samples to compare, too few for {intervals + 1} knots of zeta; give a "
+            "longer knot spacing",
         )
     return np.linspace(0.0, duration, intervals + 1)
 

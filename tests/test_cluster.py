@@ -344,3 +344,20 @@ def test_a_file_that_is_no_store_is_left_alone(tmp_path):
 def test_a_store_in_use_is_refused(store):
     with Store(store, SETTINGS.named()):
         assert "in use" in refusal(store)
+
+
+def test_an_interrupt_reaches_no_process_begun_for_the_cluster():
+    """A terminal sends Ctrl-C to all of them; the one that was called ends the others."""
+    asked = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
+
+    def held() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", asked], capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    with clusters._without_interrupts():
+        begun = held()
+    assert (begun, held()) == ("True", "False")
+    with pytest.raises(KeyboardInterrupt), clusters._without_interrupts():
+        # What came meanwhile is not lost.
+        signal.raise_signal(signal.SIGINT)
