@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identify.parameter import Parameter
-from identify.repeats import noise_floor
+from identify.repeats import fast_scatter, noise_floor
 from identify.result import SHOWN, RunFit, Value
 from identify.solve import coordinates_of
 from identify.spread import spread_of
@@ -66,14 +66,22 @@ def between(runs: Sequence[RunFit]) -> list[str]:
     """
     runs = [run for run in runs if run.status != "diverged"]
     told = _scatter(runs)
+    if not runs:
+        return told
     floor = noise_floor(runs)
-    if floor:
-        each = ", ".join(f"{c} {v * SHOWN[c][1]:.3g} {SHOWN[c][0]}" for c, v in floor.items())
+    each = ", ".join(
+        f"{channel} {value * SHOWN[channel][1]:.3g} {SHOWN[channel][0]}"
+        for channel, value in (floor or fast_scatter(runs)).items()
+    )
+    if not floor:
         told.append(
-            f"repeated runs differ by {each} beyond their own values: the noise floor"
-            if all(run.has_own_zeta for run in runs)
-            else f"repeated runs differ by {each}, what their sands differ by included"
+            f"no run was repeated; what is left scatters by {each} from sample to sample: the "
+            "noise floor as far as one run can tell it"
         )
+    elif all(run.has_own_zeta for run in runs):
+        told.append(f"repeated runs differ by {each} beyond their own values: the noise floor")
+    else:
+        told.append(f"repeated runs differ by {each}, what their sands differ by included")
     return told
 
 

@@ -19,6 +19,7 @@ from identify.findings import findings
 from identify.kinds import of_one_kind
 from identify.multistart import best_start, require_starts
 from identify.noise import AbstractNoise, White
+from identify.observation import white_noise
 from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.phases import PhaseZeta, by_phase, with_phases
@@ -181,7 +182,7 @@ def _reweighted(
     number = counts.sum(axis=2)
     each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
     # A channel that is met better than its instrument can tell must not rule the others.
-    finest = 1 / weight.max(axis=(0, 2))
+    finest = np.array([_lower_median(noise) for noise in _fast(raw, counts)])
     usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]
     odd = each > ODD_MISFIT * np.maximum(usual, finest)
     kept = np.where(odd, 0, number)
@@ -192,6 +193,20 @@ def _reweighted(
         problem,
         (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts, intervals))),
     )
+
+
+def _fast(raw: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
+    """White noise of each channel's residuals [m, N, N m], of the runs that have some."""
+    return [
+        np.array(
+            [
+                white_noise(residual[here])
+                for residual, here in zip(raw[:, channel], counts[:, channel], strict=True)
+                if here.any()
+            ]
+        )
+        for channel in range(raw.shape[1])
+    ]
 
 
 def _lower_median(values: np.ndarray) -> float:

@@ -93,6 +93,15 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
 
 
+def fast_scatter(runs: Sequence[RunFit]) -> dict[str, float]:
+    """White noise of what fits leave, by channel [m, N, N m]; root mean square over the runs."""
+    powers: dict[str, list[float]] = {}
+    for run in runs:
+        for channel, residual in run.residuals.items():
+            powers.setdefault(channel, []).append(white_noise(residual[run.counts]) ** 2)
+    return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
+
+
 def _noise_kept(time: np.ndarray, wanted: np.ndarray) -> float:
     """Share of white noise's power that is left where a recording is read at other times."""
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
