@@ -236,6 +236,7 @@ class TickLoop:
                 before.z,
                 before.vx,
                 before.fx,
+                before.fz,
                 int(said.tuned),
                 late,
                 max(0.0, woken - self._start - self._reading_time),

@@ -25,7 +25,7 @@ from hils.tick import Given, Reaction, begin, react
 
 Reals = NDArray[np.float64]
 
-COMPARED = ("zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "tuned")
+COMPARED = ("zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "fz_sim", "tuned")
 
 
 class Difference(NamedTuple):
@@ -112,10 +112,13 @@ def replay(run: RunLog) -> Replay:
         "z_sim": [each.before.z for each in said],
         "vx_sim": [each.before.vx for each in said],
         "fx_sim": [each.before.fx for each in said],
+        "fz_sim": [each.before.fz for each in said],
         "tuned": [float(each.tuned) for each in said],
     }
+    recorded = {name: getattr(online, name) for name in COMPARED}
+    recorded = {name: values for name, values in recorded.items() if values is not None}
     differences = [
-        *_differences(online.time, {name: getattr(online, name) for name in COMPARED}, found),
+        *_differences(online.time, recorded, found),
         *_command_differences(run, said, online.tick),
     ]
     zeta = np.array(found["zeta"])

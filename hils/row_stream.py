@@ -40,7 +40,7 @@ class OnlineRow(NamedTuple):
     Attributes:
         time: Of the tick, from the run's start [s].
         zeta: In use [-].
-        x_sim, z_sim, vx_sim, fx_sim: Of the simulation [m, m, m/s, N].
+        x_sim, z_sim, vx_sim, fx_sim, fz_sim: Of the simulation [m, m, m/s, N, N].
         tuned: 1 where zeta was changed.
         late: Time over the deadline, 0 where it was met [s].
         age: Of the reading in use [s].
@@ -55,6 +55,7 @@ class OnlineRow(NamedTuple):
     z_sim: float
     vx_sim: float
     fx_sim: float
+    fz_sim: float
     tuned: int
     late: float
     age: float

@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hils.events import Event, TickFlag
-from hils.row_stream import Kind
+from hils.row_stream import Kind, OnlineRow
 
 Rows = NDArray[np.float64]
 
-_FLAGS = 9
-_INTEGERS = {Kind.ONLINE: ((6, 2**8), (9, 2**32), (10, 2**32), (11, 2**32))}
+_FLAGS = OnlineRow._fields.index("flags")
+_SIZES = {"tuned": 2**8, "flags": 2**32, "seq_sent": 2**32, "seq_received": 2**32}
+_INTEGERS = {
+    Kind.ONLINE: tuple((OnlineRow._fields.index(name), size) for name, size in _SIZES.items())
+}
 
 
 class SoundRows:

@@ -17,6 +17,7 @@ from drftjax.arrays import as_real
 from drftjax.command import Command
 from drftjax.errors import InputError
 from drftjax.simulator import Simulator, State
+from drftjax.statics import vertical_support
 from drftjax.tuner import AbstractTuner, Loop, begun, tunable, tuned_tick
 
 Packed = NDArray[np.float64]
@@ -93,7 +94,9 @@ class CompiledStep:
             loop = start(State.at_rest(sinkage, x, angle), zeta)
             nought = jnp.zeros_like(zeta)
             place = loop.state.position
-            told = [nought, zeta, place[0], place[1], nought, nought, nought, nought]
+            # No step is behind it yet; the sand bears it all the same.
+            borne = vertical_support(simulator, sinkage, zeta, angle)
+            told = [nought, zeta, place[0], place[1], nought, nought, borne, nought]
             return pack(loop, jnp.stack(told))
 
         def tick(packed: Float[Array, " packed"], given: Float[Array, " given"]):

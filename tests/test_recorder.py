@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -22,12 +23,13 @@ from drftjax.commands.log import app
 from drftjax.errors import InputError
 from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.layout import UNITS
 from drftjax.runlog.recording_lock import part_path
 from drftjax.runlog.repair import repair
 from drftjax.runlog.seal import seal_holds
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
 from hils.recorder import Recorder
-from hils.row_stream import Kind, RowStream, pack_end, pack_head, row_packer
+from hils.row_stream import Kind, OnlineRow, RowStream, pack_end, pack_head, row_packer
 from hils.sound_rows import SoundRows
 
 
@@ -60,12 +62,13 @@ def test_a_stream_cut_anywhere_gives_the_same_rows():
 
 
 def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
-    tick = np.ones((3, 13))
+    tick = np.ones((3, len(OnlineRow._fields)))
+    flags = OnlineRow._fields.index("flags")
     tick[:, 0] = [0.0, 0.1, 0.2]
-    tick[1, 3], tick[1, 9] = np.inf, TickFlag.FRESH | TickFlag.LATE
+    tick[1, 3], tick[1, flags] = np.inf, TickFlag.FRESH | TickFlag.LATE
     kept, told = SoundRows().sound(Kind.ONLINE, tick)
     assert kept[1, 3] == 0.0
-    assert kept[1, 9] == TickFlag.FRESH | TickFlag.LATE | TickFlag.NOT_FINITE
+    assert kept[1, flags] == TickFlag.FRESH | TickFlag.LATE | TickFlag.NOT_FINITE
     np.testing.assert_array_equal(kept[[0, 2]], tick[[0, 2]])
     assert len(told) == 0
 
@@ -89,6 +92,18 @@ def test_times_that_do_not_increase_move_up_by_the_least_there_is():
     assert events[:, 0].tolist() == [0.5, 0.5]
 
 
+def test_a_tick_has_a_number_for_each_channel_of_the_format():
+    assert OnlineRow._fields == tuple(UNITS["online"])
+
+
+def test_whole_numbers_of_a_tick_are_kept_within_their_types():
+    tick = np.full((1, len(OnlineRow._fields)), 2.0**32 + 300.4)
+    kept, _ = SoundRows().sound(Kind.ONLINE, tick)
+    row = OnlineRow(*kept[0])
+    assert (row.tuned, row.flags, row.seq_sent, row.seq_received) == (44, 300, 300, 300)
+    assert {row.fz_sim, row.late, row.rig_time} == {2.0**32 + 300.4}
+
+
 def test_every_event_and_flag_has_one_number_and_one_word():
     for table in (EVENT_MEANINGS, FLAG_MEANINGS):
         assert len(set(table.values())) == len(table)
@@ -102,6 +117,14 @@ def test_the_page_lists_every_event_and_flag():
         assert f"| {int(each)} | `{each.name.lower()}` |" in page
     for each in TickFlag:
         assert f"| {int(each).bit_length() - 1} | `{str(each.name).lower()}` |" in page
+
+
+def test_the_page_lists_every_channel():
+    page = (Path(__file__).resolve().parents[1] / "docs" / "runlog.md").read_text()
+    outline = page.partition("/command ")[2].partition("source is ")[0]
+    for channels in UNITS.values():
+        for name in channels:
+            assert re.search(rf"\b{name}\b", outline), name
 
 
 # A run -------------------------------------------------------------------------------------------

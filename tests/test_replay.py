@@ -196,13 +196,17 @@ def test_readings_that_were_others_are_noticed_from_their_first_tick_on(log):
     assert all(each.first >= when for each in made.differences)
 
 
-@pytest.mark.parametrize("name", ["zeta", "x_sim", "z_sim", "vx_sim", "fx_sim"])
+@pytest.mark.parametrize("name", ["zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "fz_sim"])
 def test_the_last_bit_of_one_recorded_number_is_noticed(log, name):
     values = getattr(log.online, name).copy()
     values[20] = np.nextafter(values[20], np.inf)
     (found,) = replay(changed(log, **{name: values})).differences
     assert (found.name, found.rows, found.first) == (name, 1, log.online.time[20])
     assert 0 < found.largest < 1e-12
+
+
+def test_a_run_recorded_without_fz_sim_is_replayed(log):
+    assert replay(changed(log, fz_sim=None)).exact
 
 
 def test_a_command_that_was_another_is_noticed(log):

@@ -53,6 +53,7 @@ def example_run(rows: int = 60) -> RunLog:
             z_sim=-0.02 + 0.001 * wave,
             vx_sim=0.07 + wave,
             fx_sim=3 * wave,
+            fz_sim=184.8 + wave,
             tuned=np.arange(ticks.size) % 2,
             late=np.abs(wave) * 1e-4,
             age=0.01 + 0 * wave,
@@ -113,6 +114,23 @@ def test_the_smallest_run_comes_back_as_it_was_written(tmp_path):
     write_run(tmp_path / "run.h5", run)
     assert flattened(read_run(tmp_path / "run.h5")) == flattened(run)
     assert check_files([tmp_path / "run.h5"]) == [[]]
+
+
+def test_a_run_of_the_loop_passes_the_check_with_every_channel(tmp_path):
+    write_run(tmp_path / "run.h5", example_run())
+    assert check_files([tmp_path / "run.h5"]) == [[]]
+
+
+def test_a_run_of_the_loop_recorded_without_fz_sim_is_read_and_written(tmp_path):
+    run = example_run()
+    older = dataclasses.replace(run, online=dataclasses.replace(run.online, fz_sim=None))
+    write_run(tmp_path / "older.h5", older)
+    with h5py.File(tmp_path / "older.h5") as file:
+        assert "fz_sim" not in file["online"]
+    read = read_run(tmp_path / "older.h5")
+    assert read.online.fz_sim is None
+    np.testing.assert_array_equal(read.online.tuned, run.online.tuned)
+    assert check_files([tmp_path / "older.h5"]) == [[]]
 
 
 def test_the_guarded_reader_reads_what_the_plain_one_reads(tmp_path):

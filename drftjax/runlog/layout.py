@@ -38,6 +38,7 @@ UNITS: Final[Mapping[str, Mapping[str, str]]] = {
         "z_sim": "m",
         "vx_sim": "m/s",
         "fx_sim": "N",
+        "fz_sim": "N",
         "tuned": "1",
         "late": "s",
         "age": "s",
@@ -52,7 +53,7 @@ AXES: Final = {"command": "time", "measured": "time", "online": "time", "events"
 OPTIONAL: Final = {
     "command": frozenset({"vx"}),
     "measured": frozenset({"x", "z", "fx", "fz", "torque"}),
-    "online": frozenset[str](),
+    "online": frozenset({"fz_sim"}),  # older programs did not record it
     "events": frozenset[str](),
 }
 MANDATORY_GROUPS: Final = ("command", "measured")

@@ -138,6 +138,7 @@ class Online:
         x_sim, z_sim: Simulated position [m].
         vx_sim: Simulated speed, which drives the carriage [m/s].
         fx_sim: Simulated forward force [N].
+        fz_sim: Simulated upward force [N]; None in a log of an older program.
         tuned: 1 where zeta was changed on this tick.
         late: Time over the deadline, 0 where it was met [s].
         age: Age of the measurement that was used [s].
@@ -157,6 +158,7 @@ class Online:
     z_sim: Reals
     vx_sim: Reals
     fx_sim: Reals
+    fz_sim: Reals | None = field(default=None, kw_only=True)
     tuned: NDArray[np.uint8]
     late: Reals
     age: Reals
