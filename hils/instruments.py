@@ -30,7 +30,7 @@ class Instruments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The rig's scales.
 
     Attributes:
-        z_scale, x_scale: Metres a count.
+        z_scale, x_scale: Metres a count; x is not measured where its scale is 0.
         z_noise, x_noise: Standard deviation of a reading before it is rounded [m].
         omega_noise: Of the angular velocity as measured [rad/s].
     """
@@ -47,8 +47,9 @@ class Instruments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             InputError: says what was given and what must hold.
         """
-        for name in ("z_scale", "x_scale"):
-            require_between(name, getattr(self, name), 1e-9, 1e-2, " m a count")
+        require_between("z_scale", self.z_scale, 1e-9, 1e-2, " m a count")
+        if self.x_scale:
+            require_between("x_scale", self.x_scale, 1e-9, 1e-2, " m a count, or be 0")
         for name in ("z_noise", "x_noise"):
             require_between(name, getattr(self, name), 0.0, 0.1, " m")
         require_between("omega_noise", self.omega_noise, 0.0, 10.0, " rad/s")
@@ -62,7 +63,9 @@ class Instruments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             noise: Three standard normal numbers.
         """
         z = (motion.z - zero[0] + self.z_noise * noise[0]) / self.z_scale
-        x = (motion.x - zero[1] + self.x_noise * noise[1]) / self.x_scale
+        x = 0.0
+        if self.x_scale:
+            x = (motion.x - zero[1] + self.x_noise * noise[1]) / self.x_scale
         omega = motion.omega + self.omega_noise * noise[2]
         return Counts(_counted(z), _counted(x), float(omega))
 

@@ -44,7 +44,7 @@ class Zero(NamedTuple):
 
     Attributes:
         x, z: Counts where the wheel touches the sand.
-        x_scale, z_scale: Metres a count.
+        x_scale, z_scale: Metres a count; x is not measured where its scale is 0.
     """
 
     x: float
@@ -60,6 +60,11 @@ class Zero(NamedTuple):
             (measurement.z - self.z) * self.z_scale,
             measurement.omega,
         )
+
+
+def channels(x_scale: float) -> tuple[str, ...]:
+    """What of /measured a rig with this scale of x gives."""
+    return ("x", "z") if x_scale else ("z",)
 
 
 def longest_silence(tick: float) -> float:
@@ -130,6 +135,7 @@ class TickLoop:
         self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
         self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
         self._zero, self._boot_id = zero, boot_id
+        self._channels = channels(zero.x_scale)
         self._policy, self._valid_ms = overruns, valid_ms
         # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
         ramp = self._loop.commands.omega / self._loop.ramp + LONGEST_REST
@@ -219,7 +225,7 @@ class TickLoop:
             self._command(time, said.held)
         self._command((said.number + 1) * tick, said.demand)
         if reading is not None:
-            rows.measured(reading.time, reading.x, reading.z)
+            rows.measured(reading.time, *(getattr(reading, name) for name in self._channels))
             self._reading_time = reading.time
             self._fresh += 1
         if said.limited:

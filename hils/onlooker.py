@@ -235,7 +235,7 @@ class _SeenRows:
 
     def measured(self, time: float, *values: float) -> None:
         self._rows.measured(time, *values)
-        self._onlooker.measured(values[1])
+        self._onlooker.measured(values[-1])  # x, where it is measured, comes before z
 
     def online(self, row: OnlineRow) -> None:
         self._rows.online(row)

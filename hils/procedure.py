@@ -32,7 +32,7 @@ from hils.clock import AbstractClock
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
 from hils.guard import CommandLimits, require_profile
 from hils.link import AbstractLink, LinkLost, LinkQuality
-from hils.loop import LoopReport, Overruns, TickLoop, Zero
+from hils.loop import LoopReport, Overruns, TickLoop, Zero, channels
 from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
@@ -417,7 +417,7 @@ def _head(procedure: Procedure, loop: LoopSetUp, start: Start, ack: HelloAck) ->
         setup=believed(loop.setup, start.sinkage, start.zeta),
         source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=procedure.title or loop.setup.title,
-        channels=("x", "z"),
+        channels=channels(ack.x_scale),
         driven=not procedure.free,
         online=None if procedure.free else online,
         event_meanings=EVENT_MEANINGS,

@@ -128,9 +128,11 @@ def replay(run: RunLog) -> Replay:
 def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:
     """Each recorded tick's number, and what the loop was given on it but for skipped ticks."""
     measured = run.measured
-    if measured.x is None or measured.z is None:
-        raise InputError("the run has no /measured/x or /measured/z, which the loop was given")
-    readings = zip(measured.time.tolist(), measured.x.tolist(), measured.z.tolist(), strict=True)
+    if measured.z is None:
+        raise InputError("the run has no /measured/z, which the loop was given")
+    # x decides nothing, and a rig need not measure it.
+    x = np.zeros_like(measured.z) if measured.x is None else measured.x
+    readings = zip(measured.time.tolist(), x.tolist(), measured.z.tolist(), strict=True)
     for time, flags in zip(online.time.tolist(), online.flags.tolist(), strict=True):
         number = round(time / online.tick)
         if time != number * online.tick:

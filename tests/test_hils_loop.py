@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 
 from drftjax.errors import InputError
+from drftjax.runlog.check import check_file
+from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.head import Head
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
 from hils.guard import CommandLimits, Reading
+from hils.instruments import Instruments
 from hils.link import Arrival, SoftLink
 from hils.loop import Overruns
 from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
 from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport, ZeroAt, run, shared_physics
+from hils.recorder import Recorder
+from hils.replay import replay
 from hils.rows import KeptRows
+from hils.run_figure import plot_hils
 from hils.scene import Phase
 from hils.simulated import QUICK, SoftRig, soft_rig
 from hils.simulated import shared_physics as rig_physics
@@ -111,12 +117,13 @@ def make(
     cue=None,
     at: float = 0.0,
     late: float = 0.0,
-    rows: KeptRows | None = None,
+    rows: KeptRows | Recorder | None = None,
     link: type[LoggedLink] = LoggedLink,
+    scales: Instruments | None = None,
     **procedure,
 ) -> Made:
     """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
-    setup = VirtualSetUp(physics=QUICK)
+    setup = VirtualSetUp(physics=QUICK, instruments=scales or Instruments())
     clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
     line = link(rig, clock)
@@ -247,6 +254,21 @@ def test_free_carriage_is_recorded_and_nothing_is_simulated():
     assert made.report.loop.fresh > 0.9 * made.report.loop.ticks
     assert len(made.report.loop.error) == 0
     assert resting(made)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_x_that_the_rig_does_not_measure_is_absent_from_the_log(tmp_path, free):
+    path, scales = tmp_path / "run.h5", Instruments(x_scale=0.0)
+    made = make(rows=Recorder(path), scales=scales, free=free)
+    assert made.report.completed
+    assert made.report.rested
+    log = read_run(path)
+    assert list(log.measured.channels()) == ["z"]
+    assert check_file(path) == []
+    plot_hils(log)
+    if not free:
+        np.testing.assert_allclose(log.measured.z[-1], log.online.z_sim[-1], atol=CLOSE)
+        assert replay(log).exact
 
 
 # Ends --------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.guard import CommandLimits
+from hils.instruments import Instruments
 from hils.loop_setup import LoopSetUp, TunerSetUp
 from hils.onlooker import Onlooker, Seen
 from hils.operator_dialogue import AbstractDialogue
@@ -51,7 +52,7 @@ class Told(AbstractDialogue):
 
 
 @functools.cache
-def looked_on(free: bool = False):
+def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
     """A run, the scenes that were told of it with their times, and the dialogue behind the view."""
     setup = SetUp(
         command=PROFILE,
@@ -61,7 +62,8 @@ def looked_on(free: bool = False):
     loop = LoopSetUp(
         setup=setup, commands=CommandLimits(2.0, 0.3), tuner=TunerSetUp("step"), tick=TICK
     )
-    soft = soft_rig(setup=VirtualSetUp(physics=QUICK))
+    scales = Instruments(x_scale=x_scale)
+    soft = soft_rig(setup=VirtualSetUp(physics=QUICK, instruments=scales))
     kept, told, scenes, stop = KeptRows(), Told(), [], StopRequest()
     onlooker = Onlooker(
         Seen("a run", "/dev/rig", "run.h5", 3.0, RADIUS),
@@ -140,6 +142,11 @@ def test_measured_sinkage_is_shown_while_the_wheel_settles_and_the_countdown_goe
     first = counting[0][0]
     for when, scene in counting:
         assert scene.time == pytest.approx(when - first - 0.4)
+
+
+def test_measured_sinkage_is_shown_where_x_is_not_measured():
+    kept, scenes, _, _ = looked_on(x_scale=0.0)
+    assert -scenes[-1][1].real in kept.run().measured.z
 
 
 def test_free_run_shows_the_measured_sinkage_alone():
