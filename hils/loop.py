@@ -85,7 +85,7 @@ class LoopReport(NamedTuple):
         refused: Readings refused.
         error: Measured minus simulated sinkage where there was a reading [m].
         busy: From waking to the command being away, each tick [s].
-        woken: From the tick's due time to waking [s].
+        woken: From the due time of the tick, or of the first one skipped before it, to waking [s].
         last: The simulation at the end.
     """
 
@@ -177,14 +177,15 @@ class TickLoop:
 
     def _one(self, state: LoopState) -> LoopState:
         clock, tick, start = self._clock, self._tick, self._start
-        clock.sleep_until(start + state.number * tick)
+        due = start + state.number * tick
+        clock.sleep_until(due)
         woken = clock.now()
         number = state.number
         while woken >= start + (number + 1) * tick:
             number += 1
         skipped = number - state.number
         if skipped:
-            self._overrun(woken - (start + (state.number + 1) * tick), skipped)
+            self._overrun(woken - (due + tick), skipped)
         self._look_at_requests()
         arrival, reading = self._look_at_rig(woken)
         ramping = self._ramps(number)
@@ -196,14 +197,16 @@ class TickLoop:
             raise _Over(f"the simulation asks for {asked}, which the limits refuse")
         seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
         sent = clock.now()
-        late = max(0.0, sent - (start + (number + 1) * tick))
-        if late:
-            self._overrun(late, 0)
+        over = sent - (start + (number + 1) * tick)
+        if over > 0.0:
+            self._overrun(over, 0)
+        # A tick that was skipped had its deadline too.
+        late = max(0.0, sent - (due + tick) if skipped else over)
         self._record(said, reading, arrival, woken, late, seq, skipped, ramping)
         self._look_at_readings(state, said, reading)
         if self._ticks < len(self._busy):
             self._busy[self._ticks] = sent - woken
-            self._woken[self._ticks] = woken - (start + number * tick)
+            self._woken[self._ticks] = woken - due
         self._ticks += 1
         return state
 

@@ -42,7 +42,8 @@ class OnlineRow(NamedTuple):
         zeta: In use [-].
         x_sim, z_sim, vx_sim, fx_sim, fz_sim: Of the simulation [m, m, m/s, N, N].
         tuned: 1 where zeta was changed.
-        late: Time over the deadline, 0 where it was met [s].
+        late: Time over the deadline, the tick's or that of the first one skipped before it; 0 where
+            it was met [s].
         age: Of the reading in use [s].
         flags: As `hils.events.TickFlag`.
         seq_sent, seq_received: Sequence numbers on the wire.

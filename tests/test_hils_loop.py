@@ -448,6 +448,12 @@ def test_ticks_that_were_slept_through_are_simulated_and_counted():
     assert sorted(gaps)[-2:] == [1, 4]
     after = made.rows.ticks[int(np.argmax(gaps)) + 1]
     assert int(after.flags) & TickFlag.SKIPPED
+    # Late is counted from the first tick that was slept through, not from the last.
+    assert int(after.flags) & TickFlag.LATE
+    assert after.late == pytest.approx(0.0345 - TICK, abs=1e-9)
+    assert made.report.loop.woken.max() == pytest.approx(0.0345, abs=1e-9)
+    assert made.events(Event.OVERRUN) == pytest.approx([0.0345 - TICK], abs=1e-9)
+    assert [row.late for row in made.rows.ticks if row is not after] == [0.0] * (TICKS - 4)
     check_replay(made.rows)
 
 

@@ -140,7 +140,8 @@ class Online:
         fx_sim: Simulated forward force [N].
         fz_sim: Simulated upward force [N]; None in a log of an older program.
         tuned: 1 where zeta was changed on this tick.
-        late: Time over the deadline, 0 where it was met [s].
+        late: Time over the deadline, the tick's or that of the first one skipped before it; 0 where
+            it was met [s].
         age: Age of the measurement that was used [s].
         flags: Bits of what happened on this tick.
         seq_sent, seq_received: Sequence numbers on the wire.
