@@ -2,9 +2,10 @@
 
 The recorder is a process of its own that does nothing else (`hils.recorder_process`). The pipe
 is the queue between the two: it is bounded, it outlives a killed host, and a row in it costs the
-loop about a microsecond, without a thread. A pipe that is full, or whose reader is gone, means
-that the recorder is lost: `alive` is false from then on and rows are dropped, so that the loop
-can bring the rig to rest.
+loop about a microsecond, without a thread. A pipe that is full, or that nobody reads from any
+more, means that the recorder is lost: `alive` is false from then on, so that the loop can bring the
+rig to rest. Rows go on into a pipe that has room, for a recorder that comes to itself; else they
+are dropped.
 """
 
 import fcntl
@@ -13,6 +14,7 @@ import selectors
 import signal
 import subprocess
 import sys
+import termios
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -27,8 +29,13 @@ from drftjax.runlog.recording_lock import part_path, require_free
 from hils.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
 PIPE_BYTES: Final = 2**20
-"""What the pipe holds, where the system allows it: 4 s of a run at 1 kHz. A recorder that took
-nothing for so long counts as lost."""
+"""What the pipe holds, where the system allows it: 6 s of a run at 1 kHz."""
+LOOK_EVERY: Final = 0.25
+"""From one look at what the pipe holds to the next [s]."""
+MOST_LOOKS: Final = 16
+"""A recorder that took nothing from one look to the next, so many times in a row, counts as lost.
+Looks are counted, not seconds: a computer that was asleep is no recorder that hangs. Nor is a slow
+disk: the recorder syncs in a thread, and reads meanwhile."""
 HEAD_RESERVE: Final = 2**12
 """Of the pipe, for what the head's numbers may be longer in the end, and the first rows [bytes]."""
 START_LIMIT: Final = 30.0
@@ -41,6 +48,13 @@ _START: Final = (
     f"import sys; sys.path.append({_ROOT!r}); from hils.recorder_process import main; main()"
 )
 _UNASKED: Final = "ended unasked"
+
+
+def _waiting(pipe: int) -> int:
+    """Bytes that nobody has taken from the pipe yet; 0 where the system does not tell."""
+    with suppress(OSError):
+        return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
+    return 0
 
 
 class Recorder:
@@ -62,7 +76,9 @@ class Recorder:
         """
         self.path = Path(path)
         self._lost: str | None = None
-        self._begun = self._full = self._closed = False
+        self._begun = self._full = self._hangs = self._closed = False
+        self._written = self._taken = self._looks = 0
+        self._look_at = 0.0
         self._answers = b""
         self._command: Struct
         self._measured: Struct
@@ -177,7 +193,7 @@ class Recorder:
         deadline = time.monotonic() + CLOSE_LIMIT
         try:
             # An end before the head would be taken for the head's length.
-            if self._begun and (self._lost is None or self._full):
+            if self._begun and (self._lost is None or self._full or self._hangs):
                 self._deliver(pack_end(end_reason), deadline)
             self._let_go_of_pipe()
             self._await("closed", max(0.0, deadline - time.monotonic()))
@@ -188,19 +204,35 @@ class Recorder:
         return self.path if self.path.exists() else None
 
     def _put(self, row: bytes) -> None:
-        if self._lost is not None or self._closed:
+        if self._closed or self._full or (self._lost is not None and not self._hangs):
             return
         try:
-            if os.write(self._pipe, row) < len(row):  # only a head is longer than PIPE_BUF
+            written = os.write(self._pipe, row)
+            self._written += written
+            if written < len(row):  # only a head is longer than PIPE_BUF
                 self._lost = f"was given a head of {len(row)} bytes, more than its pipe could take"
+            elif self._lost is None and (now := time.monotonic()) >= self._look_at:
+                self._look_at = now + LOOK_EVERY
+                self._look()
         except BlockingIOError:
             self._full = True
-            self._lost = "took no rows for so long that the pipe to it is full"
+            self._lost = self._lost or "took no rows for so long that the pipe to it is full"
         except OSError:
+            self._hangs = False
             self._lost = _UNASKED
             while (said := self._answer(0.0)) is not None:  # what it has said already
                 if said[0] == "failed":
                     self._lost = said[1]
+
+    def _look(self) -> None:
+        """Whether the recorder still takes what it is given."""
+        waiting = _waiting(self._pipe)
+        taken = self._written - waiting
+        self._looks = self._looks + 1 if waiting and taken == self._taken else 0
+        self._taken = taken
+        if self._looks >= MOST_LOOKS:
+            self._hangs = True
+            self._lost = f"took no rows for {MOST_LOOKS * LOOK_EVERY:g} s"
 
     def _deliver(self, data: bytes, deadline: float) -> None:
         """Write all of it, waiting for room; a pipe without a reader is left to `_await`."""

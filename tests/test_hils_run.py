@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_host import committed
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, survey_run
@@ -180,6 +181,38 @@ def test_stop_from_another_terminal(bench, drft, tmp_path, option, reason, state
     assert bench.ends(run) == 1, bench.said()
     assert bench.log().end_reason == reason
     bench.rig_says(state)
+
+
+def recorder_of(run: subprocess.Popen) -> int:
+    """The process that records it."""
+    lists = Path(f"/proc/{run.pid}/task").glob("*/children")
+    children = [int(each) for text in lists for each in text.read_text().split()]
+    (found,) = (
+        each for each in children if b"recorder" in Path(f"/proc/{each}/cmdline").read_bytes()
+    )
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the recorder is found by /proc")
+def test_recorder_that_hangs_brings_the_rig_to_rest(bench, tmp_path):
+    run = bench.running(tmp_path, profile=PROFILE.replace("2.0, 3.0]", "99.0, 100.0]"))
+    recorder = recorder_of(run)
+    os.kill(recorder, signal.SIGSTOP)
+    try:
+        bench.rig_says("IDLE (bye")
+        assert run.poll() is None  # it waits for the file
+        kept = committed(tmp_path / "run.h5.part")
+    finally:
+        os.kill(recorder, signal.SIGCONT)
+    assert bench.ends(run) == 2, bench.said()
+    assert "Ended early: the recorder took no rows for 4 s." in bench.said()
+    assert "took no rows for 4 s; the rows until then are in" in bench.said()
+    log = bench.log()
+    assert log.end_reason == "the recorder took no rows for 4 s"
+    assert log.online.time.size > kept > 0
+    assert log.command.time[-1] < 50.0
+    assert log.command.omega[-1] == 0.0
+    assert np.abs(np.diff(log.command.omega)).max() < 1.01 * TICK  # 1 rad/s2
 
 
 def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):

@@ -131,6 +131,67 @@ def test_a_recorder_that_hangs_never_holds_the_loop_up(path):
     assert run.end_reason == "the recorder was lost"
 
 
+def hand_over_slowly(recorder: Recorder, number: int, seconds: float) -> int:
+    """At 100 Hz, while the recorder lives; the next tick."""
+    end = time.monotonic() + seconds
+    while recorder.alive and time.monotonic() < end:
+        hand_over(recorder, number)
+        number += 1
+        time.sleep(0.01)
+    return number
+
+
+def test_a_recorder_that_hangs_is_noticed_though_its_pipe_has_room(path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.05)
+    recorder = recorded(path, 100)
+    await_outcome(lambda: committed(part_path(path)) == 100)
+    os.kill(recorder.pid, signal.SIGSTOP)
+    number = hand_over_slowly(recorder, 100, DEADLINE)
+    assert recorder.reason == "took no rows for 0.8 s"
+    assert number < 1000  # of 6000 that the pipe holds
+    for each in range(number, number + 50):  # the wheel ramps down
+        hand_over(recorder, each)
+    os.kill(recorder.pid, signal.SIGCONT)
+    with pytest.raises(InputError, match=f"took no rows for 0.8 s; the rows .* in {path}"):
+        recorder.close("the recorder was lost")
+    run = read_run(path)
+    assert run.online.time.size == number + 50
+    assert wrong_rows(run) == 0
+    assert run.end_reason == "the recorder was lost"
+
+
+SLOW_DISK = """
+import time
+from drftjax.runlog.hdf5.recording import Recording
+Recording.sync = lambda recording: time.sleep(3)
+"""
+
+
+def test_a_slow_disk_is_no_recorder_that_hangs(path, monkeypatch):
+    start = recorder_module._START.replace("from hils", f"exec({SLOW_DISK!r}); from hils")
+    monkeypatch.setattr(recorder_module, "_START", start)
+    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.1)
+    recorder = Recorder(path, example_head())
+    number = hand_over_slowly(recorder, 0, 3.5)
+    assert recorder.alive
+    recorder.close("completed")
+    assert read_run(path).online.time.size == number
+
+
+def test_a_computer_that_was_asleep_is_no_recorder_that_hangs(path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.05)
+    recorder = recorded(path, 100)
+    await_outcome(lambda: committed(part_path(path)) == 100)
+    os.kill(recorder.pid, signal.SIGSTOP)
+    for number in (100, 101):
+        hand_over(recorder, number)
+        time.sleep(1.5)
+    assert recorder.alive
+    os.kill(recorder.pid, signal.SIGCONT)
+    recorder.close("completed")
+    assert read_run(path).online.time.size == 102
+
+
 def test_a_head_longer_than_the_pipe_is_refused_beforehand_and_told_as_such(path, monkeypatch):
     monkeypatch.setattr("hils.recorder.PIPE_BYTES", 2**16)
     recorder, head = Recorder(path), example_head(notes="a profile of many knots" * 10_000)
