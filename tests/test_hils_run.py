@@ -21,6 +21,7 @@ from recording_host import committed
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run, survey_run
 from drftjax.runlog.record import RunLog
+from hils.commands import stop
 from hils.under_way import UnderWay, alive, announced, runs_under_way
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
@@ -286,6 +287,22 @@ def base(monkeypatch, tmp_path) -> Path:
 
 def test_stop_without_a_run_says_so(drft, base):
     assert "no run of this user's is under way" in drft("hils", "stop").refusal
+
+
+def test_stop_speaks_of_the_emergency_stop_while_the_file_is_closed_and_waits_on(
+    drft, base, monkeypatch
+):
+    monkeypatch.setattr("hils.under_way.tell", lambda run, kind: None)
+    # `hils.commands.stop` is the command itself, not its module.
+    monkeypatch.setattr(sys.modules[stop.__module__], "LONGEST_RAMP", 0.1)
+    monkeypatch.setattr("hils.recorder.CLOSE_LIMIT", 0.3)
+    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+        answer = drft("hils", "stop")
+    first, second = answer.err.splitlines()
+    assert "has not ended in 0.1 s; its file may be being closed. Where the rig" in first
+    assert second.startswith("drft: the run on /dev/ttyUSB0 ")
+    assert "has not ended in 0.4 s; use the rig's emergency stop" in second
+    assert answer.code == 2
 
 
 def test_runs_are_found_while_they_last_and_not_after(monkeypatch, base):
