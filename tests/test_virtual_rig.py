@@ -391,6 +391,7 @@ def test_example_file_is_a_rig_whose_sand_loosens():
     ("text", "words"),
     [
         ("[instruments]\nz_scale = 0", ["z_scale is 0", "m a count"]),
+        ("[instruments]\nx_scale = -1", ["x_scale is -1", "or be 0"]),
         ("[physics]\nstep = 1", ["physics step is 1"]),
         ("[limits]\nomega_max = -1", ["omega_max is -1"]),
         ("[bed]\nscater = 0.1", ["'scater'", "scatter"]),
