@@ -10,9 +10,19 @@ from drftjax.errors import InputError
 from hils.clock import AbstractClock, VirtualClock
 from hils.outbox import Outbox
 from hils.receiver import Receiver
-from hils.wire import FROM_RIG, Drop, Frame, HelloAck, Measurement, Message, StateReport
+from hils.wire import (
+    FROM_RIG,
+    Drop,
+    EmergencyStop,
+    Frame,
+    HelloAck,
+    Measurement,
+    Message,
+    StateReport,
+)
 
-# More than a rig says in a session; a rig that babbles loses its oldest words.
+# More than a rig says in a session; a rig that babbles loses its oldest words, but no emergency
+# stop: a question to the operator may stay open for long.
 MOST_REPORTS = 256
 # How finely a soft link looks for an answer [s].
 GRAIN = 1e-3
@@ -44,6 +54,7 @@ class LinkQuality(msgspec.Struct, frozen=True):
         replaced: Commands that a newer one replaced before they were sent.
         drops: What was received and did not count, by cause.
         stranger: The last state that came intact from another session or out of order.
+        halted: The last emergency stop that came so.
     """
 
     time: float
@@ -54,6 +65,7 @@ class LinkQuality(msgspec.Struct, frozen=True):
     replaced: int
     drops: dict[Drop, int]
     stranger: HelloAck | StateReport | None
+    halted: EmergencyStop | None
 
     @property
     def dropped(self) -> int:
@@ -128,7 +140,7 @@ class Inbox:
     def __init__(self):
         self._receiver = Receiver(FROM_RIG)
         self._newest: Arrival | None = None
-        self._reports: deque[Arrival] = deque(maxlen=MOST_REPORTS)
+        self._reports: deque[Arrival] = deque()
         self._news = False
         self.bytes_received = 0
 
@@ -151,7 +163,7 @@ class Inbox:
             if isinstance(frame.message, Measurement):
                 self._newest = arrival
             else:
-                self._reports.append(arrival)
+                self._keep(arrival)
         self._news = self._news or bool(frames)
         return bool(frames)
 
@@ -172,6 +184,13 @@ class Inbox:
         news, self._news = self._news, False
         return news
 
+    def _keep(self, arrival: Arrival) -> None:
+        self._reports.append(arrival)
+        if len(self._reports) <= MOST_REPORTS:
+            return
+        stops = [isinstance(each.frame.message, EmergencyStop) for each in self._reports]
+        del self._reports[0 if all(stops) else stops.index(False)]
+
 
 def quality_of(time: float, inbox: Inbox, outbox: Outbox) -> LinkQuality:
     """The counts of a link's two ends."""
@@ -185,6 +204,7 @@ def quality_of(time: float, inbox: Inbox, outbox: Outbox) -> LinkQuality:
         outbox.replaced,
         receiver.drops,
         receiver.stranger,
+        receiver.halted,
     )
 
 

@@ -40,11 +40,11 @@ from hils.recorder import CLOSE_LIMIT
 from hils.rest import Rest
 from hils.rows import Rows
 from hils.scene import Phase
-from hils.session import RigStopped, Session
+from hils.session import STOPPED, RigStopped, Session
 from hils.standing import Ended, Settled, Standing, touch_down
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
-from hils.wire import VIRTUAL_RIG, Hello, HelloAck
+from hils.wire import VIRTUAL_RIG, Hello, HelloAck, RigState
 
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
@@ -224,6 +224,8 @@ def _run(
     ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)), PATIENCE)
     log.event(Event.CONNECTED, ack.boot_id)
     try:
+        if ack.state in STOPPED:
+            dialogue.tell(_stopped_before(ack.state))
         loop = _within(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
         rows.require_room(_head(procedure, loop, expected, ack))
@@ -233,11 +235,12 @@ def _run(
             conduct.warm(expected)
         if procedure.zero is ZeroAt.HELD:
             dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
-        zero = touch_down(link, clock, ack)
+        zero = touch_down(session, link, clock, ack)
         if procedure.zero is ZeroAt.POWER_UP:
             zero = zero._replace(z=0.0)
         log.event(Event.TOUCHED_DOWN, zero.z)
         dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
+        session.require_unhalted()
         before_motion()
     except BaseException:
         with suppress(LinkLost):
@@ -327,6 +330,12 @@ def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue
 
 
 # Before ARM ---------------------------------------------------------------------------------------
+
+
+def _stopped_before(state: RigState) -> str:
+    if state is RigState.FAULT:
+        return "The rig says FAULT: it cannot be armed until that is mended."
+    return "The rig was SAFE before this run; ARM lets it move again."
 
 
 def _within(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:

@@ -6,6 +6,7 @@ from hils.wire import (
     DELIMITER,
     LONGEST_PACKET,
     Drop,
+    EmergencyStop,
     Frame,
     HelloAck,
     StateReport,
@@ -45,6 +46,7 @@ class Receiver:
         counted: Frames that counted.
         stranger: The last state that came intact but did not count, of another session or out of
             order: a rig that was reset says so in one.
+        halted: The last emergency stop that came so.
     """
 
     def __init__(self, accepts: tuple[type, ...]):
@@ -55,10 +57,12 @@ class Receiver:
         self._drops: Counter[Drop] = Counter()
         self.counted = 0
         self.stranger: HelloAck | StateReport | None = None
+        self.halted: EmergencyStop | None = None
 
     def expect(self, session: int) -> None:
         """From here on only frames of this session count, starting at any sequence number."""
-        self._session, self._last, self.stranger = session, None, None
+        self._session, self._last = session, None
+        self.stranger, self.halted = None, None
 
     def feed(self, data: bytes) -> list[Frame]:
         """The frames that count among what these bytes complete."""
@@ -90,4 +94,6 @@ class Receiver:
         self._drops[cause] += 1
         if isinstance(found, Frame) and isinstance(found.message, HelloAck | StateReport):
             self.stranger = found.message
+        if isinstance(found, Frame) and isinstance(found.message, EmergencyStop):
+            self.halted = found.message
         return None

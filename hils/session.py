@@ -59,6 +59,7 @@ class Session:
         self._ack: HelloAck | None = None
         self._armed_by: Arrival | None = None
         self._said: StateReport | None = None
+        self._halted: EmergencyStop | None = None
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
         """Open a session: HELLO up to five times, 50 ms apart.
@@ -72,6 +73,7 @@ class Session:
             InputError: nothing answers, or what answers cannot be driven safely.
             LinkLost: the line broke.
         """
+        self._halted = None
         until = self._clock.now() + patience
         before = self._link.quality()
         while True:
@@ -98,20 +100,45 @@ class Session:
             hold: The command at rest.
 
         Raises:
-            InputError: the rig does not get ready.
+            InputError: the rig does not get ready, or made an emergency stop since HELLO.
             LinkLost: the line broke.
         """
         hello, ack = self._require_open()
         for greeting in (False, True):
-            if greeting and self.connect(hello).boot_id != ack.boot_id:
-                raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
+            self.require_unhalted()
+            if greeting:
+                self._greet_anew(hello, ack)
             self._said = None
             self._armed_by = self._ask(Arm(), _says_ready, hold, hello.tick_us * 1e-6)
+            self.require_unhalted()
             if self._armed_by is not None:
                 return
             if self._said is None or self._said.state is RigState.FAULT:
                 break
         raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+
+    def require_unhalted(self) -> None:
+        """Refuse to go on with a rig that made an emergency stop of its own since HELLO.
+
+        It is answered by one of the same reason. A HELLO would let the rig move again, so whoever
+        makes a new session must ask this before.
+
+        Raises:
+            InputError: the rig made one.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        self._reports()
+        if self._halted is None:
+            return
+        halted, self._armed_by = self._halted, None
+        self.emergency_stop(halted.reason)
+        if self._said is not None and self._said.state is RigState.FAULT:
+            raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+        raise InputError(
+            f"the rig on {self._link.name} made an emergency stop, "
+            f"{told(ack.rig_id, halted.reason)}: release it and start again"
+        )
 
     def check(self) -> list[Arrival]:
         """What the rig reported since the last call; once armed, refuse if it is no longer.
@@ -162,6 +189,13 @@ class Session:
         self._await(lambda each: isinstance(each.frame.message, StateReport), now, now + GAP)
         self._armed_by = None
 
+    def _greet_anew(self, hello: Hello, ack: HelloAck) -> None:
+        if self.connect(hello).boot_id != ack.boot_id:
+            raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
+        # What it said before it heard this HELLO has come before its answer.
+        self._halted = self._halted or self._link.quality().halted
+        self.require_unhalted()
+
     def _require_open(self) -> tuple[Hello, HelloAck]:
         if self._hello is None or self._ack is None:
             raise InputError(f"no session is open with the rig on {self._link.name}")
@@ -198,15 +232,15 @@ class Session:
                 until = min(deadline, now + tick)
                 if (answer := self._await(answers, start, until)) is not None:
                     return answer
+                if self._halted is not None and isinstance(message, Arm):
+                    return None
         return None
 
     def _await(
         self, answers: Callable[[Arrival], bool], since: float, deadline: float
     ) -> Arrival | None:
         while True:
-            for each in self._link.reports():
-                if isinstance(each.frame.message, StateReport):
-                    self._said = each.frame.message
+            for each in self._reports():
                 if each.time >= since and answers(each):
                     return each
             newest = self._link.newest()
@@ -214,6 +248,17 @@ class Session:
                 return newest
             if not self._link.wait(deadline):
                 return None
+
+    def _reports(self) -> list[Arrival]:
+        """What the rig reported since the last call, all of it noted."""
+        reports = self._link.reports()
+        for each in reports:
+            message = each.frame.message
+            if isinstance(message, StateReport):
+                self._said = message
+            if isinstance(message, EmergencyStop):
+                self._halted = message
+        return reports
 
 
 def _state(arrival: Arrival) -> RigState | None:

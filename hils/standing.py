@@ -48,17 +48,18 @@ class Settled(NamedTuple):
     creep: float
 
 
-def touch_down(link: AbstractLink, clock: AbstractClock, ack: HelloAck) -> Zero:
+def touch_down(session: Session, link: AbstractLink, clock: AbstractClock, ack: HelloAck) -> Zero:
     """The counts of a wheel that is held where it just touches the sand.
 
     Raises:
-        InputError: where the rig does not measure, or the wheel is not held still.
+        InputError: where the rig does not measure or has stopped, or the wheel is not held still.
     """
     heights, places = [], []
     deadline = clock.now() + TOUCH_DOWN_TIME
     last = _time_of(link.newest())
     while clock.now() < deadline:
         link.wait(deadline)
+        session.require_unhalted()
         arrival = link.newest()
         if arrival is None or _time_of(arrival) == last:
             continue

@@ -32,7 +32,8 @@ from hils.stop_request import StopRequest, Wish
 from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import Bye, Drive, EmergencyStop, Frame, RigState, Stop
+from hils.wire import Bye, Drive, EmergencyStop, Frame, Hello, RigState, Stop
+from tests.test_session import Buttons
 
 TICK = 0.01
 # Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
@@ -480,6 +481,48 @@ def test_scale_that_was_zeroed_before_need_not_be_zeroed_again():
 
 
 # What is refused before anything moves -----------------------------------------------------------
+
+
+class Pressing(Unattended):
+    """An operator who presses the rig's own emergency stop while asked for something else."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
+        super().__init__(quiet=True)
+        self._rig, self._clock, self._question = rig, clock, question
+
+    def confirm(self, text):
+        if self._question in text:
+            self._rig.press(12, self._clock.now())
+            self._clock.sleep_until(self._clock.now() + 10.0)
+
+
+@pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down", "none: held"])
+def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(question):
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    Cue(clock, START + 0.2 if "none" in question else math.inf, lambda: rig.press(12, clock.now()))
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
+        run(given, link, clock, rows, Pressing(rig, clock, question), StopRequest())
+    assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
+    assert rig.protocol.state is RigState.SAFE
+    assert "emergency stop" in rows.end_reason
+
+
+def test_rig_that_is_safe_from_before_is_told_of_and_driven():
+    told = []
+
+    class Listener(Unattended):
+        def tell(self, text):
+            told.append(text)
+
+    soft, given = soft_rig(), Procedure(loop=loop_setup(), countdown=0.3)
+    soft.link.begin(7)
+    for message in (Hello(10_000, 50), EmergencyStop(1)):
+        soft.link.send(message)
+    run(given, soft.link, soft.clock, rows := KeptRows(), Listener(quiet=True), StopRequest())
+    assert rows.end_reason == "completed"
+    assert told[0] == "The rig was SAFE before this run; ARM lets it move again."
 
 
 def refused(**changes) -> str:

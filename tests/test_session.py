@@ -12,11 +12,12 @@ import pytest
 
 from drftjax.errors import InputError
 from hils.clock import VirtualClock
-from hils.link import LinkLost, SoftLink
+from hils.link import MOST_REPORTS, LinkLost, SoftLink
 from hils.rig_protocol import MEANINGS, Reason, RigIdentity, RigProtocol
 from hils.session import GAP, TRIES, RigStopped, Session, new_session
 from hils.wire import (
     VIRTUAL_RIG,
+    Arm,
     Drive,
     EmergencyStop,
     Frame,
@@ -24,6 +25,7 @@ from hils.wire import (
     RigState,
     StateReport,
     encode,
+    wire_bytes,
 )
 
 HELLO = Hello(10_000, 50)
@@ -133,6 +135,12 @@ class Table:
         self.rig, self.clock = rig, VirtualClock()
         self.link = SoftLink(rig, self.clock, "port 1")
         self.session = Session(self.link, self.clock)
+
+    def heard(self) -> list:
+        """What the host says from here on."""
+        said, send = [], self.link.send
+        self.link.send = lambda message: (said.append(message), send(message))[1]
+        return said
 
     def ready(self) -> "Table":
         self.session.connect(HELLO)
@@ -342,11 +350,77 @@ def test_a_rigs_emergency_stop_is_told_and_answered():
     table = Table(Buttons()).ready()
     table.drive(0.1)
     table.rig.press(12, table.clock.now())
-    said, send = [], table.link.send
-    table.link.send = lambda message: (said.append(message), send(message))[1]
+    said = table.heard()
     with pytest.raises(RigStopped, match="emergency stop, reason 12"):
         table.drive(0.5)
     assert said[-1] == EmergencyStop(12)
+
+
+RELEASE = r"made an emergency stop, reason 12 \(see its firmware\): release it and start again"
+
+
+def test_a_rig_that_made_an_emergency_stop_since_hello_is_answered_and_not_armed():
+    table = Table(Buttons())
+    table.session.connect(HELLO)
+    table.clock.sleep_until(0.2)
+    table.rig.press(12, 0.2)
+    table.clock.sleep_until(60.0)  # a question to the operator is open
+    said = table.heard()
+    for _ in range(2):  # it stays so
+        with pytest.raises(InputError, match=RELEASE):
+            table.session.arm(HOLD)
+    assert set(said) == {EmergencyStop(12)}
+    assert table.rig.protocol.state is RigState.SAFE
+
+
+class PressedBy(Buttons):
+    """The button is pressed as a message of the host's is on its way."""
+
+    def __init__(self, message: type):
+        super().__init__()
+        self.message, self.left = message, 1
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        if self.left and len(data) == wire_bytes(self.message):
+            self.left -= 1
+            if not self.left:
+                self.press(12, now)
+        return super().advance(now, data)
+
+
+def test_an_emergency_stop_while_the_rig_is_being_armed_is_answered_and_ends_that():
+    table = Table(PressedBy(Arm))
+    table.session.connect(HELLO)
+    said = table.heard()
+    with pytest.raises(InputError, match=RELEASE):
+        table.session.arm(HOLD)
+    assert [each for each in said if not isinstance(each, Drive)] == [Arm(), EmergencyStop(12)]
+    assert table.rig.protocol.state is RigState.SAFE
+
+
+def test_an_emergency_stop_on_its_way_when_the_rig_is_greeted_anew_is_not_unlatched():
+    table = Table(PressedBy(Hello))
+    table.session.connect(HELLO)  # the button is pressed before it: that is over with HELLO
+    table.session.require_unhalted()
+    table.rig.left = 1  # and once more, before the next
+    table.rig.protocol.emergency_stop(3, 0.0)  # SAFE; the words of it are lost
+    table.rig.protocol.advance(10.0, b"")
+    with pytest.raises(InputError, match=RELEASE):
+        table.session.arm(HOLD)
+    assert table.rig.protocol.state is RigState.SAFE
+
+
+def test_an_emergency_stop_is_not_lost_among_many_other_words():
+    table = Table(rig := OtherRig())
+    table.session.connect(HELLO)
+    rig.say(7, struct.pack("<H", 12))
+    for _ in range(3 * MOST_REPORTS):
+        rig.report(0)
+    table.clock.sleep_until(60.0)
+    with pytest.raises(InputError, match=RELEASE):
+        table.session.require_unhalted()
+    assert rig.said[-1] == 7
+    assert len(table.link.reports()) <= MOST_REPORTS
 
 
 def test_a_rig_that_went_safe_is_told():
