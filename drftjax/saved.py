@@ -1,5 +1,6 @@
 """Models as files: fitted set-ups read back, and a simulated run as a run log."""
 
+import math
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -175,7 +176,13 @@ def simulated_run(
 
 
 def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
-    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-]."""
+    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-].
+
+    Args:
+        setup: What is believed of the rig.
+        sinkage: H at rest [m].
+        zeta: At the start; NaN where nothing tells it [-].
+    """
     wheel = setup.wheel
     grousers = wheel.shape == "grouser"
     return record.Setup(
@@ -190,7 +197,7 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
         gravity=setup.rig.gravity,
         bulk_density=setup.terrain.bulk_density,
         sinkage_static=sinkage,
-        scaling_factor_initial=zeta,
+        scaling_factor_initial=None if math.isnan(zeta) else zeta,
     )
 
 

@@ -79,7 +79,7 @@ class Start(msgspec.Struct, frozen=True):
 
     Attributes:
         sinkage: H at rest, when the loop starts [m].
-        zeta: Scaling factor at the start [-].
+        zeta: Scaling factor at the start [-]; NaN where nothing tells it and nothing is simulated.
     """
 
     sinkage: float

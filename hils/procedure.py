@@ -8,6 +8,7 @@ the reason why the run ended.
 """
 
 import enum
+import math
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -261,9 +262,9 @@ def _run(
         dialogue.tell("Armed. The wheel settles.")
         settled = standing.settle(zero)
         log.event(Event.SETTLED, settled.sinkage)
-        start = _start(procedure, -loop.readings.lowest, statics, settled)
+        start = _start(procedure, loop, statics, settled)
         dialogue.tell(
-            f"At rest {start.sinkage * 1e3:.2f} mm deep"
+            _rest(procedure, start.sinkage)
             + ("" if procedure.free else f", zeta(0) {start.zeta:.4f}")
             + f"; start in {procedure.countdown:g} s"
         )
@@ -388,13 +389,22 @@ def _statics(setup: bytes) -> Callable[[float], float]:
     return lambda sinkage: float(told(jnp.asarray(sinkage)))
 
 
+def _rest(procedure: Procedure, sinkage: float) -> str:
+    if procedure.free and sinkage < LEAST_SINKAGE:
+        return "At rest in the air"
+    return f"At rest {sinkage * 1e3:.2f} mm deep"
+
+
 def _start(
     procedure: Procedure,
-    deepest: float,
+    loop: LoopSetUp,
     statics: Callable[[float], float],
     settled: Settled,
 ) -> Start:
+    deepest = -loop.readings.lowest
     least = LEAST_SINKAGE if procedure.zeta is None else -MOST_OVER
+    if procedure.free:
+        least = -loop.readings.highest
     if not least <= settled.sinkage <= deepest:
         raise InputError(
             f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
@@ -404,6 +414,8 @@ def _start(
         )
     if procedure.zeta is not None:
         return Start(settled.sinkage, procedure.zeta)
+    if settled.sinkage < LEAST_SINKAGE:  # in the air, where statics tells nothing
+        return Start(settled.sinkage, math.nan)
     zeta = statics(settled.sinkage)
     if not LEAST_ZETA <= zeta <= MOST_ZETA:
         raise InputError(

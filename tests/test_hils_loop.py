@@ -2,6 +2,7 @@
 
 import functools
 import math
+import struct
 
 import msgspec
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from drftjax.errors import InputError
 from drftjax.runlog.check import check_file
-from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.hdf5 import read_run, survey_run, write_run
 from drftjax.runlog.head import Head
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.clock import VirtualClock
@@ -33,7 +34,7 @@ from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
 from hils.wire import Bye, Drive, EmergencyStop, Frame, Hello, RigState, Stop
-from tests.test_session import Buttons
+from tests.test_session import Buttons, OtherRig
 
 TICK = 0.01
 # Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
@@ -270,6 +271,57 @@ def test_x_that_the_rig_does_not_measure_is_absent_from_the_log(tmp_path, free):
     if not free:
         np.testing.assert_allclose(log.measured.z[-1], log.online.z_sim[-1], atol=CLOSE)
         assert replay(log).exact
+
+
+class InTheAir(OtherRig):
+    """Its wheel hangs so far over where it was zeroed [m]."""
+
+    over = 0.0
+    greeting = (0x44524654, 9, 7, 1e-5, 1e-4, 2.0, 0.1, 50, 0)
+
+    def measure(self, now, seq):
+        self.told, z = now, round(self.over / 1e-5) if now > START + 0.55 else 0
+        self.say(5, struct.pack("<IiifHH", seq, z, 0, self.omega, self.state, 0))
+
+
+@pytest.mark.parametrize("over", [0.0, 0.03])
+def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over, tmp_path):
+    told, clock, rows = [], VirtualClock(START), KeptRows()
+
+    class Listener(Unattended):
+        def tell(self, text):
+            told.append(text)
+
+    given = Procedure(loop=loop_setup(), countdown=0.3, free=True)
+    link = LoggedLink(InTheAir(over=over), clock)
+    report = run(given, link, clock, rows, Listener(quiet=True), StopRequest())
+    assert report.completed
+    assert report.rested
+    assert "At rest in the air; start in 0.3 s" in told
+    assert max(m.omega for _, m in link.said if isinstance(m, Drive)) == pytest.approx(
+        np.radians(30)
+    )
+    log = rows.run()
+    assert log.setup.scaling_factor_initial is None
+    assert log.setup.sinkage_static == pytest.approx(-over)
+    if not over:
+        write_run(tmp_path / "air.h5", log)
+        assert survey_run(tmp_path / "air.h5")[1] == []
+
+
+@pytest.mark.parametrize(
+    ("free", "over", "said"),
+    [
+        (False, 0.0, "-0.00 mm deep, must lie between 0.5"),
+        (True, 0.06, "-60.00 mm deep, must lie between -50"),
+    ],
+)
+def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, over, said):
+    clock, given = VirtualClock(START), Procedure(loop=loop_setup(), countdown=0.3, free=free)
+    link = LoggedLink(InTheAir(over=over), clock)
+    with pytest.raises(InputError, match=f"rests {said}"):
+        run(given, link, clock, KeptRows(), Unattended(quiet=True), StopRequest())
+    assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
 
 
 # Ends --------------------------------------------------------------------------------------------
