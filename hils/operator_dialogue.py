@@ -2,6 +2,10 @@
 
 import abc
 import math
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
 
 from drftjax.errors import InputError
 from hils.scene import Phase
@@ -12,7 +16,7 @@ class AbstractDialogue(abc.ABC):
 
     @abc.abstractmethod
     def tell(self, text: str) -> None:
-        """Say a sentence."""
+        """Say a sentence, if anybody listens."""
 
     @abc.abstractmethod
     def confirm(self, text: str) -> None:
@@ -31,17 +35,27 @@ class AbstractDialogue(abc.ABC):
         """The wheel that stands is measured so deep [m]; called often, and must not wait."""
 
 
+def _say(text: str) -> None:
+    """Print it; a reader who has gone (`| head`), or a terminal that has, ends no run."""
+    try:
+        print(text, flush=True)
+    except OSError:
+        # What is still buffered would be tried again at the program's end, and spoil its exit code.
+        with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
 class Terminal(AbstractDialogue):
     """A person at the terminal, who presses Enter."""
 
     def tell(self, text: str) -> None:
-        print(text, flush=True)
+        _say(text)
 
     def confirm(self, text: str) -> None:
         try:
             input(f"{text}, then press Enter (Ctrl-C to leave) ")
-        except EOFError:
-            print(flush=True)  # the question has left the line open
+        except (EOFError, OSError):
+            _say("")  # the question has left the line open
             raise InputError(
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None
@@ -61,7 +75,7 @@ class Unattended(AbstractDialogue):
 
     def tell(self, text: str) -> None:
         if not self._quiet:
-            print(text, flush=True)
+            _say(text)
 
     def confirm(self, text: str) -> None:
         self.tell(f"{text}: taken as done")

@@ -5,6 +5,7 @@ import io
 import os
 import signal
 import subprocess
+import sys
 import threading
 from contextlib import suppress
 from typing import ClassVar
@@ -218,6 +219,35 @@ def test_a_new_folder_is_made_and_one_that_cannot_be_is_refused_before_anything_
     (tmp_path / "taken").write_bytes(b"")
     with pytest.raises(InputError, match="taken cannot be made a folder"):
         file_names(tmp_path / "taken" / "run.h5", 1)
+
+
+SPEAKER = """
+import sys
+from hils.operator_dialogue import Terminal, Unattended
+for each in (Terminal(), Unattended()):
+    for number in range(3):
+        each.tell(f"sentence {number}")
+sys.stdout.flush()
+sys.exit(3)
+"""
+
+
+def test_what_nobody_reads_any_more_ends_nothing_and_leaves_the_exit_code():
+    reader, output = os.pipe()
+    os.close(reader)
+    said = subprocess.run([sys.executable, "-c", SPEAKER], stdout=output, stderr=subprocess.PIPE)
+    os.close(output)
+    assert said.returncode == 3
+    assert said.stderr == b""
+
+
+def test_a_question_that_nobody_can_read_is_refused(monkeypatch, capsys):
+    def ask(_):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("builtins.input", ask)
+    with pytest.raises(InputError, match="nobody is at the terminal"):
+        Terminal().confirm("Let the wheel down")
 
 
 def test_a_question_that_nobody_answers_leaves_its_line_closed(monkeypatch, capsys):
