@@ -46,10 +46,11 @@ class PtyEnd(AbstractEnd):
     """A pseudo-terminal, raw from the start.
 
     Args:
-        link: A symbolic link to it, for a name that stays; an old one is replaced.
+        link: A symbolic link to it, for a name that stays; one that leads nowhere is replaced.
 
     Raises:
-        InputError: the link's name is taken by something else, or cannot be made.
+        InputError: the link's name is taken by something else, a rig's among them, or cannot be
+            made.
     """
 
     def __init__(self, link: Path | None = None):
@@ -83,15 +84,21 @@ class PtyEnd(AbstractEnd):
     def unplug(self) -> None:
         if self._ends is None:
             return
+        # Before the name can be given to another pseudo-terminal.
+        if self._link is not None and self._leads_to() == self._name:
+            self._link.unlink(missing_ok=True)
         for end in self._ends:
             os.close(end)
         self._ends = None
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
 
     def plug(self) -> None:
         if self._ends is not None:
             return
+        if self._link is not None and self._link.is_char_device():
+            raise InputError(
+                f"{self._link}: leads to {self._leads_to()}, which is in use, perhaps by another "
+                "rig; give another name, or remove the link"
+            )
         ours, theirs = os.openpty()
         # Held open, so that a host finds it raw whenever it comes, and may come and go.
         tty.setraw(theirs)
@@ -103,6 +110,13 @@ class PtyEnd(AbstractEnd):
                 self._link.symlink_to(self._name)
             except OSError as error:
                 raise InputError(f"{self._link}: cannot be made ({error.strerror})") from None
+
+    def _leads_to(self) -> str | None:
+        assert self._link is not None
+        try:
+            return str(self._link.readlink())
+        except OSError:  # removed, or no link any more
+            return None
 
 
 class SocketEnd(AbstractEnd):

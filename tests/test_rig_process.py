@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from hils.receiver import Receiver
+from hils.rig_ends import PtyEnd
 from hils.wire import FROM_RIG, Bye, Frame, Hello, HelloAck, Measurement, RigState, encode
 from tests.command_line import Drft
 
@@ -167,6 +168,36 @@ def test_rig_answers_at_a_pseudo_terminal_and_leaves_no_link_behind(started, tmp
     heard(port, greet(port, 6), HelloAck)
     assert rig.end() == 0
     assert not link.is_symlink()
+
+
+def test_link_to_a_port_in_use_is_refused_and_left_to_its_rig(drft, tmp_path):
+    link = tmp_path / "rig"
+    first = PtyEnd(link)
+    leads_to = link.readlink()
+    said = drft("hils", "rig", "--link", link, "--seconds", 0.1).refusal
+    assert said.startswith(f"{link}: leads to {leads_to}, which is in use, perhaps by another rig")
+    assert link.readlink() == leads_to
+    first.unplug()
+    assert not link.is_symlink()
+
+
+def test_link_that_another_has_taken_meanwhile_is_not_removed(tmp_path):
+    link = tmp_path / "rig"
+    first = PtyEnd(link)
+    link.unlink()
+    other = PtyEnd(link)
+    first.unplug()
+    assert link.is_char_device()
+    other.unplug()
+    assert not link.is_symlink()
+
+
+def test_link_that_a_killed_rig_has_left_is_replaced(tmp_path):
+    link = tmp_path / "rig"
+    link.symlink_to("/dev/pts/there-is-none")
+    end = PtyEnd(link)
+    assert link.is_char_device()
+    end.unplug()
 
 
 def test_rig_answers_at_a_socket_and_hosts_may_come_and_go(started):
