@@ -57,8 +57,11 @@ def file_names(output: Path, runs: int) -> list[Path]:
     """One name for each run: the name itself, or numbered ones. Their folder is made.
 
     Raises:
-        InputError: where one of them is taken, or nothing can be written there.
+        InputError: where one of them is taken or does not end in .h5, or nothing can be written
+            there.
     """
+    if output.suffix != ".h5":
+        raise InputError(f"{output}: a run log's name must end in .h5")
     digits = max(2, len(str(runs)))
     names = [output]
     if runs > 1:

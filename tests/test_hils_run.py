@@ -248,6 +248,7 @@ def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
         (["--zeta0", "0"], "zeta0 is 0, must lie between 0.05 and 10"),
         (["--omega-max", "0.1"], "the loop allows 0.1 rad/s at most"),
         (["-o", "run.csv"], "a run log's name must end in .h5"),
+        (["-o", "run.csv", "--repeat", "3"], "run.csv: a run log's name must end in .h5"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_opened(drft, tmp_path, arguments, said):
