@@ -34,7 +34,7 @@ def rig(
     faults: Annotated[
         Path | None, typer.Option(help="What shall go wrong, and when (TOML or JSON).")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of noise, bed preparation and boot numbers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of noise and bed preparation.")] = 0,
     baud: Annotated[int, typer.Option(help="Pace of the bytes [bits a second]; 0 for none.")] = 0,
     latency: Annotated[
         float, typer.Option(help="Latency timer of the host's USB adapter [ms]; FTDI's is 16.")
