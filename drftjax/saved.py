@@ -181,8 +181,10 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
     Args:
         setup: What is believed of the rig.
         sinkage: H at rest [m].
-        zeta: At the start; NaN where nothing tells it [-].
+        zeta: At the start; NaN of a wheel that hangs in the air, where nothing tells it, and
+            nothing carries it either [-].
     """
+    in_the_air = math.isnan(zeta)
     wheel = setup.wheel
     grousers = wheel.shape == "grouser"
     return record.Setup(
@@ -196,8 +198,8 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
         mass_z=setup.rig.mass_z,
         gravity=setup.rig.gravity,
         bulk_density=setup.terrain.bulk_density,
-        sinkage_static=sinkage,
-        scaling_factor_initial=None if math.isnan(zeta) else zeta,
+        sinkage_static=None if in_the_air else sinkage,
+        scaling_factor_initial=None if in_the_air else zeta,
     )
 
 
