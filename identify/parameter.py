@@ -32,6 +32,11 @@ def _put_sinkage(trial: Trial, value: Float[Array, ""]) -> Trial:
     return eqx.tree_at(lambda t: t.start.position, trial, place.at[1].set(-value))
 
 
+def _put_x(trial: Trial, value: Float[Array, ""]) -> Trial:
+    place = trial.start.position
+    return eqx.tree_at(lambda t: t.start.position, trial, place.at[0].set(value))
+
+
 def _put_speed(trial: Trial, value: Float[Array, ""]) -> Trial:
     velocity = trial.start.velocity
     return eqx.tree_at(lambda t: t.start.velocity, trial, velocity.at[0].set(value))
@@ -68,12 +73,20 @@ QUANTITIES: dict[str, Quantity] = {
         _leaf(
             "wheel.grouser_fraction", "-", lambda t: t.simulator.wheel.grouser_fraction, Positive()
         ),
+        _leaf(
+            "wheel.grouser_thickness",
+            "m",
+            lambda t: t.simulator.wheel.grouser_thickness,
+            Positive(),
+        ),
+        _leaf("rig.gravity", "m/s2", lambda t: t.simulator.rig.gravity, Positive()),
         _leaf("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
         _leaf("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
         _leaf("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
         _leaf("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
         _leaf("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
         Quantity("start.sinkage", "m", lambda t: -t.start.position[1], _put_sinkage, Scaled(1e-3)),
+        Quantity("start.x", "m", lambda t: t.start.position[0], _put_x, Scaled(1e-3)),
         Quantity("start.speed", "m/s", lambda t: t.start.velocity[0], _put_speed, Scaled(1e-2)),
         _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
     )

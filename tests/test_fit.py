@@ -1,6 +1,7 @@
 """Fits of runs whose truth is known, and the machinery they stand on."""
 
 import dataclasses
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -444,3 +445,13 @@ def test_every_quantity_is_read_and_written_in_its_place(name):
     assert float(quantity.read(changed)) == float(value) + 0.5
     others = [n for n, q in QUANTITIES.items() if float(q.read(changed)) != float(q.read(trial))]
     assert others == [name]
+
+
+def test_every_quantity_is_in_the_documentation_and_in_a_set_up():
+    page = (Path(__file__).resolve().parents[1] / "docs" / "identification.md").read_text()
+    setup = setup_of()
+    for name, quantity in QUANTITIES.items():
+        assert f"`{name}`" in page
+        quantity.record(setup, 0.25)
+        section, field = name.split(".")
+        assert getattr(getattr(setup, section), field) == 0.25
