@@ -11,7 +11,6 @@ from identify.stem import stem_of
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-ZETAS = ("constant", "phases", "path")
 METHODS = ("rosenbrock", "held pace")
 
 EXAMPLES = """
@@ -75,6 +74,9 @@ def fit(
             help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t))."
         ),
     ] = "constant",
+    knots: Annotated[
+        float | None, typer.Option(help="Knot spacing of --zeta path [s]. [default: 1.0]")
+    ] = None,
     start_zeta: Annotated[
         float | None, typer.Option(help="Scaling factor to start from, over the run logs'.")
     ] = None,
@@ -124,6 +126,7 @@ def fit(
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
     from identify.gathering import gather
+    from identify.interface import ZETAS
     from identify.multistart import require_starts
     from identify.noise import Autoregressive, White
     from identify.parameter import parameter, require_once
@@ -133,6 +136,7 @@ def fit(
     from identify.profile import require_fitted
     from identify.reach import with_reach
     from identify.result import result_files
+    from identify.zeta_smoother import KNOT_SPACING
 
     if method not in METHODS:
         why = "; explicit steps are wrong by a millimetre (docs/integrator.md)"
@@ -147,6 +151,8 @@ def fit(
             "--zeta path fits zeta(t) alone; leave --own, --share, --parameters, --starts, "
             "--profile and --bootstrap out"
         )
+    if zeta != "path" and knots is not None:
+        raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
     if zeta == "path" and autoregressive:
         raise InputError("--zeta path finds each channel's correlation; leave --autoregressive out")
     require_starts(starts)
@@ -214,7 +220,7 @@ def fit(
 
         noise = Autoregressive() if autoregressive else White()
         if zeta == "path":
-            result = fit_paths(candidates)
+            result = fit_paths(candidates, KNOT_SPACING if knots is None else knots)
         else:
             if zeta == "phases":
                 fitted = zeta_phases(candidates, fitted)

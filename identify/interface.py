@@ -11,18 +11,25 @@ from identify.fitting import WHITE, Progress
 from identify.fitting import fit as fit_candidates
 from identify.noise import AbstractNoise
 from identify.parameter import Parameter, parameter, require_once
+from identify.path_fit import fit_paths
+from identify.phases import zeta_phases
 from identify.reach import with_reach
 from identify.result import FitResult
+from identify.zeta_smoother import KNOT_SPACING
 
 # The sand's preparation and the start are each run's own; the rest belongs to sand and rig.
 EACH_RUNS_OWN = ("terrain.zeta", "start")
+USUAL = ("zeta", "lambda")
+ZETAS = ("constant", "phases", "path")
 
 
 def fit(
     runs: Run | Sequence[Run] | Mapping[str, Run],
     model: SetUp | None = None,
-    parameters: str | Parameter | Sequence[str | Parameter] = ("zeta", "lambda"),
+    parameters: str | Parameter | Sequence[str | Parameter] = USUAL,
     *,
+    zeta: str = "constant",
+    knots: float = KNOT_SPACING,
     noise: AbstractNoise = WHITE,
     starts: int = 1,
     keep_rest: bool = False,
@@ -42,6 +49,9 @@ def fit(
         parameters: Names, or `identify.own(...)` and `identify.shared(...)`. By name alone, zeta
             and the start are each run's own, and all else is shared by the runs. An effect's
             number is NAME.NUMBER, such as "drawbar.force"; the effect is added where it is not.
+        zeta: "constant"; "phases", one for each phase of the command; or "path", zeta(t) alone, as
+            smooth as the data say, which is then each run's `path`.
+        knots: Time from knot to knot of a path [s].
         noise: How residuals scatter.
         starts: Starting points to try; see `identify.multistart`.
         keep_rest: Whether samples after the last stop are compared too.
@@ -55,10 +65,18 @@ def fit(
         raise InputError("no parameter is named; give one or more, such as 'zeta'")
     wanted = [each if isinstance(each, Parameter) else _by_name(each) for each in listed]
     require_once(wanted)
+    if zeta not in ZETAS:
+        raise InputError(f"zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
+    if zeta == "path" and (listed != [*USUAL] or noise is not WHITE or starts != 1):
+        raise InputError("zeta='path' fits zeta(t) alone; leave parameters, noise and starts out")
     with jax.enable_x64(True):
+        if zeta == "path":
+            return fit_paths(candidates_of(runs, model, keep_rest=keep_rest), knots)
         candidates = candidates_of(
             runs, model, fitted=[each.quantity.name for each in wanted], keep_rest=keep_rest
         )
+        if zeta == "phases":
+            wanted = zeta_phases(candidates, wanted)
         result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
         return with_reach(result)
 

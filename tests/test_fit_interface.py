@@ -51,6 +51,35 @@ def result(runs, model):
     return identify.fit(runs, model, "zeta")
 
 
+def test_zeta_over_the_run_is_fitted_in_one_call(runs, model):
+    path = identify.fit(runs, model, zeta="path", knots=0.5)
+    phases = identify.fit(runs, model, "zeta", zeta="phases")
+    for index, (name, true) in enumerate(zip(runs, (0.73, 0.77), strict=True)):
+        found = path.runs[index].path
+        assert np.diff(found.time) == pytest.approx(0.5)
+        # A wheel that stands tells zeta from one side only; it has turned for long from 1 s on.
+        going = found.told & (found.time >= 1.0)
+        assert going.any()
+        assert (np.abs(found.value - true) < 4 * found.error)[going].all()
+        steady = phases.runs[index].values["terrain.zeta.steady"]
+        assert phases.runs[index].name == name
+        assert abs(steady.value - true) < 4 * steady.error
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"zeta": "knots"}, "zeta is 'knots', must be one of constant, phases, path"),
+        ({"zeta": "path", "parameters": "zeta"}, "fits zeta.t. alone"),
+        ({"zeta": "path", "starts": 2}, "fits zeta.t. alone"),
+        ({"zeta": "path", "knots": float("nan")}, "knot spacing is nan s"),
+    ],
+)
+def test_a_zeta_over_the_run_that_cannot_be_is_refused(runs, model, options, said):
+    with pytest.raises(InputError, match=said):
+        identify.fit(runs, model, **options)
+
+
 def test_importing_identify_leaves_jax_alone():
     code = "import sys, identify; assert 'jax' not in sys.modules; identify.fit; import jax"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -388,6 +388,9 @@ def test_command_carries_the_bounds_of_zeta_over_to_its_phases(drft, log, tmp_pa
     [
         (["--zeta", "knots"], "--zeta is 'knots', must be one of constant, phases, path"),
         (["--zeta", "path", "--share", "lambda"], "--zeta path fits zeta(t) alone"),
+        (["--zeta", "path", "--autoregressive"], "leave --autoregressive out"),
+        (["--zeta", "phases", "--knots", "0.5"], "--knots is the spacing of the knots of --zeta"),
+        (["--zeta", "path", "--knots", "0"], "the knot spacing is 0 s, must be positive"),
         (["--starts", "0"], "number of starts is 0"),
         (["--bootstrap", "3"], "number of draws is 3"),
         (["--zeta", "phases", "--profile", "zeta"], "'zeta' is asked for, which is not fitted"),
