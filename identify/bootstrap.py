@@ -144,7 +144,7 @@ def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> I
 def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
     """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
     zeta scatters by from run to run."""
-    residual, whitening = optimum.solution.residual, optimum.whitening
+    residual, whitening = optimum.left, optimum.whitening
     counts = whitening.scale > 0
     intervals = np.asarray(optimum.problem.batch.observed.intervals)
     noise = np.zeros((count, *residual.shape))

@@ -1,6 +1,7 @@
 """What a fit's numbers mean, in sentences: what these runs can tell, and what they cannot."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,6 +16,7 @@ ALIKE = 0.999
 # Of a parameter's unit length: so much of it unseen is more than rounding, and so much of two that
 # is unseen together links them.
 LOST, LINKED = 1e-6, 0.1
+NO_SCATTER: Mapping[str, float] = MappingProxyType({})
 
 
 def findings(
@@ -24,7 +26,7 @@ def findings(
     spread: np.ndarray,
     bounded: Sequence[str],
     unseen: np.ndarray,
-    scattered: Sequence[str] = (),
+    scatter: Mapping[str, float] = NO_SCATTER,
 ) -> list[str]:
     """Sentences on identifiability, bounds, scatter between runs and the noise floor.
 
@@ -35,7 +37,7 @@ def findings(
         spread: Covariance of all coordinates: shared, then each run's own.
         bounded: Labels of values that ran into a bound.
         unseen: Directions that the runs do not see, in columns, of the same coordinates.
-        scattered: Names of the shared values that runs would have differ beyond the noise.
+        scatter: Standard deviation from run to run of a shared value, by its name.
     """
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
@@ -52,9 +54,10 @@ def findings(
     told += _collinear(parameters, len(shared), runs, spread)
     told += _confused(parameters, len(runs), unseen)
     told += [
-        f"{shared[name].label} of each run alone would scatter, which the error of the shared one "
-        f"counts in; --own {shared[name].label} tells by how much"
-        for name in scattered
+        f"{shared[name].label} of each run alone would scatter by "
+        f"{100 * each / abs(shared[name].value):.2g} %, which the error of the shared one counts in"
+        for name, each in scatter.items()
+        if each > 0
     ]
     return [*told, *between(runs)]
 

@@ -45,6 +45,9 @@ WHITE = White()
 # How far the simulation may be off by a constant over a phase of the command [m, N, N m]: what its
 # plates and step leave open in sinkage (docs/integrator.md), and the same share of the rest.
 MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
+# No channel is weighed as finer than this share of it, however fine its readings: the others tell
+# as much then.
+FINEST = 0.2
 
 Progress = Callable[[str, int, float], None]
 
@@ -182,7 +185,12 @@ def _reweighted(
     number = counts.sum(axis=2)
     each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
     # A channel that is met better than its instrument can tell must not rule the others.
-    finest = np.array([_lower_median(noise) for noise in _fast(raw, counts)])
+    finest = np.array(
+        [
+            max(_lower_median(noise), FINEST * MODEL_ERROR[channel])
+            for channel, noise in zip(problem.batch.channels, _fast(raw, counts), strict=True)
+        ]
+    )
     usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]
     odd = each > ODD_MISFIT * np.maximum(usual, finest)
     kept = np.where(odd, 0, number)
@@ -258,16 +266,17 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     size = len(optimum.ordered)
     spread = optimum.covariance[:size, :size]
     hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
-    scattered = [
-        p.quantity.name for p, of in zip(problem.shared, optimum.scatter, strict=True) if of > 0
-    ]
+    alone = np.sqrt(optimum.scatter) * np.abs(optimum.slopes[: optimum.shared])
+    scatter = {
+        each.quantity.name: float(size) for each, size in zip(problem.shared, alone, strict=True)
+    }
     return FitResult(
         shared=shared,
         runs=runs,
         status=solution.status,
         steps=solution.steps,
         failures=failures,
-        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden, scattered),
+        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden, scatter),
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
         optimum=optimum,

@@ -12,7 +12,7 @@ from identify.candidate import Candidate
 from identify.corners import cornered
 from identify.parameter import Parameter
 from identify.solve import Coordinates, Solution
-from identify.uncertainty import Whitening, covariance, from_run_to_run
+from identify.uncertainty import Whitening, covariance, each_alone, from_run_to_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,11 @@ class Optimum:
         solution: Where the solver stopped.
         candidates: The runs; the batch may hold more, which weigh nothing.
         model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
-        whitening: Of the residuals.
-        scatter: Variance of each shared coordinate from run to run, beyond what the noise counts
-            in already; zero where it is not one of sand; shape (shared,).
+        left: What is left of the residuals where each run has its own zeta, if they share one: it
+            scatters, and the rest is noise. Shaped like the solution's residuals.
+        whitening: Of that.
+        scatter: Variance of each shared coordinate from run to run; zero where it is none of sand;
+            shape (shared,).
         covariance: Of all coordinates: shared, then each run's own, padded runs too.
         share: What turns the runs' slope into what they tell, shaped like `covariance`, where
             there are priors; see `identify.weighed`.
@@ -36,6 +38,7 @@ class Optimum:
     solution: Solution
     candidates: tuple[Candidate, ...]
     model_error: Mapping[str, float]
+    left: np.ndarray
     whitening: Whitening
     scatter: np.ndarray
     covariance: np.ndarray
@@ -60,17 +63,19 @@ class Optimum:
         offset = _offset(problem, model_error)
         phases = phases_of(candidates, counts)
         intervals = np.asarray(problem.batch.observed.intervals)
-        whitening = Whitening.of(solution.residual, counts, offset, phases, intervals)
         shared, blocks = len(problem.shared), solution.blocks
+        # Sand is never the same twice; what is built stays as it is.
+        sands = [place for place, each in enumerate(problem.shared) if each.quantity.is_zeta]
+        alone = [*sands, *range(shared, blocks.shape[-1])]
+        left = solution.residual
+        moves = np.zeros((len(blocks), len(alone)))
+        if sands:
+            moves, left = each_alone(blocks, left, alone)
+        whitening = Whitening.of(left, counts, offset, phases, intervals)
         scatter = np.zeros(shared)
-        for place, each in enumerate(problem.shared):
-            # Sand is never the same twice; what is built stays as it is.
-            if each.quantity.is_zeta:
-                scatter[place] = from_run_to_run(
-                    blocks, solution.residual, whitening, shared, place
-                )
+        scatter[sands] = from_run_to_run(moves, blocks[..., alone], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
-        return cls(problem, solution, candidates, model_error, whitening, scatter, spread)
+        return cls(problem, solution, candidates, model_error, left, whitening, scatter, spread)
 
     @property
     def shared(self) -> int:

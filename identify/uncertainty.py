@@ -1,5 +1,6 @@
 """Standard errors of fitted coordinates, honest about residuals that follow one another."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,29 +99,45 @@ def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndar
     return vectors[:, unseen]
 
 
-def from_run_to_run(
-    blocks: np.ndarray, residual: np.ndarray, whitening: "Whitening", shared: int, coordinate: int
-) -> float:
-    """Variance from run to run of a coordinate that all share, beyond what each run can tell.
-
-    Each run is given a value of its own, one straight-line step away.
+def each_alone(
+    blocks: np.ndarray, residual: np.ndarray, kept: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each run with values of its own, one straight-line step away.
 
     Args:
-        blocks, whitening, shared: As for `covariance`.
+        blocks: As for `covariance`.
         residual: Weighted, shape (runs, channels, samples).
-        coordinate: Which of the shared ones.
+        kept: Which coordinates each run moves.
+
+    Returns:
+        The moves, shape (runs, kept), and the residuals after them, like `residual`.
     """
-    kept = [coordinate, *range(shared, blocks.shape[-1])]
-    moves, errors = [], []
-    for run in range(len(blocks)):
-        mine = blocks[run : run + 1, ..., kept]
-        if not mine[..., 0].any():
-            continue
-        alone = Whitening(*(part[run : run + 1] for part in whitening.parts))
-        rows = mine.reshape(-1, len(kept))
-        moves.append(-np.linalg.lstsq(rows, residual[run].ravel(), rcond=None)[0][0])
-        errors.append(np.sqrt(covariance(mine, alone, 1)[0, 0]))
-    return spread_of(np.array(moves), np.array(errors)).variance
+    moves = np.zeros((len(blocks), len(kept)))
+    for run, block in enumerate(blocks[..., kept]):
+        rows = block.reshape(-1, len(kept))
+        moves[run] = -np.linalg.lstsq(rows, residual[run].ravel(), rcond=None)[0]
+    return moves, residual + np.einsum("rcsp,rp->rcs", blocks[..., kept], moves)
+
+
+def from_run_to_run(
+    moves: np.ndarray, blocks: np.ndarray, whitening: "Whitening", scattered: int
+) -> np.ndarray:
+    """Variance from run to run of coordinates, beyond what each run can tell of them.
+
+    Args:
+        moves: Of each run alone, shape (runs, coordinates).
+        blocks: Derivatives of the weighted residuals by these, shape (runs, channels, samples,
+            coordinates).
+        whitening: Of what is left after the moves.
+        scattered: How many coordinates, the first ones, are asked about.
+    """
+    told = np.flatnonzero(blocks.any(axis=(1, 2, 3))).tolist()
+    spread = [
+        np.diag(covariance(blocks[run][None], whitening.of_run(run), blocks.shape[-1]))
+        for run in told
+    ]
+    errors = np.sqrt(np.reshape(spread, (len(told), -1)))
+    return np.array([spread_of(moves[told, k], errors[:, k]).variance for k in range(scattered)])
 
 
 def _noise(
@@ -186,10 +203,10 @@ class Whitening:
     unit: np.ndarray
     phase: np.ndarray
 
-    @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Its arrays, runs leading."""
-        return self.scale, self.unit, self.phase
+    def of_run(self, run: int) -> "Whitening":
+        """That of one run alone."""
+        here = np.s_[run : run + 1]
+        return Whitening(self.scale[here], self.unit[here], self.phase[here])
 
     @classmethod
     def of(

@@ -1,5 +1,7 @@
 """What runs scatter by: values of their own, and a zeta that they share."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -44,7 +46,10 @@ def test_the_error_of_a_shared_zeta_counts_in_what_runs_scatter_by(together):
     # short a run than the formula for long ones says. Without what runs scatter by it is 0.57.
     assert drawn.error[0] == pytest.approx(zeta.error, rel=0.25)
     (told,) = (each for each in together.findings if "scatter" in each)
-    assert told.startswith("zeta of each run alone would scatter, which the error of the shared")
+    (size,) = re.findall(r"zeta of each run alone would scatter by (\S+) %, which the error", told)
+    # The scatter of two, less a fifth of it that their errors make.
+    true = 100 * np.std(ZETAS, ddof=1) / np.mean(ZETAS)
+    assert float(size) == pytest.approx(true, rel=0.25)
     (floor,) = (each for each in together.findings if each.startswith("repeated runs"))
     assert floor.endswith("what their sands differ by included")
 
