@@ -19,14 +19,17 @@ import numpy as np
 
 from drftjax.errors import InputError
 from identify.descent import Descent
+from identify.memory import piece_bytes
 from identify.optimum import Optimum, linearised
 from identify.solve import normal_equations
 from identify.uncertainty import inverse, lag_one_correlation
 
 LEVEL = 0.90
 MOST_DRAWS = 100_000
-# Noise and bands of so many bytes are held at once.
+# Noise and bands of so many bytes at most are held at once.
 CHUNK_BYTES = 1e8
+# Draws of the noise that are made together, so that they are the same in pieces of any size.
+DRAWN_TOGETHER = 20
 # Fewer runs than this say nothing of the scatter from run to run.
 FEWEST_RUNS = 3
 
@@ -135,10 +138,16 @@ def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> I
     Yields:
         Weighted residuals of noise alone, shape (draws, runs, channels, samples).
     """
-    residual = optimum.solution.residual
-    size = max(1, int(CHUNK_BYTES / (8 * max(residual.size, 1))))
-    for begin in range(0, count, size):
-        yield noise_like(optimum, min(size, count - begin), random)
+    size = 8 * DRAWN_TOGETHER * max(optimum.left.size, 1)
+    step = DRAWN_TOGETHER * max(1, int(piece_bytes(CHUNK_BYTES) / size))
+    for begin in range(0, count, step):
+        end = min(count, begin + step)
+        yield np.concatenate(
+            [
+                noise_like(optimum, min(DRAWN_TOGETHER, end - at), random)
+                for at in range(begin, end, DRAWN_TOGETHER)
+            ]
+        )
 
 
 def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
@@ -272,13 +281,14 @@ def predictive_bands(
             off = optimum.model_error.get(channel, 0.0)
             noise = np.sqrt(np.mean((residual[run, row, here] / weight[run, row, here]) ** 2))
             low, high = np.full(length, np.nan), np.full(length, np.nan)
-            step = max(1, int(CHUNK_BYTES / (8 * max(len(mine), 1))))
+            step = max(1, int(piece_bytes(CHUNK_BYTES) / (8 * max(len(mine), 1))))
             for begin in range(0, len(here), step):
                 some = here[begin : begin + step]
                 scale = weight[run, row, some]
                 centre = recorded[run, row, some] + residual[run, row, some] / scale
                 drawn = centre + mine @ (blocks[run, row, some] / scale[:, None]).T
-                drawn += np.hypot(noise, off) * random.standard_normal(drawn.shape)
+                # Sample by sample, so that steps of any size draw the same.
+                drawn += np.hypot(noise, off) * random.standard_normal(drawn.T.shape).T
                 low[some], high[some] = np.quantile(drawn, (tail, 1 - tail), axis=0)
             bands[each.name][channel] = low, high
     return bands

@@ -4,6 +4,7 @@ Starting points, places of a profile and simulated recordings all ask for the sa
 its derivative at many coordinates at once. The small linear algebra of each is NumPy's.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from identify.batch import Problem
+from identify.memory import piece_bytes
 from identify.parameter import Parameter
 from identify.solve import LEAST_GAIN, Coordinates, normal_equations
 from identify.uncertainty import Whitening
 
-# Derivatives of so many bytes are held at once; more points are taken in turns.
+# Derivatives of so many bytes at most are held at once; more points are taken in turns.
 CHUNK_BYTES = 2e8
 # Points are computed together by ones, fours, sixteens: few programs for any number of them.
 ROOMIER = 4
@@ -84,7 +86,9 @@ class Descent:
             self.counts &= active[:, None, None]
         self.shared, self.own = len(problem.shared), len(problem.own)
         size = max(1, weight.size * (self.shared + self.own + 1) * 8)
-        self.chunk = max(1, int(CHUNK_BYTES / size))
+        # Powers, so that few programs are compiled as what is free comes and goes.
+        fitting = max(1.0, piece_bytes(CHUNK_BYTES) / size)
+        self.chunk = ROOMIER ** math.floor(math.log(fitting, ROOMIER))
 
     @property
     def parameters(self) -> list[Parameter]:
