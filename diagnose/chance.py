@@ -8,7 +8,7 @@ import numpy as np
 from diagnose.blocks import KINDS, Splitter
 from diagnose.case import Case
 from diagnose.left_out import LEAST_SHARED, conditions
-from identify.repeats import recorded_at
+from identify.repeats import noise_kept, recorded_at
 
 # Repeats begin at the same place [m] and wheel angle [rad] within this; where an effect lies along
 # the bed or goes with the wheel's angle, others differ by it.
@@ -93,6 +93,18 @@ def apart(
     z, by_zeta = case.channels.index("z"), response(one)[:, both]
     slope = by_zeta[z].mean()
     return differ - differ[z].mean() / slope * by_zeta if slope > 0 else differ
+
+
+def averaged_away(case: Case, pair: tuple[int, int], channel: str) -> float:
+    """Power of the second run's white noise that `apart` loses where it reads between samples.
+
+    Nothing where both clocks agree [m, N, N m, squared].
+    """
+    one, other = pair
+    time, there = case.time(one), case.time(other)
+    lost = 1 - noise_kept(there, time[recorded_at(there, time)])
+    _, noise = case.candidates[other].observation.by_channel()[channel]
+    return lost * float(noise) ** 2
 
 
 def _begin_alike(case: Case, one: int, other: int) -> bool:

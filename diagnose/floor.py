@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diagnose.case import Case
-from diagnose.chance import Response, apart, repeats
+from diagnose.chance import Response, apart, averaged_away, repeats
 
 
 def noise_floors(
@@ -32,7 +32,8 @@ def noise_floors(
     floors = {}
     for index, channel in enumerate(case.channels):
         powers = [
-            min(_power(apart(case, pair, each, response)[index]) for each in (before, after))
+            averaged_away(case, pair, channel) / 2
+            + min(_power(apart(case, pair, each, response)[index]) for each in (before, after))
             for pair in pairs[channel]
         ]
         power = np.mean(powers) if powers else _noise_power(case, channel)

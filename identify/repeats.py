@@ -83,7 +83,7 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
             both = a.counts & recorded_at(told, a.time)
             if both.sum() < LEAST_SHARED * max(a.counts.sum(), len(told)):
                 continue
-            kept = _noise_kept(told, a.time[both])
+            kept = noise_kept(told, a.time[both])
             for channel, residual in a.residuals.items():
                 beside = np.interp(a.time[both], told, b.residuals[channel][b.counts])
                 power = float(np.mean((residual[both] - beside) ** 2))
@@ -102,7 +102,7 @@ def fast_scatter(runs: Sequence[RunFit]) -> dict[str, float]:
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
 
 
-def _noise_kept(time: np.ndarray, wanted: np.ndarray) -> float:
+def noise_kept(time: np.ndarray, wanted: np.ndarray) -> float:
     """Share of white noise's power that is left where a recording is read at other times."""
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
     way = np.clip((wanted - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)

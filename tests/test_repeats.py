@@ -291,6 +291,22 @@ def test_reading_a_repeat_between_its_samples_loses_no_noise(delay):
     assert noise_floor(fits)["z"] == pytest.approx(noise, rel=0.04)
 
 
+@pytest.mark.parametrize("delay", [0.0, 2.5e-4])
+def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
+    noise, time = 20e-6, np.linspace(0.0, 2.0, 4001)
+    random = np.random.default_rng(5)
+    observation = dataclasses.replace(whole.observation, noise=np.full(2, noise))
+    told = dataclasses.replace(whole, observation=observation)
+    case = SimpleNamespace(
+        candidates=[told, told], channels=("z",), time=lambda run: time + run * delay
+    )
+    residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
+    response = lambda run: np.zeros((1, len(time)))  # noqa: E731
+    floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
+    # As above.
+    assert floors["z"] == pytest.approx(noise, rel=0.04)
+
+
 @pytest.mark.parametrize(
     "other",
     [
