@@ -197,7 +197,6 @@ def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> C
     if not meant:
         return None
     best = min(meant, key=lambda each: each.added.left)
-
     place = best.effect.variable
     rivals = [each for each in tried if each.effect.variable != place and each.added.helps]
     told = all(

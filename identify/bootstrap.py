@@ -1,9 +1,10 @@
 r"""Bootstrap: how values and simulated channels scatter over recordings that might have been.
 
 Parametric: noise like the residuals' own (first-order autoregressive, of each run's and channel's
-size, and a constant in every phase of the command that the simulation may be off by) is put on the
-fitted simulation, and the fit made again. Over runs: as many runs are drawn with replacement, which
-needs no model of the noise but several runs, and speaks of shared values only.
+size, and a constant in every phase of the command that the simulation may be off by; what a zeta
+that runs share scatters by from run to run) is put on the fitted simulation, and the fit made
+again. Over runs: as many runs are drawn with replacement, which needs no model of the noise but
+several runs, and speaks of shared values only.
 
 Each refit is one Gauss-Newton step from the optimum with the derivative stored there,
 $-(J^T J)^{-1} J^T r$: exact where the simulation is a straight line over the errors. `refit=True`

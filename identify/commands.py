@@ -210,7 +210,7 @@ def fit(
             step=step,
             keep_rest=keep_rest,
         )
-        tell = lambda left_out: say(left_out, "yellow")  # noqa: E731
+        tell = partial(say, style="yellow")
         gathered = gather(runs, ready, sinkage=zeta == "path", tell=tell)
         candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")

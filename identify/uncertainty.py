@@ -145,8 +145,9 @@ def _noise(
 ) -> np.ndarray:
     """J^T S J of the noise, with what shared coordinates scatter by from run to run."""
     noise = _information(whitening.colour(blocks), shared)
-    for coordinate in np.flatnonzero(0 if scatter is None else scatter):
-        assert scatter is not None
+    if scatter is None:
+        return noise
+    for coordinate in np.flatnonzero(scatter):
         for run, block in enumerate(blocks):
             place = coordinates_of(run, blocks.shape[-1], shared)
             rows = block.reshape(-1, blocks.shape[-1])

@@ -1,8 +1,6 @@
 """The loop and the procedure in virtual time, against the virtual rig: every end is a safe one."""
 
-import functools
 import math
-import struct
 
 import msgspec
 import numpy as np
@@ -10,9 +8,8 @@ import pytest
 
 from drftjax.errors import InputError
 from drftjax.runlog.check import check_file
-from drftjax.runlog.hdf5 import read_run, survey_run, write_run
+from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.head import Head
-from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
 from hils.guard import CommandLimits, Reading
@@ -21,134 +18,33 @@ from hils.link import Arrival, SoftLink
 from hils.loop import Overruns
 from hils.loop_setup import LoopRecord, LoopSetUp, TunerSetUp
 from hils.operator_dialogue import Unattended
-from hils.procedure import Procedure, RunReport, ZeroAt, run, shared_physics
+from hils.procedure import Procedure, ZeroAt, run, shared_physics
 from hils.recorder import Recorder
 from hils.replay import replay
 from hils.rows import KeptRows
 from hils.run_figure import plot_hils
 from hils.scene import Phase
-from hils.simulated import QUICK, SoftRig, soft_rig
+from hils.simulated import QUICK, soft_rig
 from hils.simulated import shared_physics as rig_physics
 from hils.stop_request import StopRequest, Wish
 from hils.tick import Given, begin, react
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp
-from hils.wire import Bye, Drive, EmergencyStop, Frame, Hello, RigState, Stop
-from tests.test_session import Buttons, OtherRig
-
-TICK = 0.01
-# Held 0.5 s, up to 30 deg/s in 1 s, 1 s of it, and back.
-PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.5, 4.0], [0, 0, 30, 30, 0, 0], omega_unit="deg/s")
-TICKS = 400
-# HILS (sim) and HILS (real) in the paper differ by less than this [m].
-CLOSE = 5e-4
-# Of a wheel's weight, what the force that bears it differs by while grousers come and go.
-BORNE = 0.05
-
-
-def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
-    setup = SetUp(
-        command=PROFILE,
-        wheel=WheelSetUp(plate_size=8e-3),
-        integrator=IntegratorSetUp("held pace", 2e-3),
-    )
-    return LoopSetUp(
-        setup=setup, commands=CommandLimits(2.0, 0.3), tuner=TunerSetUp(tuner), tick=TICK, **changes
-    )
-
-
-class Made:
-    """A run that was made: its report, rows, and what the rig was sent and did."""
-
-    def __init__(self, report: RunReport | None, rows: KeptRows, soft: SoftRig, said: list):
-        self.report, self.rows, self.soft, self.said = report, rows, soft, said
-
-    def kinds(self) -> list[int]:
-        return [code for _, code, _ in self.rows.events]
-
-    def events(self, code: Event) -> list[float]:
-        return [arg for _, each, arg in self.rows.events if each == code]
-
-
-class LoggedLink(SoftLink):
-    """Keeps what the host says, and when."""
-
-    def __init__(self, rig, clock):
-        super().__init__(rig, clock)
-        self.said = []
-
-    def send(self, message):
-        self.said.append((self._clock.now(), message))
-        return super().send(message)
-
-
-class LateClock(VirtualClock):
-    """Wakes late once: so long after this time [s]."""
-
-    def __init__(self, start: float, when: float, late: float):
-        super().__init__(start)
-        self._when, self._late = when, late
-
-    def sleep_until(self, deadline: float) -> None:
-        if deadline >= self._when:
-            deadline, self._when = deadline + self._late, math.inf
-        super().sleep_until(deadline)
-
-
-class Cue:
-    """Does something once the rig's clock has come to a time."""
-
-    def __init__(self, clock: VirtualClock, when: float, act):
-        self._when, self._act = when, act
-        clock.attach(self)
-
-    def advance(self, now: float) -> None:
-        if now >= self._when:
-            self._when = math.inf
-            self._act()
-
-
-START = 1000.0
-# From the first HELLO to the profile's start, as these runs take it [s].
-BEFORE = 3.4
-
-
-def make(
-    loop: LoopSetUp | None = None,
-    *,
-    cue=None,
-    at: float = 0.0,
-    late: float = 0.0,
-    rows: KeptRows | Recorder | None = None,
-    link: type[LoggedLink] = LoggedLink,
-    scales: Instruments | None = None,
-    **procedure,
-) -> Made:
-    """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
-    setup = VirtualSetUp(physics=QUICK, instruments=scales or Instruments())
-    clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
-    rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
-    line = link(rig, clock)
-    stop, rows = StopRequest(), rows or KeptRows()
-    if cue is not None:
-        Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
-    given = Procedure(loop=loop or loop_setup(), **{"countdown": 0.3} | procedure)
-    soft = SoftRig(rig, line, clock)
-    report = run(given, line, clock, rows, Unattended(quiet=True), stop)
-    return Made(report, rows, soft, line.said)
-
-
-@functools.cache
-def whole(tuner: str) -> Made:
-    return make(loop_setup(tuner))
-
-
-def resting(made: Made) -> bool:
-    """Whether the true rig stands still a second later."""
-    made.soft.clock.sleep_until(made.soft.clock.now() + 1.0)
-    motion = made.soft.rig.motion
-    return abs(motion.omega) < 1e-6 and abs(motion.vx) < 1e-3
-
+from hils.wire import Bye, Drive, EmergencyStop, Frame, RigState, Stop
+from tests.hils_runs import (
+    BEFORE,
+    BORNE,
+    CLOSE,
+    PROFILE,
+    START,
+    TICK,
+    TICKS,
+    LoggedLink,
+    loop_setup,
+    make,
+    resting,
+    whole,
+)
 
 # A run that is completed -------------------------------------------------------------------------
 
@@ -271,58 +167,6 @@ def test_x_that_the_rig_does_not_measure_is_absent_from_the_log(tmp_path, free):
     if not free:
         np.testing.assert_allclose(log.measured.z[-1], log.online.z_sim[-1], atol=CLOSE)
         assert replay(log).exact
-
-
-class InTheAir(OtherRig):
-    """Its wheel hangs so far over where it was zeroed [m]."""
-
-    over = 0.0
-    greeting = (0x44524654, 9, 7, 1e-5, 1e-4, 2.0, 0.1, 50, 0)
-
-    def measure(self, now, seq):
-        self.told, z = now, round(self.over / 1e-5) if now > START + 0.55 else 0
-        self.say(5, struct.pack("<IiifHH", seq, z, 0, self.omega, self.state, 0))
-
-
-@pytest.mark.parametrize("over", [0.0, 0.03])
-def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over, tmp_path):
-    told, clock, rows = [], VirtualClock(START), KeptRows()
-
-    class Listener(Unattended):
-        def tell(self, text):
-            told.append(text)
-
-    given = Procedure(loop=loop_setup(), countdown=0.3, free=True)
-    link = LoggedLink(InTheAir(over=over), clock)
-    report = run(given, link, clock, rows, Listener(quiet=True), StopRequest())
-    assert report.completed
-    assert report.rested
-    assert "At rest in the air; start in 0.3 s" in told
-    assert max(m.omega for _, m in link.said if isinstance(m, Drive)) == pytest.approx(
-        np.radians(30)
-    )
-    log = rows.run()
-    assert log.setup.scaling_factor_initial is None
-    assert log.setup.sinkage_static is None
-    write_run(tmp_path / "air.h5", log)
-    # A wheel that was zeroed on the sand and lifted is no run on sand, and a check says so.
-    found = survey_run(tmp_path / "air.h5")[1]
-    assert [each.where for each in found] == (["/measured/z"] if over else [])
-
-
-@pytest.mark.parametrize(
-    ("free", "over", "said"),
-    [
-        (False, 0.0, "-0.00 mm deep, must lie between 0.5"),
-        (True, 0.06, "-60.00 mm deep, must lie between -50"),
-    ],
-)
-def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, over, said):
-    clock, given = VirtualClock(START), Procedure(loop=loop_setup(), countdown=0.3, free=free)
-    link = LoggedLink(InTheAir(over=over), clock)
-    with pytest.raises(InputError, match=f"rests {said}"):
-        run(given, link, clock, KeptRows(), Unattended(quiet=True), StopRequest())
-    assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
 
 
 # Ends --------------------------------------------------------------------------------------------
@@ -534,48 +378,6 @@ def test_scale_that_was_zeroed_before_need_not_be_zeroed_again():
 
 
 # What is refused before anything moves -----------------------------------------------------------
-
-
-class Pressing(Unattended):
-    """An operator who presses the rig's own emergency stop while asked for something else."""
-
-    def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
-        super().__init__(quiet=True)
-        self._rig, self._clock, self._question = rig, clock, question
-
-    def confirm(self, text):
-        if self._question in text:
-            self._rig.press(12, self._clock.now())
-            self._clock.sleep_until(self._clock.now() + 10.0)
-
-
-@pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down", "none: held"])
-def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(question):
-    clock, rig = VirtualClock(START), Buttons()
-    link, rows = LoggedLink(rig, clock), KeptRows()
-    Cue(clock, START + 0.2 if "none" in question else math.inf, lambda: rig.press(12, clock.now()))
-    given = Procedure(loop=loop_setup(), countdown=0.3)
-    with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
-        run(given, link, clock, rows, Pressing(rig, clock, question), StopRequest())
-    assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
-    assert rig.protocol.state is RigState.SAFE
-    assert "emergency stop" in rows.end_reason
-
-
-def test_rig_that_is_safe_from_before_is_told_of_and_driven():
-    told = []
-
-    class Listener(Unattended):
-        def tell(self, text):
-            told.append(text)
-
-    soft, given = soft_rig(), Procedure(loop=loop_setup(), countdown=0.3)
-    soft.link.begin(7)
-    for message in (Hello(10_000, 50), EmergencyStop(1)):
-        soft.link.send(message)
-    run(given, soft.link, soft.clock, rows := KeptRows(), Listener(quiet=True), StopRequest())
-    assert rows.end_reason == "completed"
-    assert told[0] == "The rig was SAFE before this run; ARM lets it move again."
 
 
 def refused(**changes) -> str:

@@ -2,7 +2,8 @@
 
 What is looked at are outcomes: how the program ends, its file, and what the rig says of itself.
 The control period is long: a busy machine lets processes wait, which is no case for a watchdog.
-Signals, faults and ends of every other kind are `tests/test_hils_loop.py`'s, in virtual time.
+Signals, faults and ends of every other kind are `tests/test_hils_loop.py`'s and
+`tests/test_hils_start.py`'s, in virtual time.
 """
 
 import os

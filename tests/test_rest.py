@@ -10,7 +10,7 @@ from hils.rest import LONGEST_STOP, Rest
 from hils.rig_protocol import RigIdentity, RigProtocol
 from hils.stop_request import StopRequest, Wish
 from hils.wire import Bye, Drive, EmergencyStop, RigState, Stop
-from tests.test_session import HELLO, HOLD, OtherRig, Table
+from tests.other_rigs import HELLO, HOLD, OtherRig, Table
 
 RAMP = 2.0
 # Of another's firmware: x in steps of 0.1 mm.

@@ -23,7 +23,7 @@ from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_serie
 from hils.simulated import soft_rig
 from hils.stop_request import STOP_SIGNAL, StopRequest, Wish
 from hils.under_way import runs_under_way
-from tests.test_hils_loop import loop_setup, make
+from tests.hils_runs import loop_setup, make
 
 CTRL_C = Wish("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
 TERMINATED = Wish("asked to stop (SIGTERM)", Event.INTERRUPTED, signal.SIGTERM)
