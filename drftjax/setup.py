@@ -23,7 +23,13 @@ from drftjax.runlog.record import Command as RunCommand
 from drftjax.runlog.record import RunLog
 from drftjax.scaling import ConstantZeta, KnotZeta
 from drftjax.simulator import Simulator, State
-from drftjax.stress import AbstractStressLaw, Dynamic, QuasiStatic, StressCoefficients
+from drftjax.stress import (
+    COEFFICIENT_NAMES,
+    AbstractStressLaw,
+    Dynamic,
+    QuasiStatic,
+    StressCoefficients,
+)
 from drftjax.structfile import read_document, to_structure
 from drftjax.terrain import Terrain
 from drftjax.trial import ROW_INTERVAL, Trial
@@ -99,21 +105,30 @@ class TerrainSetUp(msgspec.Struct, forbid_unknown_fields=True):
     bulk_density: float = 1490.0
     height_decrease: float = 1.0
 
-    def build(self) -> Terrain:
+    def stress_coefficients(self) -> StressCoefficients:
+        """The nine coefficients, of a named set or as listed."""
         if isinstance(self.coefficients, str):
             if self.coefficients not in COEFFICIENTS:
                 raise InputError(
                     f"stress coefficients {self.coefficients!r} are not known; give one of "
                     f"{', '.join(map(repr, COEFFICIENTS))} or nine numbers in N/cm3"
                 )
-            coefficients = COEFFICIENTS[self.coefficients]()
-        else:
-            if len(self.coefficients) != 9:
-                raise InputError(
-                    f"stress coefficients are {len(self.coefficients)} numbers, must be nine "
-                    "(A00 A10 B11 B01 B-11 C11 C01 C-11 D10 in N/cm3)"
-                )
-            coefficients = StressCoefficients(self.coefficients)
+            return COEFFICIENTS[self.coefficients]()
+        if len(self.coefficients) != len(COEFFICIENT_NAMES):
+            raise InputError(
+                f"stress coefficients are {len(self.coefficients)} numbers, must be nine "
+                f"({' '.join(COEFFICIENT_NAMES)} in N/cm3)"
+            )
+        return StressCoefficients(self.coefficients)
+
+    def put_coefficient(self, name: str, value: float) -> None:
+        """Write one of the nine [N/cm3]; a named set becomes a list."""
+        values = self.stress_coefficients().values.tolist()
+        values[COEFFICIENT_NAMES.index(name)] = value
+        self.coefficients = values
+
+    def build(self) -> Terrain:
+        coefficients = self.stress_coefficients()
         law: AbstractStressLaw = (
             QuasiStatic(coefficients)
             if self.law == "quasi-static"

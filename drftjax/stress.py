@@ -98,11 +98,14 @@ def plate_motion(
     )
 
 
+COEFFICIENT_NAMES = ("A00", "A10", "B11", "B01", "B-11", "C11", "C01", "C-11", "D10")
+
+
 class StressCoefficients(eqx.Module):
     """The nine Fourier coefficients of the stress per depth, in N/cm3.
 
     Attributes:
-        values: A00, A10, B11, B01, B-11, C11, C01, C-11, D10 [N/cm3], shape (9,).
+        values: In the order of `COEFFICIENT_NAMES` [N/cm3], shape (9,).
 
     Li et al. 2013 give the generic set, to be scaled by zeta, and sets of their own for loosely
     and closely packed poppy seeds (used with zeta = 1).

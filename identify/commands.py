@@ -24,6 +24,7 @@ Examples:
   drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
   drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
+  drft fit runs/*.h5 --zeta path --share lambda   and lambda of all beside it
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
   drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
 
@@ -107,6 +108,7 @@ def fit(
     ] = None,
 ) -> None:
     """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
+    import math
     import os
     from functools import partial
 
@@ -132,6 +134,7 @@ def fit(
     from identify.parameter import parameter, require_once
     from identify.parameter_file import read_parameters
     from identify.path_fit import fit_paths
+    from identify.path_parameters import require_beside
     from identify.phases import zeta_phases
     from identify.profile import require_fitted
     from identify.reach import with_reach
@@ -146,10 +149,10 @@ def fit(
         )
     if zeta not in ZETAS:
         raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
-    if zeta == "path" and (own or share or parameters or starts != 1 or profile or bootstrap):
+    if zeta == "path" and (starts != 1 or profile or bootstrap):
         raise InputError(
-            "--zeta path fits zeta(t) alone; leave --own, --share, --parameters, --starts, "
-            "--profile and --bootstrap out"
+            "--zeta path goes from one start to one answer; leave --starts, --profile and "
+            "--bootstrap out"
         )
     if zeta != "path" and knots is not None:
         raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
@@ -162,14 +165,17 @@ def fit(
         )
     if bootstrap is not None:
         require_draws(bootstrap)
-    shared_names = share if share is not None else ([] if own or cluster else ["lambda"])
-    own_names = own if own is not None else ([] if "zeta" in shared_names else ["zeta"])
+    path = zeta == "path"
+    shared_names = share if share is not None else ([] if own or cluster or path else ["lambda"])
+    own_names = own if own is not None else ([] if "zeta" in shared_names or path else ["zeta"])
     if parameters is not None and (own or share):
         raise InputError("--parameters lists every parameter; leave --own and --share out")
     fitted = [parameter(n, shared=True) for n in shared_names]
     fitted += [parameter(n, shared=False) for n in own_names]
     fitted = fitted if parameters is None else read_parameters(parameters)
     require_once(fitted)
+    if path:
+        require_beside(fitted)
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
@@ -211,16 +217,18 @@ def fit(
             keep_rest=keep_rest,
         )
         tell = partial(say, style="yellow")
-        gathered = gather(runs, ready, sinkage=zeta == "path", tell=tell)
+        gathered = gather(runs, ready, sinkage=path, tell=tell)
         candidates = gathered.candidates
         bar.update(task, description=f"compiling for {len(candidates)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
-            bar.update(task, description=f"{stage}: step {number}, sum of squares {loss:.6g}")
+            squares = "" if math.isnan(loss) else f", sum of squares {loss:.6g}"
+            bar.update(task, description=f"{stage}: step {number}{squares}")
 
         noise = Autoregressive() if autoregressive else White()
-        if zeta == "path":
-            result = fit_paths(candidates, KNOT_SPACING if knots is None else knots)
+        if path:
+            spacing = KNOT_SPACING if knots is None else knots
+            result = fit_paths(candidates, spacing, fitted, report)
         else:
             if zeta == "phases":
                 fitted = zeta_phases(candidates, fitted)

@@ -39,6 +39,21 @@ def findings(
         unseen: Directions that the runs do not see, in columns, of the same coordinates.
         scatter: Standard deviation from run to run of a shared value, by its name.
     """
+    told = unidentified(shared, runs)
+    told += [f"{label} has run into its bound" for label in bounded]
+    told += _collinear(parameters, len(shared), runs, spread)
+    told += _confused(parameters, len(runs), unseen)
+    told += [
+        f"{shared[name].label} of each run alone would scatter by "
+        f"{100 * each / abs(shared[name].value):.2g} %, which the error of the shared one counts in"
+        for name, each in scatter.items()
+        if each > 0
+    ]
+    return [*told, *between(runs)]
+
+
+def unidentified(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
+    """Sentences on values that their runs tell no more of than the order of size."""
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
         for value in shared.values()
@@ -50,16 +65,7 @@ def findings(
         for value in run.values.values()
         if not value.told
     ]
-    told += [f"{label} has run into its bound" for label in bounded]
-    told += _collinear(parameters, len(shared), runs, spread)
-    told += _confused(parameters, len(runs), unseen)
-    told += [
-        f"{shared[name].label} of each run alone would scatter by "
-        f"{100 * each / abs(shared[name].value):.2g} %, which the error of the shared one counts in"
-        for name, each in scatter.items()
-        if each > 0
-    ]
-    return [*told, *between(runs)]
+    return told
 
 
 def between(runs: Sequence[RunFit]) -> list[str]:

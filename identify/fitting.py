@@ -10,9 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.errors import InputError
-from drftjax.trial import Trial
 from identify.batch import Problem, device_mesh, make_batch
-from identify.bijector import Interval
 from identify.candidate import Candidate
 from identify.descent import Descent
 from identify.findings import findings
@@ -23,7 +21,7 @@ from identify.observation import white_noise
 from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.phases import PhaseZeta, by_phase, with_phases
-from identify.result import FitResult, RunFit, Value
+from identify.result import FitResult, RunFit, values_of
 from identify.solve import LEAST_GAIN, NEGLIGIBLE, solve
 from identify.start import met_sinkage
 from identify.uncertainty import unseen
@@ -155,23 +153,11 @@ def _to_start_from(
     for each in candidates:
         try:
             for parameter in parameters:
-                _require_start(parameter, each.trial)
+                parameter.require_start(each.trial)
         except InputError as problem:
             failures[each.name] = str(problem)
     kept, others = of_one_kind([each for each in candidates if each.name not in failures])
     return kept, failures | others
-
-
-def _require_start(parameter: Parameter, trial: Trial) -> None:
-    if not np.isfinite(parameter.coordinate(trial)):
-        quantity, within = parameter.quantity, parameter.bijector
-        value = float(quantity.read(trial))
-        if isinstance(within, Interval):
-            raise InputError(
-                f"its {quantity.name} is {value:g}, outside the bounds {within.low:g} to "
-                f"{within.high:g}; give a start within them"
-            )
-        raise InputError(f"its {quantity.name} is {value:g}, where no fit within its bounds starts")
 
 
 def _reweighted(
@@ -227,14 +213,14 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     shared_coordinates, own_coordinates = solution.coordinates
     own_error = error[optimum.shared :].reshape(own_coordinates.shape)
     own_error = np.where(solution.active[:, None], own_error, np.inf)
-    shared = _values(problem.shared, shared_coordinates, error[: optimum.shared])
+    shared = values_of(problem.shared, shared_coordinates, error[: optimum.shared])
     after = predicted(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
     states = run_states(optimum)
 
     runs = []
     for index, each in enumerate(candidates):
-        own = _values(problem.own, own_coordinates[index], own_error[index])
+        own = values_of(problem.own, own_coordinates[index], own_error[index])
         setup = copy.deepcopy(each.setup)
         for parameter in problem.parameters:
             name = parameter.quantity.name
@@ -313,19 +299,3 @@ def run_states(optimum: Optimum) -> list[str]:
         noticeable = max(NEGLIGIBLE, 1 / max(int(counted[run]), 1)) * float(left @ left)
         states.append("stalled" if gain > noticeable else "converged")
     return states
-
-
-def _values(
-    parameters: tuple[Parameter, ...], coordinates: jax.Array, errors: np.ndarray
-) -> dict[str, Value]:
-    """Values and standard errors by name; an error is carried over by the bijector's slope."""
-    values = {}
-    for parameter, coordinate, error in zip(parameters, coordinates, errors, strict=True):
-        quantity = parameter.quantity
-        values[quantity.name] = Value(
-            value=float(parameter.bijector.value(coordinate)),
-            error=float(abs(parameter.bijector.slope(coordinate)) * error),
-            unit=quantity.unit,
-            label=quantity.label,
-        )
-    return values

@@ -26,7 +26,7 @@ ZETAS = ("constant", "phases", "path")
 def fit(
     runs: Run | Sequence[Run] | Mapping[str, Run],
     model: SetUp | None = None,
-    parameters: str | Parameter | Sequence[str | Parameter] = USUAL,
+    parameters: str | Parameter | Sequence[str | Parameter] | None = None,
     *,
     zeta: str = "constant",
     knots: float = KNOT_SPACING,
@@ -46,11 +46,12 @@ def fit(
         runs: Files, run logs or pairs of a set-up and a run log; one, several, or several by name.
         model: Wheel, sand, rig and effects in place of what the run logs believe of them; commands
             and starts are always the runs'.
-        parameters: Names, or `identify.own(...)` and `identify.shared(...)`. By name alone, zeta
+        parameters: What is fitted; zeta and lambda where nothing is named, and beside a path
+            nothing. Names, or `identify.own(...)` and `identify.shared(...)`. By name alone, zeta
             and the start are each run's own, and all else is shared by the runs. An effect's
             number is NAME.NUMBER, such as "drawbar.force"; the effect is added where it is not.
-        zeta: "constant"; "phases", one for each phase of the command; or "path", zeta(t) alone, as
-            smooth as the data say, which is then each run's `path`.
+        zeta: "constant"; "phases", one for each phase of the command; or "path", zeta(t) as smooth
+            as the data say, which is then each run's `path`, and the parameters beside it.
         knots: Time from knot to knot of a path [s].
         noise: How residuals scatter.
         starts: Starting points to try; see `identify.multistart`.
@@ -60,21 +61,25 @@ def fit(
     Raises:
         InputError: where a run, a parameter or the whole cannot be fitted, and why.
     """
+    if parameters is None:
+        parameters = () if zeta == "path" else USUAL
     listed = [parameters] if isinstance(parameters, str | Parameter) else list(parameters)
-    if not listed:
+    if not listed and zeta != "path":
         raise InputError("no parameter is named; give one or more, such as 'zeta'")
     wanted = [each if isinstance(each, Parameter) else _by_name(each) for each in listed]
     require_once(wanted)
     if zeta not in ZETAS:
         raise InputError(f"zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
-    if zeta == "path" and (listed != [*USUAL] or noise is not WHITE or starts != 1):
-        raise InputError("zeta='path' fits zeta(t) alone; leave parameters, noise and starts out")
+    if zeta == "path" and (noise is not WHITE or starts != 1):
+        raise InputError(
+            "zeta='path' finds each channel's noise, from one start; leave noise and starts out"
+        )
     with jax.enable_x64(True):
-        if zeta == "path":
-            return fit_paths(candidates_of(runs, model, keep_rest=keep_rest), knots)
         candidates = candidates_of(
             runs, model, fitted=[each.quantity.name for each in wanted], keep_rest=keep_rest
         )
+        if zeta == "path":
+            return fit_paths(candidates, knots, wanted, progress)
         if zeta == "phases":
             wanted = zeta_phases(candidates, wanted)
         result = fit_candidates(candidates, wanted, progress, noise, starts=starts)

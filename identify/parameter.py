@@ -10,10 +10,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from drftjax.errors import InputError
+from drftjax.stress import COEFFICIENT_NAMES
 from drftjax.trial import Trial
 from identify.bijector import AbstractBijector, Interval, Positive, Scaled
 from identify.effect_parameter import effect_numbers, effect_quantity
-from identify.quantity import PHASE_PREFIX, PHASES, SHORT_NAMES, Quantity
+from identify.quantity import COEFFICIENT_PREFIX, PHASE_PREFIX, PHASES, SHORT_NAMES, Quantity
 
 
 def _leaf(
@@ -40,6 +41,19 @@ def _put_x(trial: Trial, value: Float[Array, ""]) -> Trial:
 def _put_speed(trial: Trial, value: Float[Array, ""]) -> Trial:
     velocity = trial.start.velocity
     return eqx.tree_at(lambda t: t.start.velocity, trial, velocity.at[0].set(value))
+
+
+def _coefficient(number: int, name: str) -> Quantity:
+    """One of the nine stress coefficients; it may have either sign."""
+
+    def get(trial: Trial) -> Float[Array, ""]:
+        return trial.simulator.terrain.law.coefficients.values[number]  # pyright: ignore
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        where = lambda t: t.simulator.terrain.law.coefficients.values  # noqa: E731
+        return eqx.tree_at(where, trial, where(trial).at[number].set(value))
+
+    return Quantity(COEFFICIENT_PREFIX + name, "N/cm3", get, put, Scaled(0.1))
 
 
 # lambda may leave the physical range a little, so that a fit can say that it does not matter.
@@ -89,6 +103,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("start.x", "m", lambda t: t.start.position[0], _put_x, Scaled(1e-3)),
         Quantity("start.speed", "m/s", lambda t: t.start.velocity[0], _put_speed, Scaled(1e-2)),
         _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
+        *(_coefficient(number, name) for number, name in enumerate(COEFFICIENT_NAMES)),
     )
 }
 
@@ -132,6 +147,22 @@ class Parameter(eqx.Module):
         """The solver's coordinate to start from."""
         value = self.quantity.read(trial)
         return self.bijector.coordinate(value if math.isnan(self.start) else 0 * value + self.start)
+
+    def require_start(self, trial: Trial) -> None:
+        """Refuse a trial whose own value leaves the fit nowhere to start.
+
+        Raises:
+            InputError: with the value, and the bounds where there are some.
+        """
+        if bool(jnp.isfinite(self.coordinate(trial))):
+            return
+        name, value = self.quantity.name, float(self.quantity.read(trial))
+        if isinstance(self.bijector, Interval):
+            raise InputError(
+                f"its {name} is {value:g}, outside the bounds {self.bijector.low:g} to "
+                f"{self.bijector.high:g}; give a start within them"
+            )
+        raise InputError(f"its {name} is {value:g}, where no fit within its bounds starts")
 
     def belief(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Residual of the prior: how many of its errors the value lies from its mean."""
@@ -201,7 +232,7 @@ def parameter(
     """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
 
     Args:
-        name: See `QUANTITIES`, or NAME.NUMBER of an effect; "zeta" and "lambda" are short.
+        name: See `QUANTITIES`, or NAME.NUMBER of an effect; "zeta", "lambda" and "A00" are short.
         shared: One number for all runs, or one for each.
         bounds: Lowest and highest value; the quantity's natural ones where none are given.
         prior: Mean and standard error of what is believed before the runs.

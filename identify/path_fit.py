@@ -1,30 +1,51 @@
-"""zeta(t) of recorded runs, by `identify.zeta_smoother`, as the result of a fit."""
+"""zeta(t) of recorded runs, and numbers beside it, as the result of a fit."""
+
+from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import numpy as np
 
 from drftjax.trial import Trial
 from identify.candidate import Candidate
+from identify.findings import unidentified
 from identify.kinds import of_usable
-from identify.result import FitResult, RunFit
+from identify.parameter import Parameter
+from identify.path_parameters import Progress, paths_beside
+from identify.result import FitResult, RunFit, Value
 from identify.zeta_path import ZetaPath
-from identify.zeta_smoother import KNOT_SPACING, zeta_paths
+from identify.zeta_smoother import KNOT_SPACING
 
 
-def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -> FitResult:
-    """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed.
+def fit_paths(
+    candidates: Sequence[Candidate],
+    knot_spacing: float = KNOT_SPACING,
+    parameters: Sequence[Parameter] = (),
+    progress: Progress | None = None,
+) -> FitResult:
+    """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed, or fitted.
 
     Args:
         candidates: Runs; one that has no sinkage, is too short, cannot be simulated or is of
             another kind of wheel, law or carriage than most is left out.
         knot_spacing: Time from knot to knot [s].
+        parameters: What is fitted beside the paths; see `identify.path_parameters`.
+        progress: Called with the stage and the step.
 
     Raises:
-        InputError: where no run is left.
+        InputError: where no run is left, or a parameter is one of the path itself.
     """
-    kept, paths, left_out = of_usable(candidates, lambda each: zeta_paths(each, knot_spacing))
-    runs = [_run(each, path) for each, path in zip(kept, paths, strict=True)]
-    settled = all(path.converged for path in paths)
+    make = partial(
+        paths_beside, parameters=parameters, knot_spacing=knot_spacing, progress=progress
+    )
+    kept, beside, left_out = of_usable(list(candidates), make)
+    paths = [each.path() for each in beside.steps]
+    shared, own = beside.values
+    bounded = [beside.bounded(number) for number in range(len(kept))]
+    runs = [
+        _run(each, path, values, at_bound=any(name in values for name in names))
+        for each, path, values, names in zip(kept, paths, own, bounded, strict=True)
+    ]
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
         f"{int(path.told.sum())} of {len(path.told)} knots that the run tells"
@@ -32,30 +53,41 @@ def fit_paths(candidates: list[Candidate], knot_spacing: float = KNOT_SPACING) -
         if len(inside := path.value[path.told])
     ]
     findings += [said for path in paths if (said := path.contradiction())]
+    findings += unidentified(shared, runs)
+    labels = {
+        value.label
+        for values, names in zip(own, bounded, strict=True)
+        for name, value in (shared | values).items()
+        if name in names
+    }
+    findings += [f"{label} has run into its bound" for label in sorted(labels)]
     return FitResult(
-        shared={},
+        shared=shared,
         runs=runs,
-        status="converged" if settled else "out of steps",
-        steps=max(path.steps for path in paths),
+        status="converged" if beside.converged else "stalled" if beside.turns else "out of steps",
+        steps=beside.turns + max(path.steps for path in paths),
         failures=left_out,
         findings=findings,
+        labels=beside.labels,
+        covariance=beside.covariance_of_values,
     )
 
 
-def _run(each: Candidate, path: ZetaPath) -> RunFit:
+def _run(each: Candidate, path: ZetaPath, values: dict[str, Value], *, at_bound: bool) -> RunFit:
     observation = each.observation
     return RunFit(
         name=each.name,
         setup=path.setup,
-        values={},
+        values=values,
         time=observation.time,
         counts=observation.counts,
         channels=observation.channels,
         recorded=observation.values,
         before=_at(each.trial, each),
         after=_at(path.trial, each),
-        status="converged" if path.converged else "stalled",
+        status="at a bound" if at_bound else "converged" if path.converged else "stalled",
         path=path,
+        believed=(each.setup.wheel, each.setup.rig),
     )
 
 

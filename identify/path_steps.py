@@ -5,13 +5,14 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from msgspec.structs import replace as replace_struct
 
 from drftjax.command import Command
 from drftjax.errors import RunError
 from drftjax.setup import ZetaKnots
 from drftjax.trial import Trial
-from identify.batch import Batch
+from identify.batch import Batch, Observed
 from identify.candidate import Candidate
 from identify.drawn_zeta import in_lines, placed
 from identify.evidence import (
@@ -22,7 +23,7 @@ from identify.evidence import (
     smoothest_given,
     smoothness_prior,
 )
-from identify.observation import SMALLEST_NOISE, Observation, intervals_of
+from identify.observation import SMALLEST_NOISE, Observation, intervals_of, white_noise
 from identify.pace import asked_to_move
 from identify.spline import between, cardinal
 from identify.zeta_path import CHANNELS, ZetaPath
@@ -62,27 +63,43 @@ class PathSteps:
         batch: The runs that are simulated side by side.
         number: Of this one in the batch.
         grid: Its knots from the run's start [s].
+        curve: The spline through as many knots as the batch's longest run has.
+        begun: The same run's path to go on from, at other values of what is not fitted here.
 
     Attributes:
         coordinates: Where to simulate next, as `identify.drawn_zeta.placed` takes them.
         settled, converged: Whether no step is left to make, and whether the path is found.
     """
 
-    def __init__(self, candidate: Candidate, batch: Batch, number: int, grid: np.ndarray):
+    def __init__(
+        self,
+        candidate: Candidate,
+        batch: Batch,
+        number: int,
+        grid: np.ndarray,
+        curve: Float[Array, "ends knots"],
+        begun: "PathSteps | None" = None,
+    ):
         self.candidate = candidate
-        self.grid, self.knots = grid, len(grid)
-        self.trial: Trial = jax.tree.map(lambda leaf: leaf[number], batch.trials)
+        self.grid, self.knots, self.curve = grid, len(grid), curve
+        self.trial: Trial
+        self.observed: Observed
+        self.trial, self.observed = jax.tree.map(
+            lambda leaf: leaf[number], (batch.trials, batch.observed)
+        )
         self.channels = batch.channels
-        self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
-        self.values = np.asarray(batch.observed.values[number])[:, self.counts]
+        self.counts = np.asarray(self.observed.weight[0]) > 0
+        self.values = np.asarray(self.observed.values)[:, self.counts]
         time = candidate.observation.time[candidate.observation.counts]
         self.intervals = intervals_of(time)
         zeta = _believed_zeta(candidate.trial, grid)
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
         self.moves = _moves(candidate.trial, grid)
-        self.instruments = _instruments(sinkage_and_travel(candidate), grid[1] - grid[0])
-        self.near = False
+        self.lasting = _lasting(time, grid[1] - grid[0])
+        self.near = begun is not None
+        if begun is not None:
+            self.coordinates = begun.coordinates
         self.refused = 0
         self.last: Posterior | None = None
         self.followed = ["z"]
@@ -158,11 +175,22 @@ class PathSteps:
         else:
             self.coordinates = self.origin + self.move
 
+    @property
+    def padded(self) -> np.ndarray:
+        """`coordinates` with knots after the run's last one, which bear on nothing."""
+        missing = self.curve.shape[1] - self.knots
+        return np.insert(self.coordinates, [self.knots] * missing, 0.0)
+
     def _believed(self, slopes: np.ndarray) -> tuple[Posterior, bool]:
         """What the linearised run says, and whether its path bends as much as the data ask for."""
         self.followed = [*self.channels] if self.joint else ["z"]
         picked = [self.channels.index(name) for name in self.followed]
-        instruments = [self.instruments[name] for name in self.followed]
+        # Of what is left, not of what was read: a wheel that speeds up scatters from sample to
+        # sample by more than its instruments do.
+        instruments = [
+            Instrument(max(white_noise(self.residual[n]), SMALLEST_NOISE[name]), self.lasting[name])
+            for name, n in zip(self.followed, picked, strict=True)
+        ]
         products = [
             self._products(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
             for n in picked
@@ -209,32 +237,64 @@ class PathSteps:
 
     def _objective(self, residual: np.ndarray) -> float:
         """Half the misfit and the bends at the last weight and noise."""
-        assert self.last is not None
         misfit = sum(
             float(
                 self._products(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0]
             )
-            for name, noise in zip(self.followed, self.last.noise, strict=True)
+            for name, noise in zip(self.followed, self.posterior.noise, strict=True)
         )
+        prior, away = self._bends()
+        return 0.5 * (misfit + float(away @ prior @ away))
+
+    @property
+    def posterior(self) -> Posterior:
+        """What the last linearisation said."""
+        assert self.last is not None
+        return self.last
+
+    def information_with(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Second derivative and slope of half the misfit and the bends, by path and other numbers.
+
+        Args:
+            slopes: Derivative of the channels by the other numbers, shape (channels, samples,
+                numbers), where they are compared.
+        """
+        picked = [self.channels.index(name) for name in self.followed]
+        assert self.slopes is not None
+        columns = [np.c_[self.slopes[n], slopes[n], self.residual[n]] for n in picked]
+        noise = self.posterior.noise
+        whole = np.sum(
+            [self._products(c).whitened(n) for c, n in zip(columns, noise, strict=True)], axis=0
+        )
+        information, pull = whole[:-1, :-1], whole[:-1, -1]
+        prior, away = self._bends()
+        size = len(away)
+        information[:size, :size] += prior
+        pull[:size] += prior @ away
+        return information, pull
+
+    def widen(self, covariance: np.ndarray) -> None:
+        """Count what other uncertain numbers add to the covariance of the path."""
+        self.last = replace(self.posterior, covariance=self.posterior.covariance + covariance)
+
+    def _bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Precision of the prior, and how far the coordinates lie from its mean."""
         centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
         away = self.coordinates - centre
-        prior = smoothness_prior(self.knots, len(centre), self.last.weight)
-        return 0.5 * (misfit + float(away @ prior @ away))
+        return smoothness_prior(self.knots, len(centre), self.posterior.weight), away
 
     def _products(self, columns: np.ndarray) -> Products:
         return Products.of(columns, self.intervals)
 
     def _own_error(self) -> np.ndarray:
-        assert self.last is not None
-        own = np.diag(self.last.information)[: self.knots]
+        own = np.diag(self.posterior.information)[: self.knots]
         return 1 / np.sqrt(np.maximum(own, np.finfo(float).tiny))
 
     def path(self) -> ZetaPath:
         """zeta(t) as the steps left it."""
-        assert self.last is not None
         own = self._own_error()
         told = self.moves & (own <= TELLS_NOTHING)
-        spread = np.sqrt(np.diag(self.last.covariance)[: self.knots])
+        spread = np.sqrt(np.diag(self.posterior.covariance)[: self.knots])
         # The prior would draw its line on through a standstill, and be sure of it.
         spread = np.where(told, spread, np.hypot(spread, np.maximum(own, TELLS_NOTHING)))
         value = np.exp(self.coordinates[: self.knots])
@@ -249,7 +309,7 @@ class PathSteps:
         start = replace_struct(
             self.candidate.setup.start, x=float(place[0]), sinkage=float(-place[1])
         )
-        noise = [(n.spread, n.correlation) for n in self.last.noise]
+        noise = [(n.spread, n.correlation) for n in self.posterior.noise]
         rmse = np.sqrt(np.mean(self.residual**2, axis=1)).tolist()
         return ZetaPath(
             name=self.candidate.name,
@@ -257,7 +317,7 @@ class PathSteps:
             value=value,
             error=np.where(spread < 1e6, value * spread, np.inf),
             told=told,
-            weight=float(self.last.weight),
+            weight=float(self.posterior.weight),
             noise=dict(zip(self.followed, noise, strict=True)),
             rmse=dict(zip(self.channels, rmse, strict=True)),
             steps=self.steps,
@@ -282,20 +342,16 @@ def sinkage_and_travel(each: Candidate) -> Observation:
     )
 
 
-def _instruments(observation: Observation, spacing: float) -> dict[str, Instrument]:
-    """What may pass for noise, by channel.
+def _lasting(time: np.ndarray, spacing: float) -> dict[str, float]:
+    """Largest correlation of a sample with the one before that passes for noise, by channel.
 
     Sinkage follows zeta within a fraction of a second, so whatever lasts longer than knots can draw
     is zeta's to explain: up to the knots' highest frequency, 1 / (2 spacing), the noise is to be as
     good as white, its correlation time no more than spacing / pi. Travel sums up slip, and keeps
     whatever else has hindered the wheel to the run's end.
     """
-    interval = float(np.median(np.diff(observation.time[observation.counts])))
-    lasting = {"z": float(np.exp(-np.pi * interval / spacing)), "x": SUMMED_CORRELATION}
-    return {
-        name: Instrument(max(noise, SMALLEST_NOISE[name]), lasting[name])
-        for name, (_, noise) in observation.by_channel().items()
-    }
+    interval = float(np.median(np.diff(time)))
+    return {"z": float(np.exp(-np.pi * interval / spacing)), "x": SUMMED_CORRELATION}
 
 
 def _believed_zeta(trial: Trial, time: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from drftjax.errors import InputError
 from drftjax.setup import SetUp
+from drftjax.stress import COEFFICIENT_NAMES
 from drftjax.trial import Trial
 from identify.bijector import AbstractBijector
 
@@ -16,7 +17,10 @@ Put = Callable[[Trial, Float[Array, ""]], Trial]
 # Phases of a command, in time: `identify.phases` says which is when.
 PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
 PHASE_PREFIX = "terrain.zeta."
-SHORT_NAMES = {f"zeta.{name}": PHASE_PREFIX + name for name in PHASES} | {
+COEFFICIENT_PREFIX = "terrain.coefficients."
+SHORT_NAMES = {
+    **{f"zeta.{name}": PHASE_PREFIX + name for name in PHASES},
+    **{name: COEFFICIENT_PREFIX + name for name in COEFFICIENT_NAMES},
     "zeta": "terrain.zeta",
     "lambda": "terrain.inertial_coefficient",
 }
@@ -57,6 +61,9 @@ class Quantity(eqx.Module):
     def record(self, setup: SetUp, value: float) -> None:
         """Write the number into a set-up; the zeta of a phase is one of several, written whole."""
         if self.name.startswith(PHASE_PREFIX):
+            return
+        if self.name.startswith(COEFFICIENT_PREFIX):
+            setup.terrain.put_coefficient(self.name.removeprefix(COEFFICIENT_PREFIX), value)
             return
         section, field = self.name.split(".")
         entry = next((each for each in setup.effects if each.get("name") == section), None)

@@ -1,6 +1,6 @@
 """What a fit found: values with errors, residuals by run and channel, and the models as files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import msgspec
 import numpy as np
+from jaxtyping import Array, Float
 from rich.markup import escape
 from rich.table import Table
 
@@ -18,7 +19,7 @@ from drftjax.runlog.hdf5 import write_result
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import RigSetUp, SetUp, WheelSetUp
-from identify.parameter import typical
+from identify.parameter import Parameter, typical
 from identify.quantity import of_zeta
 from identify.stem import files_of
 from identify.summary import summary_html, summary_text
@@ -77,6 +78,26 @@ class Value:
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
         return f"{self.label} = {self.value:.5g} ± {self.error:.2g}{unit}"
+
+
+def values_of(
+    parameters: Sequence[Parameter], coordinates: Float[Array, " parameters"], errors: np.ndarray
+) -> dict[str, Value]:
+    """Values and standard errors by name; an error is carried over by the bijector's slope.
+
+    Args:
+        parameters: What was fitted.
+        coordinates, errors: Of each, and its standard error, shape (parameters,).
+    """
+    found = {}
+    for each, at, error in zip(parameters, coordinates, errors, strict=True):
+        found[each.quantity.name] = Value(
+            value=float(each.bijector.value(at)),
+            error=float(abs(each.bijector.slope(at)) * error),
+            unit=each.quantity.unit,
+            label=each.quantity.label,
+        )
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,17 +44,37 @@ def zeta_paths(
         RunError: where a run has no sinkage, is too short, or cannot be simulated.
         InputError: for a knot spacing that is none.
     """
+    return [each.path() for each in path_steps(candidates, knot_spacing)]
+
+
+def path_steps(
+    candidates: Sequence[Candidate],
+    knot_spacing: float,
+    begun: Sequence[PathSteps] | None = None,
+) -> list[PathSteps]:
+    """`zeta_paths` with the linearisations that they ended at.
+
+    Args:
+        candidates, knot_spacing: See `zeta_paths`.
+        begun: The same runs' paths to go on from, at other values of what is not fitted here.
+    """
     channels = [sinkage_and_travel(each).channels for each in candidates]
-    found: dict[int, ZetaPath] = {}
+    found: dict[int, PathSteps] = {}
     for kind in dict.fromkeys(channels):
         alike = [number for number, own in enumerate(channels) if own == kind]
-        paths = _paths_of_alike([candidates[number] for number in alike], knot_spacing)
-        found |= dict(zip(alike, paths, strict=True))
+        steps = _steps_of_alike(
+            [candidates[number] for number in alike],
+            knot_spacing,
+            [None if begun is None else begun[number] for number in alike],
+        )
+        found |= dict(zip(alike, steps, strict=True))
     return [found[number] for number in range(len(candidates))]
 
 
-def _paths_of_alike(candidates: Sequence[Candidate], knot_spacing: float) -> list[ZetaPath]:
-    """`zeta_paths` of runs that have the same channels."""
+def _steps_of_alike(
+    candidates: Sequence[Candidate], knot_spacing: float, begun: Sequence[PathSteps | None]
+) -> list[PathSteps]:
+    """`path_steps` of runs that have the same channels."""
     grids = [_knots(each, knot_spacing) for each in candidates]
     longest = max(grids, key=len)
     most, lines = len(longest), len(between(longest))
@@ -63,25 +83,22 @@ def _paths_of_alike(candidates: Sequence[Candidate], knot_spacing: float) -> lis
         for each, grid in zip(candidates, grids, strict=True)
     ]
     batch = make_batch(trials, [sinkage_and_travel(each) for each in candidates])
-    fits = [
-        PathSteps(each, batch, number, grid)
-        for number, (each, grid) in enumerate(zip(candidates, grids, strict=True))
-    ]
-    curves = np.zeros((len(fits), lines, most))
+    curves = np.zeros((len(candidates), lines, most))
     for curve, grid in zip(curves, grids, strict=True):
         drawn = cardinal(grid, between(grid))
         curve[: len(drawn), : len(grid)] = drawn
     curves = jnp.asarray(curves)
+    fits = [
+        PathSteps(each, batch, number, grid, curves[number], last)
+        for number, (each, grid, last) in enumerate(zip(candidates, grids, begun, strict=True))
+    ]
     while not all(fit.settled for fit in fits):
-        # Knots after a run's last one bear on nothing.
-        coordinates = jnp.asarray(
-            [np.insert(f.coordinates, [f.knots] * (most - f.knots), 0.0) for f in fits]
-        )
+        coordinates = jnp.asarray([fit.padded for fit in fits])
         predicted, derivative = map(np.asarray, simulated(batch, curves, coordinates))
         for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
             if not fit.settled:
                 fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
-    return [fit.path() for fit in fits]
+    return fits
 
 
 def _knots(each: Candidate, spacing: float) -> np.ndarray:

@@ -12,6 +12,7 @@ from virtual_runs import FAST, NOISE, SLOW, coarse, recorded, recut, setup_of
 
 from drftjax.errors import InputError
 from drftjax.runlog.record import Command, Measured
+from drftjax.stress import COEFFICIENT_NAMES
 from identify.batch import Problem, device_mesh, make_batch
 from identify.bijector import Interval, Positive, Scaled
 from identify.candidate import candidate
@@ -436,6 +437,18 @@ def test_bounds_that_leave_the_set_up_out_are_shown(slow_runs):
         fit([coarse("run", slow_runs[0])], [bounded])
 
 
+def test_a_stress_coefficient_is_found_beside_each_runs_zeta(slow_runs):
+    candidates = [coarse(f"run {n}", run) for n, run in enumerate(slow_runs)]
+    result = fit(candidates, [OWN_ZETA, parameter("B11", shared=True, start=0.18)])
+    value = result.shared["terrain.coefficients.B11"]
+    assert (value.label, value.unit) == ("B11", "N/cm3")
+    assert value.told
+    assert within_ninety(value, 0.212)
+    listed = result.runs[0].setup.terrain.coefficients
+    assert listed[COEFFICIENT_NAMES.index("B11")] == value.value
+    assert result.runs[0].setup.trial()  # and a list of nine builds again
+
+
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_every_quantity_is_read_and_written_in_its_place(name):
     trial = setup_of().trial()
@@ -453,5 +466,6 @@ def test_every_quantity_is_in_the_documentation_and_in_a_set_up():
     for name, quantity in QUANTITIES.items():
         assert f"`{name}`" in page
         quantity.record(setup, 0.25)
-        section, field = name.split(".")
-        assert getattr(getattr(setup, section), field) == 0.25
+        section, field, *element = name.split(".")
+        recorded = getattr(getattr(setup, section), field)
+        assert (recorded[COEFFICIENT_NAMES.index(*element)] if element else recorded) == 0.25

@@ -70,8 +70,8 @@ def test_zeta_over_the_run_is_fitted_in_one_call(runs, model):
     ("options", "said"),
     [
         ({"zeta": "knots"}, "zeta is 'knots', must be one of constant, phases, path"),
-        ({"zeta": "path", "parameters": "zeta"}, "fits zeta.t. alone"),
-        ({"zeta": "path", "starts": 2}, "fits zeta.t. alone"),
+        ({"zeta": "path", "parameters": "zeta"}, "zeta is what a path is of"),
+        ({"zeta": "path", "starts": 2}, "from one start; leave noise and starts out"),
         ({"zeta": "path", "knots": float("nan")}, "knot spacing is nan s"),
     ],
 )

@@ -387,7 +387,9 @@ def test_command_carries_the_bounds_of_zeta_over_to_its_phases(drft, log, tmp_pa
     ("arguments", "said"),
     [
         (["--zeta", "knots"], "--zeta is 'knots', must be one of constant, phases, path"),
-        (["--zeta", "path", "--share", "lambda"], "--zeta path fits zeta(t) alone"),
+        (["--zeta", "path", "--share", "zeta"], "zeta is what a path is of; leave it out"),
+        (["--zeta", "path", "--own", "start.x"], "each path finds its own start.x"),
+        (["--zeta", "path", "--starts", "4"], "--zeta path goes from one start to one answer"),
         (["--zeta", "path", "--autoregressive"], "leave --autoregressive out"),
         (["--zeta", "phases", "--knots", "0.5"], "--knots is the spacing of the knots of --zeta"),
         (["--zeta", "path", "--knots", "0"], "the knot spacing is 0 s, must be positive"),

@@ -1,0 +1,165 @@
+"""Numbers beside the zeta(t) of each run: what a path could do as well tells nothing of them."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.errors import InputError
+from identify.candidate import Candidate
+from identify.effect_parameter import put_effects
+from identify.parameter import own, shared
+from identify.path_fit import fit_paths
+from identify.path_parameters import Beside, _Beside, paths_beside
+from identify.spline import cardinal
+from tests.test_zeta_path import made
+
+LAMBDA = "terrain.inertial_coefficient"
+TRUE_LAMBDA = 1.1
+STEP = 5e-4
+# Up to 45 deg/s that step takes (`drftjax.integrator.steady_step`), and half of it up to 90.
+TIME = (0.0, 0.2, 1.7, 2.1, 3.6, 3.8)
+KNOTS = np.linspace(0.0, 3.6, 5)
+SPACING = KNOTS[1]
+# Half the width of a 90 % interval, in standard errors of a normal distribution; two such values
+# and a few knots lie within three of them but once in many hundred times.
+NINETY, FAR = 1.645, 3.0
+# Sums of the same products in another order, of numbers that differ by eight orders.
+ROUNDING = 1e-6
+# Where a fit stops, in standard errors: `identify.path_parameters.SMALL_MOVE`, and its last move.
+STOPS = 0.2
+DRAWBAR = (2.0, 5.0)
+
+
+def wave(number: int):
+    """A zeta(t) that the knots draw."""
+    values = 0.75 + 0.03 * np.sin(2.0 * KNOTS + number)
+    return lambda t: np.exp(cardinal(KNOTS, np.asarray(t)) @ np.log(values))
+
+
+def run(number: int, top: float, step: float = STEP, **changed) -> Candidate:
+    """A run up to so many deg/s and down again."""
+    omega = (0.0, 0.0, top, top, 0.0, 0.0)
+    return made(f"run {number}", wave(number), 20 + number, TIME, omega, step=step, **changed)
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Candidate]:
+    return [run(number, 80.0, STEP / 2) for number in range(2)]
+
+
+@pytest.fixture(scope="module")
+def found(runs) -> Beside:
+    """From a lambda that is far off."""
+    return paths_beside(runs, [shared("lambda", start=0.2)], SPACING)
+
+
+def test_lambda_and_zeta_over_time_come_back_together(runs, found):
+    (value,) = found.values[0].values()
+    assert found.converged
+    assert value.error < 0.25
+    assert abs(value.value - TRUE_LAMBDA) < FAR * value.error
+    for number, each in enumerate(found.steps):
+        path = each.path()
+        away = (path.value - wave(number)(path.time)) / path.error
+        assert np.abs(away[path.told]).max() < FAR
+        assert path.rmse["z"] == pytest.approx(20e-6, rel=0.25)
+        assert path.rmse["x"] == pytest.approx(20e-6, rel=0.25)
+
+
+def test_what_is_found_does_not_depend_on_the_start(runs, found):
+    again = paths_beside(runs, [shared("lambda")], SPACING)
+    one, other = (each.values[0][LAMBDA] for each in (found, again))
+    assert abs(one.value - other.value) < STOPS * one.error
+
+
+def test_errors_are_those_of_all_coordinates_together(runs, found):
+    """The Schur complement against the inverse of the whole matrix, paths and all."""
+    parameters = (shared("lambda"),)
+    blocks, couplings, own_parts = [], [], []
+    fit = _Beside(found.candidates, parameters)
+    for number, each in enumerate(found.steps):
+        block = fit._of_run(found.coordinates[fit.of(number)], each)
+        own_parts.append(block[0])
+        couplings.append(block[1])
+        blocks.append(block[3])
+    size = sum(map(len, blocks))
+    whole = np.zeros((size + 1, size + 1))
+    place = 0
+    for block, coupling in zip(blocks, couplings, strict=True):
+        here = slice(place, place + len(block))
+        whole[here, here] = block
+        whole[here, -1:] = coupling
+        whole[-1:, here] = coupling.T
+        place += len(block)
+    whole[-1, -1] = sum(float(part[0, 0]) for part in own_parts)
+    covariance = np.linalg.inv(whole)
+    assert found.covariance[0, 0] == pytest.approx(covariance[-1, -1], rel=ROUNDING)
+    first = found.steps[0]
+    knots = np.diag(covariance)[: first.knots]
+    assert np.diag(first.posterior.covariance)[: first.knots] == pytest.approx(knots, rel=ROUNDING)
+
+
+def pulled(number: int, force: float) -> Candidate:
+    """A run that a drawbar pulls back, and its set-up knows of drawbars."""
+    each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
+    put_effects(each.setup, ["drawbar.force"])
+    return dataclasses.replace(each, trial=each.setup.trial(5 * STEP))
+
+
+def test_each_run_may_have_a_number_of_its_own():
+    runs = [pulled(number, force) for number, force in enumerate(DRAWBAR)]
+    result = fit_paths(runs, SPACING, [own("drawbar.force")])
+    assert result.status == "converged"
+    assert result.labels == ("drawbar.force of run 0", "drawbar.force of run 1")
+    for each, force in zip(result.runs, DRAWBAR, strict=True):
+        value = each.values["drawbar.force"]
+        assert value.told
+        assert abs(value.value - force) < FAR * value.error
+        (effect,) = each.setup.effects
+        assert effect["force"] == value.value
+    error = np.sqrt(np.diag(result.covariance))
+    assert error == pytest.approx([v.error for v in result.values.values()], rel=ROUNDING)
+    assert "drawbar.force" in result.summary()
+
+
+def test_a_prior_holds_what_the_runs_do_not_tell():
+    slow = run(3, 5.0)
+    untold = fit_paths([slow], SPACING, [shared("lambda")])
+    assert not untold.shared[LAMBDA].told
+    assert any("lambda cannot be identified" in each for each in untold.findings)
+    believed = fit_paths([slow], SPACING, [shared("lambda", prior=(1.4, 0.05))])
+    value = believed.shared[LAMBDA]
+    assert value.error == pytest.approx(0.05, rel=0.02)
+    assert abs(value.value - 1.4) < 0.05
+
+
+def test_a_value_at_its_bound_is_said_to_be():
+    bounded = own("drawbar.force", bounds=(-1.0, 2.0), start=1.0)
+    result = fit_paths([pulled(1, DRAWBAR[1])], SPACING, [bounded])
+    assert result.runs[0].values["drawbar.force"].value == pytest.approx(2.0, abs=0.01)
+    assert result.runs[0].status == "at a bound"
+    assert "drawbar.force has run into its bound" in result.findings
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("zeta", "zeta is what a path is of"),
+        ("zeta.steady", "zeta.steady is what a path is of"),
+        ("start.sinkage", "each path finds its own start.sinkage"),
+    ],
+)
+def test_what_a_path_finds_itself_is_refused(runs, name, said):
+    with pytest.raises(InputError, match=said):
+        fit_paths(runs, SPACING, [own(name)])
+
+
+def test_a_run_outside_the_bounds_is_left_out(runs):
+    bounded = shared("lambda", bounds=(0.5, 2.0))
+    set_up = shared("lambda").quantity.write(runs[1].trial, jnp.asarray(3.0))
+    beyond = dataclasses.replace(runs[1], trial=set_up)
+    result = fit_paths([runs[0], beyond], SPACING, [bounded])
+    assert [each.name for each in result.runs] == ["run 0"]
+    assert "outside the bounds 0.5 to 2" in result.failures["run 1"]
