@@ -326,26 +326,36 @@ class Problem(eqx.Module):
         return jnp.where(carried > 0, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
 
     def _over_runs(self, one, shared: Array, own: Array):
-        spread, whole = PartitionSpec("runs"), PartitionSpec()
-        order = self.batch.order
-        trials, observed, each = jax.tree.map(
-            lambda leaf: leaf[order], (self.batch.trials, self.batch.observed, own)
-        )
+        return over_runs(self.batch, self.mesh, one, shared, own)
 
-        # One run after the other on a device: each ends with its own rows, and none is padded.
-        def in_turn(trials: Trial, observed: Observed, shared: Array, own: Array):
-            return jax.lax.map(
-                lambda run: one(run[0], run[1], shared, run[2]), (trials, observed, own)
-            )
 
-        shares = jax.shard_map(
-            in_turn,
-            mesh=self.mesh,
-            in_specs=(spread, spread, whole, spread),
-            out_specs=spread,
-            check_vma=False,
-        )(trials, observed, shared, each)
-        return jax.tree.map(lambda leaf: leaf[jnp.argsort(order)], shares)
+def over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
+    """What `one` makes of every run, a share of the runs on each device.
+
+    Args:
+        batch: The runs.
+        mesh: The devices.
+        one: Of a run's trial, its recording, what is shared, and what is the run's own.
+        shared: Anything, the same for every run.
+        own: Arrays with a leading axis of runs.
+    """
+    spread, whole = PartitionSpec("runs"), PartitionSpec()
+    trials, observed, each = jax.tree.map(
+        lambda leaf: leaf[batch.order], (batch.trials, batch.observed, own)
+    )
+
+    # One run after the other on a device: each ends with its own rows, and none is padded.
+    def in_turn(trials: Trial, observed: Observed, shared, own):
+        return jax.lax.map(lambda run: one(run[0], run[1], shared, run[2]), (trials, observed, own))
+
+    shares = jax.shard_map(
+        in_turn,
+        mesh=mesh,
+        in_specs=(spread, spread, whole, spread),
+        out_specs=spread,
+        check_vma=False,
+    )(trials, observed, shared, each)
+    return jax.tree.map(lambda leaf: leaf[jnp.argsort(batch.order)], shares)
 
 
 def device_mesh() -> Mesh:

@@ -4,14 +4,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from drftjax.scaling import KnotZeta
 from drftjax.trial import Trial
-from identify.batch import Batch, Observed, sampled
+from identify.batch import Batch, Observed, between_rows, over_runs
 
 # Standard deviation of the start's sinkage and travel about their recorded means [m].
 START_SPREAD = 1e-3
+START_COORDINATES = 2
 
 
 def in_lines(trial: Trial, ends: np.ndarray) -> Trial:
@@ -44,22 +46,31 @@ def predicted(
     curve: Float[Array, "ends knots"],
     coordinates: Float[Array, " all"],
 ) -> Float[Array, "channels samples"]:
-    """Simulated channels of one run at its recorded times [m]."""
-    return sampled(placed(trial, curve, coordinates).run(), observed, channels)
+    """Simulated channels of one run at its recorded times [m], up to the last one compared."""
+    drawn = placed(trial, curve, coordinates)
+    return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
 
 
 @eqx.filter_jit
 def simulated(
-    batch: Batch, curves: Float[Array, "runs ends knots"], coordinates: Float[Array, "runs all"]
+    batch: Batch,
+    mesh: Mesh,
+    curves: Float[Array, "runs ends knots"],
+    coordinates: Float[Array, "runs all"],
 ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
-    """Every run's channels at its recorded times [m], and their derivative by its coordinates."""
+    """Every run's channels at its recorded times [m], and their derivative by its coordinates.
 
-    def one(trial: Trial, observed: Observed, curve: Float[Array, "ends knots"], at: Array):
-        def both(at):
+    As `predicted`; zero for a run of which no row is compared.
+    """
+
+    def one(trial: Trial, observed: Observed, _, own: tuple[Array, Array]):
+        curve, at = own
+
+        def both(at: Array) -> tuple[Array, Array]:
             values = predicted(trial, observed, batch.channels, curve, at)
             return values, values
 
         derivative, values = jax.jacfwd(both, has_aux=True)(at)
         return values, derivative
 
-    return jax.vmap(one)(batch.trials, batch.observed, curves, coordinates)
+    return over_runs(batch, mesh, one, (), (curves, coordinates))

@@ -13,17 +13,20 @@ so what a zeta(t) could do as well tells nothing of them.
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from drftjax.errors import InputError, RunError
-from identify.batch import sampled
+from drftjax.trial import Trial
+from identify.batch import Batch, Observed, device_mesh, over_runs
 from identify.candidate import Candidate
-from identify.drawn_zeta import placed
+from identify.drawn_zeta import predicted
 from identify.parameter import Parameter
 from identify.path_steps import PathSteps
 from identify.result import Value, values_of
@@ -41,7 +44,7 @@ SMALL_MOVE = 0.1
 # Of a coordinate that the runs see nothing of: an error of 10,000.
 LEAST_INFORMATION = 1e-8
 # How far from a coordinate its derivative may be taken: no derivative changes by a tenth over it.
-CLOSE_BY = np.linspace(-0.04, 0.04, 9)
+CLOSE_BY = np.linspace(-0.04, 0.04, 5)
 # A step is refused where the log evidence falls by more than this, which paths that stop elsewhere
 # in the rough make by themselves, and halved so often.
 NOTICEABLE = 1.0
@@ -163,9 +166,10 @@ def paths_beside(
     best = fit.at(now, knot_spacing, None)
     turns = refused = 0
     halved, converged = 1.0, False
-    information, slope = fit.normal(now, best)
+    linear = fit.linearised(now, best)
     while turns < MOST_TURNS:
         report("paths, and numbers beside them", turns, np.nan)
+        information, slope = fit.normal(now, linear)
         covariance = _inverse(information)
         move = -covariance @ slope
         error = np.sqrt(np.diag(covariance))
@@ -184,9 +188,9 @@ def paths_beside(
                 break
             continue
         now, best, refused, halved = now + move, tried, 0, 1.0
-        information, slope = fit.normal(now, best)
-    covariance = _inverse(information)
-    fit.spread(now, best, covariance)
+        linear = fit.linearised(now, best)
+    covariance = _inverse(fit.normal(now, linear)[0])
+    fit.widen(best, linear, covariance)
     converged = converged and all(each.converged for each in best)
     return Beside(fit.parameters, best, fit.placed(now), now, covariance, turns, converged)
 
@@ -249,47 +253,76 @@ class _Beside:
                 residual[place], slope[place] = map(float, found)
         return residual, slope
 
+    def linearised(self, coordinates: np.ndarray, steps: Sequence[PathSteps]) -> list["_Linear"]:
+        """Second derivatives and slope of half the misfit of each run, where its path ended."""
+        slopes: dict[int, np.ndarray] = {}
+        for batch in {id(each.batch): each.batch for each in steps}.values():
+            alike = [run for run, each in enumerate(steps) if each.batch is batch]
+            size = len(batch.order)
+            curves = np.zeros((size, *steps[alike[0]].curve.shape))
+            paths = np.zeros((size, len(steps[alike[0]].padded)))
+            own = np.zeros((size, len(self.parameters)))
+            for run in alike:
+                at = steps[run].number
+                curves[at], paths[at] = steps[run].curve, steps[run].padded
+                own[at] = coordinates[self.of(run)]
+            inputs = map(jnp.asarray, (curves, paths, own))
+            found = np.asarray(_slopes(batch, device_mesh(), self.parameters, *inputs))
+            slopes |= {run: found[steps[run].number] for run in alike}
+        return [
+            _Linear(len(each.coordinates), *each.information_with(slopes[run][:, each.counts]))
+            for run, each in enumerate(steps)
+        ]
+
     def normal(
-        self, coordinates: np.ndarray, steps: Sequence[PathSteps]
+        self, coordinates: np.ndarray, linear: Sequence["_Linear"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Information on the values with every path free, and the slope of half the misfit."""
         belief, slope_of_belief = self._beliefs(coordinates)
         information = np.diag(slope_of_belief**2)
         slope = slope_of_belief * belief
-        for run, each in enumerate(steps):
+        for run, each in enumerate(linear):
             place = self.of(run)
-            own, coupling, pull, along = self._of_run(coordinates[place], each)
-            follows = np.linalg.solve(along, coupling)
-            information[np.ix_(place, place)] += own - coupling.T @ follows
-            slope[place] += pull[len(along) :] - follows.T @ pull[: len(along)]
+            own, pull = each.with_path_free()
+            information[np.ix_(place, place)] += own
+            slope[place] += pull
         return information, slope
 
-    def spread(
-        self, coordinates: np.ndarray, steps: Sequence[PathSteps], covariance: np.ndarray
+    def widen(
+        self, steps: Sequence[PathSteps], linear: Sequence["_Linear"], covariance: np.ndarray
     ) -> None:
         """Count the values' uncertainty in that of the paths."""
-        for run, each in enumerate(steps):
+        for run, (each, here) in enumerate(zip(steps, linear, strict=True)):
             place = self.of(run)
-            _, coupling, _, along = self._of_run(coordinates[place], each)
-            follows = np.linalg.solve(along, coupling)
-            each.widen(follows @ covariance[np.ix_(place, place)] @ follows.T)
+            each.widen(here.follows @ covariance[np.ix_(place, place)] @ here.follows.T)
 
-    def _of_run(self, own: np.ndarray, steps: PathSteps) -> tuple[np.ndarray, ...]:
-        """Second derivatives of half the misfit by values, by path and values; slope; by path."""
-        slopes = np.asarray(
-            _slopes(
-                steps.trial,
-                steps.observed,
-                steps.channels,
-                steps.curve,
-                jnp.asarray(steps.padded),
-                self.parameters,
-                jnp.asarray(own),
-            )
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """One run linearised by path and values, in that order.
+
+    Attributes:
+        path: Number of the path's coordinates.
+        information: Second derivative of half the misfit and the bends.
+        slope: Their first.
+    """
+
+    path: int
+    information: np.ndarray
+    slope: np.ndarray
+
+    @cached_property
+    def follows(self) -> np.ndarray:
+        """Change of the path, turned round, by which it makes up for one of each value."""
+        return np.linalg.solve(
+            self.information[: self.path, : self.path], self.information[: self.path, self.path :]
         )
-        whole, pull = steps.information_with(slopes[:, steps.counts])
-        size = len(whole) - len(own)
-        return whole[size:, size:], whole[:size, size:], pull, whole[:size, :size]
+
+    def with_path_free(self) -> tuple[np.ndarray, np.ndarray]:
+        """Information and slope by the values."""
+        coupling = self.information[: self.path, self.path :]
+        own = self.information[self.path :, self.path :] - coupling.T @ self.follows
+        return own, self.slope[self.path :] - self.follows.T @ self.slope[: self.path]
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
@@ -306,24 +339,27 @@ def _with(trial, parameters: Sequence[Parameter], coordinates):
 
 @eqx.filter_jit
 def _slopes(
-    trial,
-    observed,
-    channels: tuple[str, ...],
-    curve: Float[Array, "ends knots"],
-    path: Float[Array, " path"],
+    batch: Batch,
+    mesh: Mesh,
     parameters: tuple[Parameter, ...],
-    coordinates: Float[Array, " values"],
-) -> Float[Array, "channels samples values"]:
-    """Derivative of one run's channels by the values' coordinates, its path as it is.
+    curves: Float[Array, "runs ends knots"],
+    paths: Float[Array, "runs path"],
+    coordinates: Float[Array, "runs values"],
+) -> Float[Array, "runs channels samples values"]:
+    """Derivative of every run's channels by its values' coordinates, its path as it is.
 
     The calmest of those at values close by: where a jump of the wheel is about to move by a step,
     the derivative says how the jump multiplies, up to a thousandfold, not how the run goes on.
     """
 
-    def predicted(at: Array) -> Array:
-        drawn = placed(_with(trial, parameters, at), curve, path)
-        return sampled(drawn.run(), observed, channels)
+    def one(trial: Trial, observed: Observed, _, own: tuple[Array, Array, Array]) -> Array:
+        curve, path, here = own
 
-    found = jax.vmap(jax.jacfwd(predicted))(coordinates + CLOSE_BY[:, None])
-    size = jnp.linalg.norm(jnp.nan_to_num(found, nan=jnp.inf), axis=(1, 2))
-    return jnp.take_along_axis(found, jnp.argmin(size, axis=0)[None, None, None], axis=0)[0]
+        def simulated(at: Array) -> Array:
+            return predicted(_with(trial, parameters, at), observed, batch.channels, curve, path)
+
+        found = jax.vmap(jax.jacfwd(simulated))(here + CLOSE_BY[:, None])
+        size = jnp.linalg.norm(jnp.nan_to_num(found, nan=jnp.inf), axis=(1, 2))
+        return jnp.take_along_axis(found, jnp.argmin(size, axis=0)[None, None, None], axis=0)[0]
+
+    return over_runs(batch, mesh, one, (), (curves, paths, coordinates))

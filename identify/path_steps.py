@@ -12,7 +12,7 @@ from drftjax.command import Command
 from drftjax.errors import RunError
 from drftjax.setup import ZetaKnots
 from drftjax.trial import Trial
-from identify.batch import Batch, Observed
+from identify.batch import Batch
 from identify.candidate import Candidate
 from identify.drawn_zeta import in_lines, placed
 from identify.evidence import (
@@ -82,14 +82,11 @@ class PathSteps:
     ):
         self.candidate = candidate
         self.grid, self.knots, self.curve = grid, len(grid), curve
-        self.trial: Trial
-        self.observed: Observed
-        self.trial, self.observed = jax.tree.map(
-            lambda leaf: leaf[number], (batch.trials, batch.observed)
-        )
+        self.batch, self.number = batch, number
+        self.trial: Trial = jax.tree.map(lambda leaf: leaf[number], batch.trials)
         self.channels = batch.channels
-        self.counts = np.asarray(self.observed.weight[0]) > 0
-        self.values = np.asarray(self.observed.values)[:, self.counts]
+        self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
+        self.values = np.asarray(batch.observed.values[number])[:, self.counts]
         time = candidate.observation.time[candidate.observation.counts]
         self.intervals = intervals_of(time)
         zeta = _believed_zeta(candidate.trial, grid)

@@ -16,13 +16,15 @@ steps move the linearisation to where it settles.
 
 from collections.abc import Sequence
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from drftjax.errors import InputError, RunError
-from identify.batch import make_batch
+from identify.batch import device_mesh, make_batch
 from identify.candidate import Candidate
-from identify.drawn_zeta import in_lines, simulated
+from identify.drawn_zeta import START_COORDINATES, in_lines, simulated
 from identify.path_steps import PathSteps, sinkage_and_travel
 from identify.spline import between, cardinal
 from identify.zeta_path import ZetaPath
@@ -82,9 +84,10 @@ def _steps_of_alike(
         in_lines(each.trial, _padded(between(grid), lines))
         for each, grid in zip(candidates, grids, strict=True)
     ]
-    batch = make_batch(trials, [sinkage_and_travel(each) for each in candidates])
-    curves = np.zeros((len(candidates), lines, most))
-    for curve, grid in zip(curves, grids, strict=True):
+    observations = [sinkage_and_travel(each) for each in candidates]
+    batch, mesh = make_batch(trials, observations, jax.device_count()), device_mesh()
+    curves = np.zeros((len(batch.order), lines, most))
+    for curve, grid in zip(curves, grids, strict=False):
         drawn = cardinal(grid, between(grid))
         curve[: len(drawn), : len(grid)] = drawn
     curves = jnp.asarray(curves)
@@ -92,9 +95,16 @@ def _steps_of_alike(
         PathSteps(each, batch, number, grid, curves[number], last)
         for number, (each, grid, last) in enumerate(zip(candidates, grids, begun, strict=True))
     ]
+    compared = batch.observed.compared_rows
+    coordinates = np.zeros((len(curves), most + START_COORDINATES))
     while not all(fit.settled for fit in fits):
-        coordinates = jnp.asarray([fit.padded for fit in fits])
-        predicted, derivative = map(np.asarray, simulated(batch, curves, coordinates))
+        for number, fit in enumerate(fits):
+            coordinates[number] = fit.padded
+            if fit.settled:
+                compared = compared.at[number].set(0)
+        left = eqx.tree_at(lambda b: b.observed.compared_rows, batch, compared)
+        found = simulated(left, mesh, curves, jnp.asarray(coordinates))
+        predicted, derivative = (np.asarray(each)[: len(fits)] for each in found)
         for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
             if not fit.settled:
                 fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))

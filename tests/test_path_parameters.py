@@ -76,29 +76,20 @@ def test_what_is_found_does_not_depend_on_the_start(runs, found):
 
 def test_errors_are_those_of_all_coordinates_together(runs, found):
     """The Schur complement against the inverse of the whole matrix, paths and all."""
-    parameters = (shared("lambda"),)
-    blocks, couplings, own_parts = [], [], []
-    fit = _Beside(found.candidates, parameters)
-    for number, each in enumerate(found.steps):
-        block = fit._of_run(found.coordinates[fit.of(number)], each)
-        own_parts.append(block[0])
-        couplings.append(block[1])
-        blocks.append(block[3])
-    size = sum(map(len, blocks))
+    fit = _Beside(found.candidates, [shared("lambda")])
+    linear = fit.linearised(found.coordinates, found.steps)
+    size = sum(each.path for each in linear)
     whole = np.zeros((size + 1, size + 1))
-    place = 0
-    for block, coupling in zip(blocks, couplings, strict=True):
-        here = slice(place, place + len(block))
-        whole[here, here] = block
-        whole[here, -1:] = coupling
-        whole[-1:, here] = coupling.T
-        place += len(block)
-    whole[-1, -1] = sum(float(part[0, 0]) for part in own_parts)
+    first = 0
+    for each in linear:
+        place = np.r_[first : first + each.path, size]
+        whole[np.ix_(place, place)] += each.information
+        first += each.path
     covariance = np.linalg.inv(whole)
     assert found.covariance[0, 0] == pytest.approx(covariance[-1, -1], rel=ROUNDING)
-    first = found.steps[0]
-    knots = np.diag(covariance)[: first.knots]
-    assert np.diag(first.posterior.covariance)[: first.knots] == pytest.approx(knots, rel=ROUNDING)
+    path = found.steps[0]
+    knots = np.diag(covariance)[: path.knots]
+    assert np.diag(path.posterior.covariance)[: path.knots] == pytest.approx(knots, rel=ROUNDING)
 
 
 def pulled(number: int, force: float) -> Candidate:
