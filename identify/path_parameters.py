@@ -89,36 +89,36 @@ class Beside:
         error = np.sqrt(np.diag(self.covariance))
         each = []
         for run in range(len(self.steps)):
-            place = coordinates_of(run, len(self.parameters), shared)
-            each.append(
-                values_of(self.parameters, jnp.asarray(self.coordinates[place]), error[place])
-            )
+            at, spread = jnp.asarray(self.coordinates[self._of(run)]), error[self._of(run)]
+            each.append(values_of(self.parameters, at, spread))
         names = [p.quantity.name for p in self.parameters]
         common = {name: each[0][name] for name in names[:shared]}
         return common, [{name: found[name] for name in names[shared:]} for found in each]
 
     def bounded(self, run: int) -> list[str]:
         """Names of the values that ran into a bound: shared ones, and this run's own."""
-        shared = sum(p.shared for p in self.parameters)
-        place = coordinates_of(run, len(self.parameters), shared)
         return [
             p.quantity.name
-            for p, at in zip(self.parameters, self.coordinates[place], strict=True)
+            for p, at in zip(self.parameters, self.coordinates[self._of(run)], strict=True)
             if bool(p.near_bound(jnp.asarray(at)))
         ]
 
     @property
     def covariance_of_values(self) -> np.ndarray:
         """Covariance of the values, in their units squared, ordered as `labels`."""
-        shared = sum(p.shared for p in self.parameters)
         slope = np.zeros(len(self.coordinates))
         for run in range(len(self.steps)):
-            place = coordinates_of(run, len(self.parameters), shared)
+            place = self._of(run)
             slope[place] = [
                 float(p.bijector.slope(jnp.asarray(at)))
                 for p, at in zip(self.parameters, self.coordinates[place], strict=True)
             ]
         return slope[:, None] * self.covariance * slope
+
+    def _of(self, run: int) -> np.ndarray:
+        """Places of a run's coordinates, in the parameters' order."""
+        shared = sum(p.shared for p in self.parameters)
+        return coordinates_of(run, len(self.parameters), shared)
 
 
 def require_beside(parameters: Sequence[Parameter]) -> None:
@@ -152,8 +152,8 @@ def paths_beside(
         progress: Called with the stage and the turn.
 
     Raises:
-        RunError: where a run cannot be fitted at the values it starts from.
-        InputError: where a parameter is of the path itself, or a run has no such number.
+        RunError: where a run has no such number, or cannot be fitted at the values it starts from.
+        InputError: where a parameter is of the path itself.
     """
     if not parameters:
         steps = path_steps(candidates, knot_spacing)
