@@ -262,8 +262,8 @@ class _SeenDialogue(AbstractDialogue):
         else:
             self._dialogue.tell(text)
 
-    def confirm(self, text: str) -> None:
-        self._dialogue.confirm(text)
+    def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._dialogue.confirm(text, meanwhile)
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
         self._onlooker.enter(phase, lasts)

@@ -3,12 +3,21 @@
 import abc
 import math
 import os
+import select
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from drftjax.errors import InputError
 from hils.scene import Phase
+
+# Between two looks at the rig while a question is open [s]: it says ESTOP five times, 50 ms apart.
+LOOK = 0.05
+
+
+def _nothing() -> None:
+    pass
 
 
 class AbstractDialogue(abc.ABC):
@@ -19,8 +28,12 @@ class AbstractDialogue(abc.ABC):
         """Say a sentence, if anybody listens."""
 
     @abc.abstractmethod
-    def confirm(self, text: str) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
         """Ask for something to be done, and return when it is.
+
+        Args:
+            text: What is to be done.
+            meanwhile: Called again and again while the question is open; it may raise.
 
         Raises:
             InputError: where nobody can answer.
@@ -51,9 +64,21 @@ class Terminal(AbstractDialogue):
     def tell(self, text: str) -> None:
         _say(text)
 
-    def confirm(self, text: str) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
+        question = f"{text}, then press Enter (Ctrl-C to leave) "
         try:
-            input(f"{text}, then press Enter (Ctrl-C to leave) ")
+            if not sys.stdin.isatty():
+                input(question)
+                return
+            print(question, end="", flush=True)
+            while not select.select([sys.stdin], [], [], LOOK)[0]:
+                try:
+                    meanwhile()
+                except BaseException:
+                    _say("")
+                    raise
+            if not sys.stdin.readline():
+                raise EOFError
         except (EOFError, OSError):
             _say("")  # the question has left the line open
             raise InputError(
@@ -77,7 +102,7 @@ class Unattended(AbstractDialogue):
         if not self._quiet:
             _say(text)
 
-    def confirm(self, text: str) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
         self.tell(f"{text}: taken as done")
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:

@@ -235,12 +235,18 @@ def _run(
         if isinstance(conduct, TunedTick):
             conduct.warm(expected)
         if procedure.zero is ZeroAt.HELD:
-            dialogue.confirm("Hold the wheel where its rim just touches the undisturbed sand")
+            dialogue.confirm(
+                "Hold the wheel where its rim just touches the undisturbed sand",
+                session.require_unhalted,
+            )
         zero = touch_down(session, link, clock, ack)
         if procedure.zero is ZeroAt.POWER_UP:
             zero = zero._replace(z=0.0)
         log.event(Event.TOUCHED_DOWN, zero.z)
-        dialogue.confirm("Let the wheel down, so that it rests on the sand by its own weight")
+        dialogue.confirm(
+            "Let the wheel down, so that it rests on the sand by its own weight",
+            session.require_unhalted,
+        )
         session.require_unhalted()
         before_motion()
     except BaseException:

@@ -9,7 +9,7 @@ import pytest
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import survey_run, write_run
 from hils.clock import VirtualClock
-from hils.operator_dialogue import Unattended
+from hils.operator_dialogue import LOOK, Unattended
 from hils.procedure import Procedure, run
 from hils.rows import KeptRows
 from hils.simulated import soft_rig
@@ -78,7 +78,7 @@ class Pressing(Unattended):
         super().__init__(quiet=True)
         self._rig, self._clock, self._question = rig, clock, question
 
-    def confirm(self, text):
+    def confirm(self, text, meanwhile=None):
         if self._question in text:
             self._rig.press(12, self._clock.now())
             self._clock.sleep_until(self._clock.now() + 10.0)
@@ -95,6 +95,31 @@ def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(que
     assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
     assert rig.protocol.state is RigState.SAFE
     assert "emergency stop" in rows.end_reason
+
+
+class Waiting(Unattended):
+    """An operator who never presses Enter, at a rig whose own emergency stop is pressed."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock):
+        super().__init__(quiet=True)
+        self._rig, self._clock = rig, clock
+
+    def confirm(self, text, meanwhile=None):
+        assert meanwhile is not None
+        self._rig.press(12, self._clock.now())
+        for _ in range(20):
+            self._clock.sleep_until(self._clock.now() + LOOK)
+            meanwhile()
+        raise AssertionError("nobody looked at the rig while the question was open")
+
+
+def test_rigs_own_emergency_stop_ends_an_open_question():
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
+        run(given, link, clock, rows, Waiting(rig, clock), StopRequest())
+    assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
 
 
 def test_rig_that_is_safe_from_before_is_told_of_and_driven():

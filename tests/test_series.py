@@ -250,6 +250,43 @@ def test_a_question_that_nobody_can_read_is_refused(monkeypatch, capsys):
         Terminal().confirm("Let the wheel down")
 
 
+@pytest.fixture
+def keyboard(monkeypatch):
+    """The other end of the terminal that stands in for standard input."""
+    master, slave = os.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        yield master
+    os.close(master)
+
+
+def test_a_question_at_a_terminal_waits_for_enter_and_looks_about_meanwhile(keyboard):
+    looks = []
+
+    def look():
+        looks.append(1)
+        if len(looks) == 3:
+            os.write(keyboard, b"\n")
+
+    Terminal().confirm("Let the wheel down", look)
+    assert len(looks) >= 3
+
+
+def test_what_is_met_meanwhile_ends_the_question(keyboard, capsys):
+    def look():
+        raise InputError("the rig made an emergency stop")
+
+    with pytest.raises(InputError, match="made an emergency stop"):
+        Terminal().confirm("Let the wheel down", look)
+    assert capsys.readouterr().out.endswith(" \n")
+
+
+def test_a_terminal_that_is_closed_answers_nothing(keyboard):
+    os.write(keyboard, b"\x04")
+    with pytest.raises(InputError, match="nobody is at the terminal"):
+        Terminal().confirm("Let the wheel down")
+
+
 def test_a_question_that_nobody_answers_leaves_its_line_closed(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(InputError, match="nobody is at the terminal"):

@@ -3,6 +3,7 @@
 import functools
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ class Told(AbstractDialogue):
     def tell(self, text: str) -> None:
         self.lines.append(text)
 
-    def confirm(self, text: str) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self.lines.append(text)
 
     def enter(self, phase: Phase, lasts: float = math.nan) -> None:
