@@ -1,9 +1,10 @@
 """A case: the runs of one rig made ready for a diagnosis, with the baseline fitted to each."""
 
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -20,10 +21,14 @@ from drftjax.errors import InputError, RunError
 from drftjax.trial import Trial
 from identify.batch import Batch, Observed, make_batch, roomy
 from identify.candidate import Candidate
+from identify.observation import SMALLEST_NOISE, white_noise
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+# Samples a second: what a run tells counts by the sample where it is fast, as on runs at this rate,
+# and what a model leaves there is no newer for being read more often.
+FASTEST = 100.0
 # zeta is found to this share of itself.
 CLOSE_ENOUGH = 2e-5
 MOST_TURNS = 12
@@ -51,11 +56,12 @@ class Case:
 
     @classmethod
     def of(cls, candidates: Sequence[Candidate]) -> "Case":
-        """Runs made ready.
+        """Runs made ready, with `FASTEST` samples a second at most.
 
         Raises:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
+        candidates = [thinned(each) for each in candidates]
         batch = make_batch(
             [each.trial for each in candidates],
             [each.observation for each in candidates],
@@ -168,6 +174,26 @@ class Case:
         return float(trial.step) * steps_in_a_node(trial)
 
 
+def thinned(each: Candidate) -> Candidate:
+    """The run with every so many of its samples, where a logger took more than `FASTEST`."""
+    seen = each.observation
+    if len(seen.time) < 2:
+        return each
+    every = math.floor(1 / (FASTEST * float(np.median(np.diff(seen.time)))) + 1e-6)
+    if every < 2:
+        return each
+    kept = slice(int(np.argmax(seen.begun)) % every, None, every)
+    values = seen.values[:, kept]
+    noise = [
+        max(white_noise(row), SMALLEST_NOISE[name])
+        for name, row in zip(seen.channels, values, strict=True)
+    ]
+    fewer = replace(
+        seen, time=seen.time[kept], values=values, counts=seen.counts[kept], noise=np.array(noise)
+    )
+    return replace(each, observation=fewer)
+
+
 def _threads() -> ThreadPoolExecutor:
     double = bool(jax.config.values["jax_enable_x64"])
 
@@ -234,7 +260,10 @@ def baseline(case: Case) -> np.ndarray:
 
 
 def _early(case: Case, run: int) -> np.ndarray:
-    """The samples compared early in the motion, past its start: before most effects have grown."""
+    """The samples compared early in the motion, past its start: before most effects have grown.
+
+    All of them where none was taken then.
+    """
     each, time = case.candidates[run], case.time(run)
     omega, vx = (
         np.abs(np.interp(time, np.asarray(each.trial.time), np.asarray(speed)))
@@ -242,4 +271,5 @@ def _early(case: Case, run: int) -> np.ndarray:
     )
     speed = each.setup.wheel.radius * omega + vx
     moved = np.cumsum(speed * np.gradient(time)) if len(time) > 1 else speed
-    return (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])
+    early = (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])
+    return early if early.any() else np.ones_like(early)

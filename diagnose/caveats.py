@@ -45,7 +45,9 @@ def _of_channels(case: Case) -> list[str]:
             notes.append(f"No run has {channel}: effects that show in it cannot be told apart.")
         elif lacking and len(lacking) < len(case.candidates):
             lack = "lacks" if len(lacking) == 1 else "lack"
-            notes.append(f"{', '.join(lacking)} {lack} {channel}, which other runs have.")
+            note = f"{', '.join(lacking)} {lack} {channel}, which other runs have"
+            unplaced = "; taken to start at x = 0, wherever that was" if channel == "x" else ""
+            notes.append(f"{note}{unplaced}.")
     unused = sorted({channel for c in case.candidates for channel in c.observation.unused})
     if unused and not driven:
         was = "was" if len(unused) == 1 else "were"

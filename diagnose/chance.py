@@ -1,7 +1,7 @@
 """What repeats differ by beyond their noise: no effect of command, load or state makes that."""
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def chance(case: Case, residuals: Sequence[list[np.ndarray]], response: Response
 
 
 def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple[int, int]]:
-    """Runs that have a channel and repeat each other, by number: each with the next of its kind.
+    """Runs that have a channel and repeat each other, by number: all pairs of a kind.
 
     Args:
         case: The runs.
@@ -62,7 +62,7 @@ def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple
             else:
                 of_condition.append([run])
         kinds += of_condition
-    return [pair for kind in kinds for pair in pairwise(kind)]
+    return [pair for kind in kinds for pair in combinations(kind, 2)]
 
 
 def apart(

@@ -12,7 +12,7 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
 from diagnose.model_file import read_model_file
-from diagnose.runs import from_one_start, gather, of_one_wheel, usable
+from diagnose.runs import each_reading_once, from_one_start, gather, of_one_wheel, usable
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -135,8 +135,9 @@ def gathered_from(
         raise InputError("; ".join(left_out.values()))
     told = usable(candidates)
     kept = of_one_wheel(told.candidates)
-    left_out |= {**told.left_out, **kept.left_out}
-    return Gathered(from_one_start(kept.candidates, origin), left_out)
+    once = each_reading_once(kept.candidates)
+    left_out |= {**told.left_out, **kept.left_out, **once.left_out}
+    return Gathered(from_one_start(once.candidates, origin), left_out)
 
 
 def diagnosed(

@@ -4,6 +4,7 @@ Both are simulated, with the numbers fitted to the runs there are, on variations
 one where their readings differ by most noise floors is the one to make.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -85,13 +86,13 @@ def next_run(
     variations = _variations(case, base)
     proposals: list[Proposal] = []
     # Compiled by the run as it was, before every thread needs the programs.
-    parted = [_apart(variations[0][1], base, first, second)]
-    parted += case.threads.map(lambda each: _apart(each[1], base, first, second), variations[1:])
-    for (words, _), apart in zip(variations, parted, strict=True):
+    parted = [_apart(variations[0], base, first, second)]
+    parted += case.threads.map(lambda each: _apart(each, base, first, second), variations[1:])
+    for variation, apart in zip(variations, parted, strict=True):
         for channel, difference in apart.items():
             proposals.append(
                 Proposal(
-                    words,
+                    variation.words,
                     channel,
                     difference * SHOWN[channel],
                     UNITS[channel],
@@ -102,8 +103,8 @@ def next_run(
     missing = (
         set(comparable(driven=case.candidates[base].setup.rig.carriage == "driven")) - recorded
     )
-    new = [p for p in proposals if p.channel in recorded and p.run != variations[0][0]]
-    now = [p for p in proposals if p.channel in missing and p.run == variations[0][0]]
+    new = [p for p in proposals if p.channel in recorded and p.run != variations[0].words]
+    now = [p for p in proposals if p.channel in missing and p.run == variations[0].words]
     return {
         "tells": ["+".join(spoken(each.names) or ("none",)) for each in (first, second)],
         "run": _best(new),
@@ -116,24 +117,78 @@ def _best(proposals: Sequence[Proposal]) -> dict | None:
     return best.document() if best is not None and best.floors >= TELLING else None
 
 
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """A run that could be made.
+
+    Attributes:
+        words: The run in words.
+        trial: The run.
+        lasts: Time over which it is simulated [s]; where it moves last if that is less.
+    """
+
+    words: str
+    trial: Trial
+    lasts: float = np.inf
+
+
+def _upto(variation: Variation, lasts: float = np.inf) -> Variation:
+    """The same over so much time [s] at most, which the words say where it cuts the run short.
+
+    Nor is it longer than the rows there are, which a shorter step makes shorter.
+    """
+    trial = variation.trial
+    lasts = min(lasts, trial.rows * STEPS_A_ROW * float(trial.step))
+    if lasts >= _end(trial):
+        return variation
+    return Variation(f"{variation.words}, its first {lasts:.1f} s", trial, lasts)
+
+
+def _scaled(trial: Trial, factor: float) -> Trial:
+    """The same command at so many times the speed, the carriage's too."""
+    return replace(trial, omega=trial.omega * factor, vx=trial.vx * factor)
+
+
+def _goes(trial: Trial) -> float:
+    """How far rim or, where the wheel never turns, carriage go [m], negative backward."""
+    omega = np.asarray(trial.omega)
+    speed = omega * float(trial.simulator.wheel.radius) if omega.any() else np.asarray(trial.vx)
+    return float(np.trapezoid(speed, np.asarray(trial.time)))
+
+
+def _ways(trial: Trial) -> np.ndarray:
+    """The longer way of rim and carriage up to each knot [m], either way round."""
+    time, radius = np.asarray(trial.time), float(trial.simulator.wheel.radius)
+    speed = np.maximum(radius * np.abs(np.asarray(trial.omega)), np.abs(np.asarray(trial.vx)))
+    return np.append(0.0, np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2))
+
+
 def _typical(case: Case) -> int:
     """The run of middling top speed."""
     tops = [float(np.abs(np.asarray(c.trial.omega)).max()) for c in case.candidates]
     return int(np.argsort(tops)[len(tops) // 2])
 
 
-def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
+def _variations(case: Case, base: int) -> list[Variation]:
     candidate = case.candidates[base]
     trial = case.trials[base]
-    found = [(f"{candidate.name} as it was", trial)]
+    found = [Variation(f"{candidate.name} as it was", trial)]
     top = float(np.abs(np.asarray(trial.omega)).max())
+    made = [each.trial for each in case.candidates]
+    farthest = max(float(_ways(each)[-1]) for each in made)
     for factor in SPEEDS:
-        if top * factor <= FASTEST:
+        if 0 < top * factor <= FASTEST:
+            faster = _steady(_scaled(trial, factor))
+            lasts = float(np.interp(farthest, _ways(faster), np.asarray(faster.time)))
             words = f"{candidate.name} at {np.rad2deg(top * factor):.0f} deg/s"
-            found.append((words, _steady(replace(trial, omega=trial.omega * factor))))
-    found.append((f"{candidate.name} backward", replace(trial, omega=-trial.omega)))
+            found.append(_upto(Variation(words, faster), lasts))
+    # A run that goes the other way has been made where any has.
+    if len({np.sign(_goes(each)) for each in made}) == 1:
+        way = "backward" if _goes(candidate.trial) > 0 else "forward"
+        found.append(Variation(f"{candidate.name} {way}", _scaled(trial, -1.0)))
     words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
-    found.append((words, _stop_and_go(trial, top)))
+    if top > 0:
+        found.append(_upto(Variation(words, _stop_and_go(trial, top))))
     for factor in LOADS:
         mass = float(trial.simulator.rig.mass_z) * factor
         heavier = eqx.tree_at(
@@ -144,7 +199,7 @@ def _variations(case: Case, base: int) -> list[tuple[str, Trial]]:
                 trial.start.position.at[1].multiply(factor),
             ),
         )
-        found.append((f"{candidate.name} with {mass:.1f} kg", heavier))
+        found.append(Variation(f"{candidate.name} with {mass:.1f} kg", heavier))
     return found
 
 
@@ -153,7 +208,11 @@ def _stop_and_go(trial: Trial, top: float) -> Trial:
     ramp = top / sharpest_ramp(float(trial.simulator.wheel.radius))
     held = np.cumsum(np.resize([HELD, ramp], len(trial.time) - 1))
     speeds = np.resize([0.0, 0.0, top, top], len(trial.time))
-    return _steady(replace(trial, time=jnp.append(0.0, held), omega=jnp.asarray(speeds)))
+    # A driven carriage goes as it did beside the wheel at its fastest.
+    fastest = int(np.argmax(np.abs(np.asarray(trial.omega))))
+    vx = float(trial.vx[fastest] / trial.omega[fastest]) * speeds
+    time = jnp.append(0.0, held)
+    return _steady(replace(trial, time=time, omega=jnp.asarray(speeds), vx=jnp.asarray(vx)))
 
 
 def _steady(trial: Trial) -> Trial:
@@ -172,12 +231,16 @@ def _simulated(model: Model, trial: Trial, coordinates, rows):
     return with_effects(trial, model.build(coordinates)).run_to(rows, CHANNELS)
 
 
-def _apart(trial: Trial, base: int, first: Hypothesis, second: Hypothesis) -> dict[str, float]:
+def _apart(
+    variation: Variation, base: int, first: Hypothesis, second: Hypothesis
+) -> dict[str, float]:
     """Root mean square of the difference of two hypotheses' readings, by channel [m, N, N m].
 
     The second one's zeta is moved so that both sink alike on the mean: a new run has its own.
     """
-    rows = min(trial.rows, int(np.ceil(float(_end(trial)) / (STEPS_A_ROW * float(trial.step)))))
+    trial = variation.trial
+    lasts = min(_end(trial), variation.lasts)
+    rows = min(trial.rows, math.ceil(lasts / (STEPS_A_ROW * float(trial.step))))
 
     def of(hypothesis: Hypothesis, more: float = 0.0) -> np.ndarray:
         scaled = with_zeta(trial, hypothesis.log_zeta[base] + more)

@@ -7,6 +7,7 @@ momentum of the sand weighs less under a heavy wheel and its lost height does no
 """
 
 import copy
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,6 +22,8 @@ from drftjax.statics import standing_sinkage
 LIGHT, HEAVY = 0.75, 1.25
 # A run that is too long for its rail holds its speed for so long at least [s].
 SHORTEST_HOLD = 0.5
+# Times [s] and speeds [deg/s] are multiples of these; what rounding leaves of a multiple is one.
+TIMES, SPEEDS, ROUNDING = 0.01, 0.1, 1e-6
 
 
 @dataclass(frozen=True)
@@ -110,9 +113,11 @@ def _within(
         top = np.abs(speed).max()
         held = np.diff(time) * (np.abs(speed[1:]) == top) * (np.abs(speed[:-1]) == top)
         longest = int(np.argmax(held))
-        excess = max(0.0, _turned(time, speed) - farthest) / top
+        excess = math.ceil(max(0.0, _turned(time, speed) - farthest) / top / TIMES) * TIMES
         time[longest + 1 :] -= min(excess, max(0.0, held[longest] - SHORTEST_HOLD))
         speed *= min(1.0, farthest / _turned(time, speed))
+    # Towards rest, so that no rounding passes a limit.
+    speed = np.trunc(speed / SPEEDS + np.sign(speed) * ROUNDING) * SPEEDS
     return np.round(time, 2).tolist(), np.round(speed, 1).tolist()
 
 

@@ -30,6 +30,8 @@ from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file, require_no_others_setup
 
+# So many noise floors off, a run is plainly not followed.
+PLAIN = 3.0
 # Weights under this are not told.
 TOLD = 0.01
 
@@ -45,6 +47,11 @@ def verdict(found: Diagnosis) -> str:
     alone = len(found.case.candidates) == 1
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
+        if missed := _missed_by_far(found):
+            return (
+                f"The reference model misses {runs} by {missed}, but {runs} tell too little of "
+                f"why: no effect outweighs chance (weight of none {percent(weight)})."
+            )
         follows = "its own zeta the model follows it" if alone else "a zeta each it follows them"
         if weight < 0.5:
             return (
@@ -67,6 +74,14 @@ def verdict(found: Diagnosis) -> str:
             "describes and does not prove."
         )
     return f"These runs show {effects}, with weight {percent(weight)}."
+
+
+def _missed_by_far(found: Diagnosis) -> str:
+    """In which channels the reference model lies plainly off, and by how much; empty for none."""
+    floors = {channel: gap.before / gap.floor for channel, gap in found.gap.items() if gap.floor}
+    return " and ".join(
+        f"{size:.0f} noise floors in {channel}" for channel, size in floors.items() if size >= PLAIN
+    )
 
 
 def sure(found: Diagnosis) -> float:

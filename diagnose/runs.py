@@ -5,6 +5,8 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from drftjax.errors import InputError
 from drftjax.setup import ZetaKnots
 from identify.candidate import STEPS_A_ROW, Candidate
@@ -34,9 +36,11 @@ def gather(
     """
     gathered = gather_runs(given, sinkage=True, tell=tell)
     kept = of_one_wheel(gathered.candidates)
-    for why in kept.left_out.values():
+    once = each_reading_once(kept.candidates)
+    left_out = kept.left_out | once.left_out
+    for why in left_out.values():
         tell(f"left out: {why}")
-    return Gathered(from_one_start(kept.candidates, origin), gathered.left_out | kept.left_out)
+    return Gathered(from_one_start(once.candidates, origin), gathered.left_out | left_out)
 
 
 def usable(candidates: Sequence[Candidate]) -> Gathered:
@@ -60,6 +64,31 @@ def usable(candidates: Sequence[Candidate]) -> Gathered:
         why = next(iter(left_out.values()), "there is no run: give files, folders or run logs")
         raise InputError(why)
     return Gathered(kept, left_out)
+
+
+def each_reading_once(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs without copies of others, which would pass for repeats that agree to the last digit.
+
+    A file that was saved anew, or given another title, holds the very readings of the first.
+    """
+    kept: list[Candidate] = []
+    left_out = {}
+    for each in candidates:
+        first = next((other for other in kept if _same_readings(each, other)), None)
+        if first is None:
+            kept.append(each)
+        else:
+            left_out[each.name] = f"{each.name}: has the very readings of {first.name}"
+    return Gathered(kept, left_out)
+
+
+def _same_readings(one: Candidate, other: Candidate) -> bool:
+    ours, theirs = one.observation, other.observation
+    return (
+        ours.channels == theirs.channels
+        and np.array_equal(ours.time, theirs.time)
+        and np.array_equal(ours.values, theirs.values)
+    )
 
 
 def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
@@ -91,6 +120,7 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
 
     All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
     x = 0; those that set-ups hold already have places of the recorded x, and nothing is moved.
+    Where a run without x started nobody knows: it is taken to start at x = 0.
 
     Args:
         candidates: The runs.
@@ -98,11 +128,11 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
             given, the start nearest to zero, or zero where that is as good as there.
     """
     known = any(each.setup.effects for each in candidates)
-    recorded = all("x" in each.observation.channels for each in candidates)
-    if known or not recorded:
+    starts = [each.setup.start.x for each in candidates if "x" in each.observation.channels]
+    if known or not starts:
         return list(candidates)
     if origin is None:
-        nearest = min((each.setup.start.x for each in candidates), key=abs)
+        nearest = min(starts, key=abs)
         origin = 0.0 if abs(nearest) <= AT_ZERO else nearest
     return [_counted_from(each, origin) for each in candidates]
 
@@ -110,7 +140,7 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
 def _counted_from(each: Candidate, origin: float) -> Candidate:
     setup, observation = copy.deepcopy(each.setup), each.observation
     setup.start.origin = origin
-    if origin == 0.0:
+    if origin == 0.0 or "x" not in observation.channels:
         return dataclasses.replace(each, setup=setup)
     setup.start.x -= origin
     values = observation.values.copy()

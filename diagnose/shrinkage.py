@@ -82,6 +82,8 @@ def gaps(
                     float((after[run][index][counts] ** 2).sum()),
                     float(counts.sum()),
                 ]
+        # Drawn by what they show, not by how their files are called.
+        power = power[np.lexsort(power.T)]
         floor = floors[channel]
 
         def of(rows: np.ndarray) -> tuple[float, float]:
@@ -98,6 +100,8 @@ def gaps(
             for was, left in map(of, power[draws])
             if can_shrink(was, floor)
         ]
+        # The reference model leaves what it leaves, wherever.
+        drawn = drawn if last != first else []
         low, high = np.quantile(drawn or [share], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         interval = min(float(low), share), max(float(high), share)
         found[channel] = Gap(first, last, floor, share, interval)

@@ -1,10 +1,48 @@
 """The runs of one rig made ready: programs that are compiled once."""
 
-import numpy as np
+import dataclasses
 
+import numpy as np
+import pytest
+
+from diagnose.case import FASTEST, Case, _early, thinned
 from diagnose.response import Model, predict
 from drftjax.effects.catalogue import effect_class
+from identify.candidate import Candidate
+from identify.observation import white_noise
 from tests.virtual_cases import case_with
+from tests.virtual_runs import coarse, recorded, setup_of
+
+
+def logged(rate: float) -> Candidate:
+    return coarse("fast", recorded(setup_of(), rate=rate))
+
+
+@pytest.mark.parametrize(("rate", "kept"), [(100.0, 1), (150.0, 1), (200.0, 2), (1000.0, 10)])
+def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(rate, kept):
+    fast = logged(rate)
+    (each,) = Case.of([fast]).candidates
+    seen, whole = each.observation, fast.observation
+    assert np.array_equal(seen.time, whole.time[::kept])
+    assert np.array_equal(seen.values, whole.values[:, ::kept])
+    assert np.array_equal(seen.counts, whole.counts[::kept])
+    assert 1 / np.diff(seen.time).min() < 2 * FASTEST
+    if kept > 1:
+        assert seen.noise.tolist() == [white_noise(row) for row in seen.values]
+    assert thinned(each) is each
+
+
+def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
+    each = logged(50.0)
+    seen = each.observation
+    late = slice(int(0.8 * seen.counts.sum()), None)
+    rest = dataclasses.replace(
+        seen, time=seen.time[late], values=seen.values[:, late], counts=seen.counts[late]
+    )
+    few = dataclasses.replace(rest, counts=rest.counts & (np.arange(len(rest.time)) < 1))
+    case = Case.of([dataclasses.replace(each, observation=few)])
+    assert _early(case, 0).all()
+    assert len(_early(case, 0)) == 1
 
 
 def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):

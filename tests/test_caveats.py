@@ -33,7 +33,9 @@ def test_the_way_of_a_driven_carriage_is_given_and_not_missed(driven):
 def test_a_run_that_lacks_what_others_have_is_named(driven):
     assert "run 1 lacks torque, which other runs have." in of_channels(driven)
     assert "run 1 lacks fz, which other runs have." in of_channels(driven)
-    assert of_channels(case_of(("x", "z"), ("z",))) == ["run 1 lacks x, which other runs have."]
+    assert of_channels(case_of(("x", "z"), ("z",))) == [
+        "run 1 lacks x, which other runs have; taken to start at x = 0, wherever that was."
+    ]
 
 
 def test_what_no_run_has_cannot_be_told():

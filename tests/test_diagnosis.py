@@ -13,7 +13,7 @@ from diagnose.hypothesis import proposed, refreshed, settled
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.pairs import proposals
 from diagnose.report import step_sentences
-from diagnose.shrinkage import shrinkage
+from diagnose.shrinkage import gaps, shrinkage
 from diagnose.verdict import verdict_of
 from diagnose.weights import Judged, Scale, weights
 from drftjax.effects.drive import SpeedGain
@@ -161,6 +161,14 @@ def test_a_bound_of_a_strength_counts_in_its_own_unit():
     start = proposed(bench, [bench.variants[2]])
     found = settled(bench, start, 4)
     assert found.coordinates[0] * found.model.free[0].scale == pytest.approx(0.3, abs=0.1)
+
+
+def test_the_reference_model_leaves_what_it_leaves_wherever(sloping):
+    random = np.random.default_rng(0)
+    left = [3e-5 * random.standard_normal((2, len(sloping.time(run)))) for run in range(3)]
+    left += left[: len(sloping.candidates) - 3]
+    found = gaps(sloping, left, left, {"x": 5e-5, "z": 1e-5})
+    assert {gap.interval for gap in found.values()} == {(0.0, 0.0)}
 
 
 def test_shrinkage_counts_from_the_floor():

@@ -1,9 +1,12 @@
 """What to run next: a run on which two explanations of the same runs part."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from diagnose.next_run import TELLING, _stop_and_go, next_run
+from diagnose.case import Case
+from diagnose.next_run import TELLING, _scaled, _stop_and_go, _variations, _ways, next_run
 from diagnose.search import search
 from drftjax.effects.catalogue import effect_class
 from drftjax.integrator import STEPS
@@ -35,6 +38,42 @@ def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
     assert advice["channel"]["channel"] == "torque"
     assert advice["channel"]["floors"] > TELLING
     assert advice["channel"]["unit"] == "N m"
+
+
+def test_no_run_goes_farther_than_the_longest_so_far(pulled):
+    farthest = max(_ways(each.trial)[-1] for each in pulled.candidates)
+    found = {each.words: each for each in _variations(pulled, 0)}
+    cut = [each for words, each in found.items() if "its first" in words and "deg/s" in words]
+    assert cut
+    for each in found.values():
+        if "deg/s" in each.words and "stop" not in each.words:
+            lasts = min(each.lasts, float(np.asarray(each.trial.time)[-1]))
+            gone = np.interp(lasts, np.asarray(each.trial.time), _ways(each.trial))
+            assert gone <= farthest * (1 + 1e-9)
+
+
+def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
+    def ways(case) -> list[str]:
+        return [v.words for v in _variations(case, 0) if v.words.endswith(("backward", "forward"))]
+
+    def turned(each):
+        return dataclasses.replace(each, trial=_scaled(each.trial, -1.0))
+
+    name = pulled.candidates[0].name
+    assert ways(pulled) == [f"{name} backward"]
+    assert ways(Case.of([turned(each) for each in pulled.candidates])) == [f"{name} forward"]
+    first, *others = pulled.candidates
+    assert ways(Case.of([turned(first), *others])) == []
+
+
+def test_a_driven_carriage_goes_with_its_wheel(pulled):
+    trial = pulled.trials[0]
+    slip = 0.2
+    vx = (1 - slip) * float(trial.simulator.wheel.radius) * trial.omega
+    driven = dataclasses.replace(trial, vx=vx)
+    for each in (_scaled(driven, 2.0), _scaled(driven, -1.0), _stop_and_go(driven, 0.8)):
+        expected = (1 - slip) * float(trial.simulator.wheel.radius) * np.asarray(each.omega)
+        np.testing.assert_allclose(np.asarray(each.vx), expected, atol=1e-12)
 
 
 def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):

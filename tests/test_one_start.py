@@ -57,6 +57,25 @@ def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
     assert read_model_file(path).origin is None
 
 
+def test_a_run_without_x_leaves_the_others_where_they_are(run):
+    def blind(one: RunLog) -> RunLog:
+        return dataclasses.replace(one, measured=dataclasses.replace(one.measured, x=None))
+
+    given = {"a": from_x(run, 3.0), "b": from_x(run, 3.2), "c": blind(from_x(run, 3.0))}
+    found = gathered_from(given).candidates
+    starts = [each.setup.start.x for each in found]
+    assert starts == pytest.approx([0.0, 0.2, 0.0], abs=1e-12)
+    assert {each.setup.start.origin for each in found} == {found[0].setup.start.origin}
+    assert any("c lacks x" in note and "start at x = 0" in note for note in caveats(Case.of(found)))
+
+
+def test_a_copy_of_a_run_is_no_repeat(run):
+    again = dataclasses.replace(run, title="saved anew")
+    told = gathered_from({"a": run, "b": again, "c": from_x(run, 0.3)})
+    assert [each.name for each in told.candidates] == ["a", "c"]
+    assert told.left_out == {"b": "b: has the very readings of a"}
+
+
 def test_where_x_counts_from_is_told(run):
     (away,) = gathered_from({"a": from_x(run, 2.0)}).candidates
     assert any(

@@ -53,13 +53,21 @@ def test_loads_are_shares_of_the_rigs_and_starts_are_at_rest():
     assert ordered[0] < ordered[-1]
 
 
+@pytest.mark.parametrize("limit", [114.59, 57.29, 29.97, 2.86])
+def test_no_rounding_passes_a_limit(limit):
+    for _, setup in telling_runs(RIG, max_speed=limit, max_travel=0.3):
+        command = setup.command.build()
+        assert np.degrees(np.abs(command.omega).max()) <= limit
+        way = RIG.wheel.radius * np.trapezoid(np.abs(command.omega), command.time)
+        assert way <= 0.3 + 1e-12
+
+
 def test_limits_are_kept():
     for _, setup in telling_runs(RIG, max_speed=50.0, max_travel=0.4):
         command = setup.command.build()
         assert np.degrees(np.abs(command.omega).max()) <= 50.0 + 1e-9
-        # Speeds are written down in tenths of a degree per second, so that a way may be 1 % longer.
         way = 0.150 * np.trapezoid(np.abs(command.omega), command.time)
-        assert way <= 0.4 * 1.01
+        assert way <= 0.4 + 1e-12
         assert np.all(np.diff(command.time) > 0)
 
 
