@@ -108,6 +108,8 @@ CASES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "another schema": (attribute("/", "schema", "drft-fit"), "is a 'drft-fit' file"),
     "newer version": (attribute("/", "schema_version", 2), "newer than 1"),
     "version as text": (attribute("/", "schema_version", "1"), "has schema_version '1'"),
+    "infinite version": (attribute("/", "schema_version", np.inf), "has schema_version inf"),
+    "version is no number": (attribute("/", "schema_version", np.nan), "has schema_version nan"),
     "no title": (removed("/", "title"), "no attribute title"),
     "no source": (removed("/", "source"), "no attribute source"),
     "unknown source": (attribute("/", "source", "guessed"), "source is 'guessed'"),
@@ -135,6 +137,7 @@ CASES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "setup sign": (attribute("setup", "wheel_radius", -0.1), "wheel_radius is -0.1"),
     "setup text": (attribute("setup", "mass_z", "heavy"), "mass_z = 'heavy'"),
     "huge attribute": (attribute("setup", "mass_z", np.zeros(4000)), "4000 rows"),
+    "huge fixed text": (attribute("/", "notes", np.bytes_("n" * 20000)), "notes of 20000 bytes"),
     "wrong units": (attribute("measured/z", "units", "mm"), "units 'mm', they must be 'm'"),
     "matrix": (replaced("measured/z", data=np.zeros((60, 2))), "must be one column"),
     "scalar": (replaced("measured/z", data=1.0), "must be one column"),
@@ -205,6 +208,7 @@ MILD: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "no scale": (replaced("measured/z", data=np.zeros(60)), "/measured/time as its dimension"),
     "no setup": (removed("setup"), "/setup is missing"),
     "fixed title": (attribute("/", "title", np.bytes_("t")), "title as fixed-length text"),
+    "number without a value": (attribute("setup", "mass_z", h5py.Empty("f4")), "mass_z without a"),
     "odd attribute": (attribute("/", "map", np.zeros((2, 2))), "neither number nor text"),
 }
 
@@ -249,6 +253,17 @@ def test_the_check_finds_what_is_wrong_with_every_file(hostile):
 @pytest.mark.parametrize("name", MILD)
 def test_what_only_the_check_minds_is_read(hostile, name):
     assert read_run(hostile[name][0]).measured.time.size == 60
+
+
+@pytest.mark.parametrize("kind", ["S1", h5py.string_dtype()])
+def test_text_without_a_value_is_empty_text(tmp_path, kind):
+    path = tmp_path / "run.h5"
+    write_run(path, example_run())
+    with h5py.File(path, "r+") as file:
+        file.attrs["title"] = h5py.Empty(kind)
+        file["measured/x"].attrs["comment"] = h5py.Empty(kind)
+    assert read_run(path).title == ""
+    assert all("as fixed-length text" in each.reason for each in check_file(path))
 
 
 def test_the_check_lists_every_violation(tmp_path):

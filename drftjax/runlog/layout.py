@@ -79,7 +79,7 @@ def identify(content: Content, schema: str, version: int) -> Iterator[Found]:
         yield "/", f"is a {given!r} file, it must be a {schema!r} file", Level.REFUSED
     else:
         number = content.attributes.get("schema_version")
-        if not isinstance(number, int | float) or number != int(number) or number < 1:
+        if not isinstance(number, int | float) or not float(number).is_integer() or number < 1:
             reason = f"has schema_version {number!r}, it must be {version}"
             yield "/", reason, Level.REFUSED
         elif number > version:

@@ -319,11 +319,18 @@ class _Survey:
                 reason = f"has the attribute {name} as fixed-length text; its length must vary"
                 self.found.append((where, reason, Level.FORMAT))
             simple = h5py.h5t.TypeStringID | h5py.h5t.TypeIntegerID | h5py.h5t.TypeFloatID
-            if not isinstance(kind, simple) or len(header.shape) > 1:
+            shape = header.shape
+            if not isinstance(kind, simple) or len(shape or ()) > 1:
                 reason = f"has the attribute {name}, which is neither number nor text"
                 self.found.append((where, reason, Level.FORMAT))
-            elif prod(header.shape) * kind.get_size() > OBJECT_LIMIT * 8:
-                self._refuse(where, f"has the attribute {name} with {header.shape[0]} rows")
+            elif shape is None and not isinstance(kind, h5py.h5t.TypeStringID):
+                reason = f"has the attribute {name} without a value"
+                self.found.append((where, reason, Level.FORMAT))
+            elif shape and prod(shape) * kind.get_size() > OBJECT_LIMIT * 8:
+                self._refuse(where, f"has the attribute {name} with {shape[0]} rows")
+            elif shape == () and kind.get_size() > OBJECT_LIMIT * 8:
+                reason = f"has the attribute {name} of {kind.get_size()} bytes"
+                self._refuse(where, f"{reason}, more than {OBJECT_LIMIT * 8} are not read")
             else:
                 attributes[name] = _plain(node.attrs[name])
         return attributes
