@@ -209,6 +209,11 @@ MILD: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "no setup": (removed("setup"), "/setup is missing"),
     "fixed title": (attribute("/", "title", np.bytes_("t")), "title as fixed-length text"),
     "number without a value": (attribute("setup", "mass_z", h5py.Empty("f4")), "mass_z without a"),
+    "code as text": (attribute("events/code", "flag_values", "abc"), "'abc' in flag_values"),
+    "code that is no number": (
+        attribute("events/code", "flag_values", np.array([np.nan, 3.0])),
+        "nan in flag_values",
+    ),
     "odd attribute": (attribute("/", "map", np.zeros((2, 2))), "neither number nor text"),
 }
 
@@ -264,6 +269,12 @@ def test_text_without_a_value_is_empty_text(tmp_path, kind):
         file["measured/x"].attrs["comment"] = h5py.Empty(kind)
     assert read_run(path).title == ""
     assert all("as fixed-length text" in each.reason for each in check_file(path))
+
+
+def test_a_code_that_is_no_whole_number_has_no_meaning(hostile):
+    events = read_run(hostile["code that is no number"][0]).events
+    assert events is not None
+    assert list(events.meanings) == [3]
 
 
 def test_the_check_lists_every_violation(tmp_path):

@@ -79,7 +79,7 @@ def identify(content: Content, schema: str, version: int) -> Iterator[Found]:
         yield "/", f"is a {given!r} file, it must be a {schema!r} file", Level.REFUSED
     else:
         number = content.attributes.get("schema_version")
-        if not isinstance(number, int | float) or not float(number).is_integer() or number < 1:
+        if not isinstance(number, int | float) or not _is_whole(number) or number < 1:
             reason = f"has schema_version {number!r}, it must be {version}"
             yield "/", reason, Level.REFUSED
         elif number > version:
@@ -262,6 +262,7 @@ def _examine_group(title: str, group: Group) -> Iterator[Found]:
             yield where, f"is no channel of a run log and is not read; {hint}", Level.NOTE
             continue
         yield from _examine_storage(where, dataset, units[name], name == axis, f"/{title}/{axis}")
+        yield from _examine_flags(where, dataset)
         yield from _examine_values(title, name, group)
 
 
@@ -291,6 +292,15 @@ def _examine_storage(
         yield where, "is not an HDF5 dimension scale", Level.FORMAT
     elif not is_axis and axis not in dataset.scaled_by:
         yield where, f"does not have {axis} as its dimension scale", Level.FORMAT
+
+
+def _examine_flags(where: str, dataset: Dataset) -> Iterator[Found]:
+    for name in ("flag_values", "flag_masks"):
+        given = dataset.attributes.get(name, [])
+        codes = given if isinstance(given, list) else [given]
+        odd = next((code for code in codes if not _is_whole(code)), None)
+        if odd is not None:
+            yield where, f"has {odd!r} in {name}, it must hold whole numbers", Level.FORMAT
 
 
 def _examine_values(title: str, name: str, group: Group) -> Iterator[Found]:
@@ -365,12 +375,17 @@ def _with(
 
 
 def _meanings(attributes: Mapping[str, Attribute], numbers: str = "flag_values") -> dict[int, str]:
-    """CF's flag table: numbers beside words, words apart by blanks."""
+    """CF's flag table: numbers beside words, words apart by blanks; what is no number is left."""
     codes, words = attributes.get(numbers, []), attributes.get("flag_meanings", "")
     codes = codes if isinstance(codes, list) else [codes]
     words = words.split() if isinstance(words, str) else words
     words = words if isinstance(words, list) else [words]
-    return {int(code): str(word) for code, word in zip(codes, words, strict=False)}
+    pairs = zip(codes, words, strict=False)
+    return {int(code): str(word) for code, word in pairs if _is_whole(code)}
+
+
+def _is_whole(value: Attribute | None) -> bool:
+    return isinstance(value, int | float) and float(value).is_integer()
 
 
 def _text(value: Attribute | None) -> str | None:
