@@ -21,6 +21,7 @@ from drftjax.outline import OutlineWheel, read_outline
 from drftjax.rig import DrivenCarriage, FreeCarriage, Rig
 from drftjax.runlog.record import Command as RunCommand
 from drftjax.runlog.record import RunLog
+from drftjax.runlog.rules import text_problems
 from drftjax.scaling import ConstantZeta, KnotZeta
 from drftjax.simulator import Simulator, State
 from drftjax.stress import (
@@ -242,6 +243,8 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         Raises:
             InputError: says which number cannot be, and what must hold.
         """
+        for reason in text_problems("title", self.title):
+            raise InputError(reason)
         require_between("integrator step", self.integrator.step, 1e-6, 0.1, " s")
         simulator = Simulator(
             self.wheel.build(),

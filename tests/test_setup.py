@@ -83,6 +83,7 @@ def test_paper_set_up_spells_out_the_defaults():
         ),
         ("[terrain]\ncoefficients = [1, 2]\n" + COMMAND, "are 2 numbers, must be nine"),
         ("[terrain]\nzeta = -0.1\n" + COMMAND, "zeta is -0.1, must lie between 0 and"),
+        ('title = "a\\u0000b"\n' + COMMAND, r"title holds the character '\x00'"),
         ("[terrain]\nzeta = nan\n" + COMMAND, "zeta is nan"),
         ("[terrain]\nzeta = {time = [0, 0], value = [1, 1]}\n" + COMMAND, "zeta knots"),
         ("[terrain]\nzeta = {time = [0, 1], value = [1]}\n" + COMMAND, "one value for each knot"),
@@ -147,6 +148,10 @@ def test_what_a_set_up_may_not_say_is_refused_in_one_sentence(drft, tmp_path, te
         (
             '{"command": {"time": [0, 1e999], "omega": [0, 1]}}',
             "time has 1 values that are not fin",
+        ),
+        (
+            '{"title": "\\ud800", "command": {"time": [0, 1], "omega": [0, 1]}}',
+            r"title holds the character '\ud800'",
         ),
         ('{"comand": {}}', "unknown entry 'comand'; did you mean 'command'"),
     ],

@@ -234,6 +234,10 @@ class RunLog:
 
     def __post_init__(self) -> None:
         _require(rules.source_problems(self.source))
+        for each in fields(self):
+            text = getattr(self, each.name)
+            if isinstance(text, str):
+                _require(rules.text_problems(each.name, text))
 
 
 def _settle(

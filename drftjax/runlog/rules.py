@@ -65,6 +65,13 @@ def setup_problems(name: str, value: float) -> Iterator[str]:
         yield f"{name} is {value:g}, it must be a whole number"
 
 
+def text_problems(name: str, text: str) -> Iterator[str]:
+    """Breaches of a text: no character that a file of UTF-8 text cannot hold."""
+    odd = next((each for each in text if each == "\0" or "\ud800" <= each <= "\udfff"), None)
+    if odd is not None:
+        yield f"{name} holds the character {odd!r}, which cannot be written; leave it out"
+
+
 def source_problems(source: str) -> Iterator[str]:
     """A source is one of the four that the format knows."""
     if source not in SOURCES:

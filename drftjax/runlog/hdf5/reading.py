@@ -388,7 +388,7 @@ def _plain(value: Any) -> Attribute:
     if isinstance(value, h5py.Empty):
         return ""
     if isinstance(value, bytes | np.bytes_):
-        return bytes(value).decode("utf-8", "replace")
+        return bytes(value).decode("utf-8", "replace").replace("\0", "\ufffd")
     if isinstance(value, str):
         return value.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     if isinstance(value, np.ndarray):
