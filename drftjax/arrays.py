@@ -30,6 +30,15 @@ def require_between(name: str, value: ArrayLike, low: float, high: Real, hint: s
         return
     high = float(high)
     given = np.asarray(value)
+    if given.dtype == object:  # whole numbers beyond 64 bits
+        given = _as_floats(given)
     if not np.all(np.isfinite(given)) or np.any(given < low) or np.any(given > high):
         shown = f"{float(given):g}" if given.ndim == 0 else f"{given.tolist()}"
         raise InputError(f"{name} is {shown}, must lie between {low:g} and {high:g}{hint}")
+
+
+def _as_floats(given: np.ndarray) -> np.ndarray:
+    try:
+        return given.astype(float)
+    except OverflowError:
+        return np.full(given.shape, np.inf)

@@ -95,6 +95,11 @@ def test_paper_set_up_spells_out_the_defaults():
         ("[wheel]\nplate_size = 0\n" + COMMAND, "plate size is 0"),
         ("[wheel]\nshape = 'outline'\n" + COMMAND, "needs points, or outline = a CSV file"),
         ("[wheel]\npoints = [[0, 1]]\n" + COMMAND, "its shape is 'grouser'; say shape = 'outline'"),
+        (
+            "[wheel]\ngrouser_count = 99999999999999999999999\n" + COMMAND,
+            "grouser count is 1e+23, must lie between 1 and 1000",
+        ),
+        (f"[wheel]\ngrouser_count = {10**400}\n" + COMMAND, "grouser"),
         ("[rig]\nmass_z = 0\n" + COMMAND, "mass_z is 0"),
         ("[rig]\ncarriage = 'driven'\n" + COMMAND, "is driven, so [command] needs vx in m/s"),
         (COMMAND + "vx = [0, 1]\n", "gives vx, but the carriage of [rig] is free"),
@@ -330,6 +335,11 @@ def test_run_without_grousers_has_a_plain_wheel(count):
     wheel = setup_from_run(run).trial().simulator.wheel
     assert isinstance(wheel, PlainWheel)
     assert (float(wheel.radius), float(wheel.width)) == (0.1, 0.2)
+
+
+def test_run_with_more_grousers_than_fit_is_refused():
+    with pytest.raises(InputError, match=r"grouser count is 1e\+300, must lie between"):
+        setup_from_run(recorded(grouser_count=1e300)).trial()
 
 
 def test_what_else_a_run_leaves_out_is_the_papers():
