@@ -56,6 +56,8 @@ class KnotZeta(AbstractZeta):
                 f"zeta has {self.value.shape} values at {self.time.shape} knots; "
                 "give one value for each knot in time"
             )
+        if not self.time.size:
+            raise InputError("zeta has no knots in time, needs at least one knot")
         require_between("zeta knots", self.time, -1e9, 1e9, " s")
         if np.any(np.diff(np.asarray(self.time)) <= 0):
             raise InputError(f"zeta knots {np.asarray(self.time).tolist()} s must increase")

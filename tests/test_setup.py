@@ -86,6 +86,7 @@ def test_paper_set_up_spells_out_the_defaults():
         ('title = "a\\u0000b"\n' + COMMAND, r"title holds the character '\x00'"),
         ("[terrain]\nzeta = nan\n" + COMMAND, "zeta is nan"),
         ("[terrain]\nzeta = {time = [0, 0], value = [1, 1]}\n" + COMMAND, "zeta knots"),
+        ("[terrain]\nzeta = {time = [], value = []}\n" + COMMAND, "needs at least one knot"),
         ("[terrain]\nzeta = {time = [0, 1], value = [1]}\n" + COMMAND, "one value for each knot"),
         (
             "[wheel]\nradius = 150\n" + COMMAND,
