@@ -116,7 +116,8 @@ def read_outline(path: str | Path) -> np.ndarray:
         InputError: names the file, the line and what must hold.
     """
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
+        # Some editors put a byte-order mark first.
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
@@ -124,6 +125,8 @@ def read_outline(path: str | Path) -> np.ndarray:
         raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
     except (UnicodeDecodeError, csv.Error):
         raise InputError(f"{path}: is not an outline; must be CSV, two numbers a line") from None
+    except ValueError:
+        raise InputError(f"{str(path)!r} cannot be the name of a file") from None
     corners: list[tuple[float, float]] = []
     for number, row in enumerate(rows, start=1):
         try:

@@ -160,6 +160,13 @@ def test_outline_from_a_file_is_the_outline_from_points(tmp_path):
     np.testing.assert_array_equal(wheel.points, OutlineWheel(circle(36), RADIUS).points)
 
 
+def test_byte_order_mark_of_an_editor_is_no_obstacle(tmp_path):
+    first, *others = lines_of(closed(circle(36)))
+    np.testing.assert_array_equal(
+        read_outline(write(tmp_path, ["\ufeff" + first, *others])), circle(36)
+    )
+
+
 @pytest.mark.parametrize(
     ("lines", "reason"),
     [
@@ -184,6 +191,8 @@ def test_file_that_is_no_outline_is_refused_by_name(tmp_path, lines, reason):
 def test_missing_and_binary_files_are_refused_by_name(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.csv"):
         OutlineWheel.from_csv(tmp_path / "nowhere.csv", 0.1)
+    with pytest.raises(InputError, match="cannot be the name of a file"):
+        OutlineWheel.from_csv("a\0.csv", 0.1)
     path = tmp_path / "wheel.csv"
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(InputError, match=r"wheel\.csv"):

@@ -140,6 +140,10 @@ def test_tabs_packing_marks_and_lines_above_the_headings_are_read(made, tmp_path
         np.testing.assert_array_equal(runs[1].measured.z, wanted)
 
 
+def test_byte_order_mark_of_an_editor_is_no_obstacle_to_a_mapping(made):
+    assert [run.title for run in made(TABLE, "\ufeff" + SAMPLES)] == ["drive a", "drive b"]
+
+
 @pytest.mark.parametrize(
     ("written", "value", "powers"),
     [
@@ -174,6 +178,8 @@ def test_every_unit_is_found_by_its_name():
         ('divide_by = "50 mm"', 'divided_by = "50 mm"', r"no key 'divided_by'.*'divide_by'"),
         ('title = "drive', 'title = "a\\u0000', r"title holds the character '\\x00'"),
         ('title = "drive', 'notes = "\\u0000"\ntitle = "drive', "notes holds the character"),
+        ('title = "drive', 'skip_lines = 1000000000000\ntitle = "drive', "has 6 lines, but skip"),
+        ('rows = "samples"', "rows = " + "[" * 100_000, "is nested too deeply"),
         ("[measured]", "[measurd]", r"no key 'measurd'; did you mean 'measured'"),
         ("sign = -1", "sign = 2", r"measured\.z\.sign.* 2"),
         ("sign = -1", 'sign = "minus"', r"measured\.z\.sign"),

@@ -127,7 +127,7 @@ _UNKNOWN: Final = re.compile(r"unknown field `(.+?)`(?: - at `\$\.?(.*)`)?")
 def read_mapping(path: Path) -> Mapping:
     """Read a mapping; an InputError names the file, the place in it and what must hold."""
     try:
-        mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8")), Mapping)
+        mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8-sig")), Mapping)
         _require_whole(mapping)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -136,6 +136,8 @@ def read_mapping(path: Path) -> Mapping:
         raise InputError(f"{path}: {_explain(str(error))}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, InputError) as error:
         raise InputError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply for a mapping") from error
     return mapping
 
 

@@ -134,8 +134,12 @@ def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) ->
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rb") as raw, TextIOWrapper(raw, "utf-8-sig", newline="") as text:
-            for _ in range(skip_lines):
-                text.readline()
+            for line in range(skip_lines):
+                if not text.readline():
+                    raise InputError(
+                        f"{path}: has {line} lines, but skip_lines is {skip_lines}; "
+                        "the headings must come after it"
+                    )
             return _parsed(path, csv.reader(text, delimiter=separator), skip_lines)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
