@@ -193,6 +193,8 @@ def test_every_unit_is_found_by_its_name():
         ('title = "drive {drive}"', "", r"the entry 'title' is missing$"),
         ('"drive {drive}"', '"drive {driv}"', "names no column 'driv'; did you mean 'drive'"),
         ("from = 20", "from = 99", "no row is selected by t"),
+        ("{ from = 20 }", "{ one_of = [] }", r"select\.t\.one_of is empty"),
+        ("{ from = 20 }", "{}", r"select\.t must have equals, one_of, from or to"),
         ("from = 20", "form = 20", "no key 'form'.*'from'"),
         ('[time]\ncolumn = "t"', "[time]", "time must have either a column or a constant"),
         ('offset = "2 mm"', 'offset = "2 s"', r"measured\.z\.offset comes out in s"),
@@ -255,6 +257,23 @@ def test_a_table_that_is_no_text_is_refused(made, tmp_path):
         import_table(tmp_path / "table.csv", tmp_path / "none.toml")
 
 
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("run.1.csv", "run.1"), ("run.TXT", "run"), ("a.csv.csv", "a.csv"), ("run.2", "run.2")],
+)
+def test_a_table_gives_its_name_without_its_ending(made, name, file):
+    mapping = SAMPLES.replace("drive {drive}", "{file} {drive}")
+    sep = 'separator = ","\n'
+    assert [run.title for run in made(TABLE, sep + mapping, name)] == [f"{file} a", f"{file} b"]
+
+
+def test_a_packed_table_gives_its_name_without_both_endings(made, tmp_path):
+    made(TABLE, SAMPLES.replace("drive {drive}", "{file}"))
+    (tmp_path / "run.1.csv.gz").write_bytes(gzip.compress(TABLE.encode()))
+    first, _ = import_table(tmp_path / "run.1.csv.gz", tmp_path / "map.toml")
+    assert first.title == "run.1"
+
+
 def test_names_of_files_are_safe_and_differ():
     assert safe_names(["a/b", "a_b", "A_B", "../../etc", "Räder № 1", "", "."]) == [
         *("a_b", "a_b_2", "A_B_3", "etc", "Rader_No_1", "run", "run_2")
@@ -296,10 +315,12 @@ def test_columns_whose_unit_was_left_out_are_noted(table, tmp_path):
     assert "perhaps these are mm" in done.stderr
 
 
-def test_many_runs_do_not_go_into_one_file(table, tmp_path):
-    command = ["import", *table[:1], "--mapping", table[1], "-o", str(tmp_path / "run.h5")]
+@pytest.mark.parametrize("name", ["run.h5", "run.hdf5"])
+def test_many_runs_do_not_go_into_one_file(table, tmp_path, name):
+    command = ["import", *table[:1], "--mapping", table[1], "-o", str(tmp_path / name)]
     done = CliRunner().invoke(app, command)
     assert "is one file, but the table holds 2 runs" in str(done.exception)
+    assert not (tmp_path / name).exists()
 
 
 def test_an_unknown_mapping_is_refused_with_the_nearest_names(table, tmp_path):

@@ -115,7 +115,7 @@ def import_(
         str, typer.Option(help="A TOML file, or the name of a mapping that ships with drft.")
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="A .h5 file for one run, or a folder.")
+        Path, typer.Option("--output", "-o", help="A .h5 or .hdf5 file for one run, or a folder.")
     ],
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
@@ -154,10 +154,11 @@ def _mapping(given: str) -> Path:
 
 def _targets(output: Path, names: list[str]) -> list[Path]:
     """Where each run goes: the file itself for one run, a folder of safe names for many."""
+    from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.names import safe_names
     from drftjax.runlog.replace import make_folder
 
-    if output.suffix == ".h5" and not output.is_dir():
+    if output.suffix in HDF5_ENDINGS and not output.is_dir():
         if len(names) != 1:
             raise InputError(f"{output} is one file, but the table holds {len(names)} runs")
         return [output]

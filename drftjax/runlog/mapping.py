@@ -90,7 +90,8 @@ class Mapping(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     Attributes:
         rows: "samples" where the rows of a run follow one another in time; "steady" where each
             row is the mean of a run of its own.
-        title: Title of a run; {heading} stands for that column's cell, {file} for the table.
+        title: Title of a run; {heading} stands for that column's cell, {file} for the table's
+            name without its ending.
         name: Name of a run's file, with the same braces; the title where it is not given.
         files: Patterns of the tables that this mapping is for; any where it is empty.
         source: Of the run log.
@@ -165,6 +166,11 @@ def _require_whole(mapping: Mapping) -> None:
         raise InputError(f"separator is {mapping.separator!r}, it must be one character")
     if not any(getattr(mapping.measured, name) for name in MeasuredMap.__struct_fields__):
         raise InputError(f"[measured] must have one of {', '.join(MeasuredMap.__struct_fields__)}")
+    for column, condition in mapping.select.items():
+        if condition.one_of == []:
+            raise InputError(f"select.{column}.one_of is empty, so no row could meet it")
+        if condition == Condition():
+            raise InputError(f"select.{column} must have equals, one_of, from or to")
     for place, each in sources(mapping).items():
         if (each.column is None) == (each.constant is None):
             raise InputError(f"{place} must have either a column or a constant")

@@ -47,6 +47,8 @@ SETUP_UNITS: Final = {
 
 Reals = NDArray[np.float64]
 
+_ENDING: Final = re.compile(r"(\.(csv|tsv|txt|dat))?(\.gz)?$", re.IGNORECASE)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -251,7 +253,7 @@ def _run(table: Table, mapping: Mapping, mapping_path: Path) -> ImportedRun:
 def _filled(pattern: str, table: Table) -> str:
     """A pattern with the first row's cells in the place of {heading}."""
     cells = {name: table.rows[0][i].strip() for i, name in enumerate(table.headings)}
-    cells |= {"file": table.path.name.split(".")[0]}
+    cells |= {"file": _ENDING.sub("", table.path.name)}
 
     def cell(match: re.Match[str]) -> str:
         if match[1] not in cells:
