@@ -12,7 +12,7 @@ from drftjax.commands.log import app
 from drftjax.datafiles import data_file, data_names
 from drftjax.errors import InputError
 from drftjax.runlog.check import check_files
-from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.hdf5 import read_run, write_run
 from drftjax.runlog.mapping import read_mapping
 from drftjax.runlog.names import safe_names
 from drftjax.runlog.table import import_named, import_table
@@ -356,6 +356,19 @@ def test_a_run_is_drawn_and_shown(table, tmp_path):
     assert "must end in .png" in str(refused.exception)
     refused = CliRunner().invoke(app, ["plot", path, "-o", str(tmp_path / "no" / "a.png")])
     assert "there is no folder" in str(refused.exception)
+
+
+@pytest.mark.parametrize("column", ["x", "t"])
+def test_a_run_whose_numbers_overflow_an_axis_is_not_drawn(made, tmp_path, column):
+    huge = {"x": ("b,35,0,8", "b,35,0,1e307"), "t": ("b,35", "b,1e307")}[column]
+    _, run = made(TABLE.replace(*huge), SAMPLES)
+    path = tmp_path / "huge.h5"
+    write_run(path, run)
+    done = CliRunner().invoke(app, ["plot", str(path), "-o", str(tmp_path / "a.png")])
+    assert isinstance(done.exception, InputError)
+    assert str(done.exception).startswith(f"{path}: /")
+    assert "too large to draw" in str(done.exception)
+    assert not (tmp_path / "a.png").exists()
 
 
 # The shared measurements ------------------------------------------------------------------------

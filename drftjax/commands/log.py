@@ -85,7 +85,11 @@ def plot(
     with warnings.catch_warnings():
         # A title may be in a script that the font lacks; it is drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph")
-        plot_run(run).savefig(image, format=output.suffix.lower()[1:], dpi=150)
+        try:
+            figure = plot_run(run)
+        except InputError as problem:
+            raise InputError(f"{file}: {problem}") from None
+        figure.savefig(image, format=output.suffix.lower()[1:], dpi=150)
     replace_file(output, image.getvalue())
     typer.echo(f"wrote {output}")
 

@@ -2,18 +2,29 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drftjax.errors import InputError
+from drftjax.runlog.layout import UNITS
 from drftjax.runlog.record import RunLog
+
+LARGEST_DRAWN: Final = 1e30
+"""No rig has a number beyond this in any unit; near the largest of all, axes overflow."""
 
 Panel = Callable[[Axes, RunLog], None]
 
 
 def plot_run(run: RunLog) -> Figure:
-    """Draw every channel that the run has; the figure belongs to no window."""
+    """Draw every channel that the run has; the figure belongs to no window.
+
+    Raises:
+        InputError: names a channel whose numbers are too large for an axis.
+    """
+    _require_drawable(run)
     panels = list(_panels(run))
     figure = Figure(figsize=(8, 1 + 1.7 * len(panels)), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -24,6 +35,16 @@ def plot_run(run: RunLog) -> Figure:
     # A title is any text: a dollar sign in it is no formula.
     figure.suptitle(run.title.replace("$", r"\$"), fontsize="medium")
     return figure
+
+
+def _require_drawable(run: RunLog) -> None:
+    for title in ("command", "measured", "online"):
+        part = getattr(run, title)
+        for name, unit in UNITS[title].items():
+            values = getattr(part, name, None)
+            largest = 0.0 if values is None else float(np.abs(values).max())
+            if largest > LARGEST_DRAWN:
+                raise InputError(f"/{title}/{name} reaches {largest:g} {unit}, too large to draw")
 
 
 def _panels(run: RunLog) -> list[Panel]:
