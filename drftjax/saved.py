@@ -14,12 +14,10 @@ from drftjax.runlog import record
 from drftjax.runlog.content import printable
 from drftjax.runlog.files import HDF5_ENDINGS
 from drftjax.runlog.hdf5 import read_result
-from drftjax.runlog.result import ResultGroup
+from drftjax.runlog.result import FIT_SCHEMA, ResultGroup
 from drftjax.setup import CommandSetUp, SetUp, read_setup
 from drftjax.structfile import read_document, to_structure
 from drftjax.trial import ROW_INTERVAL, Trial, check_output
-
-FIT_SCHEMA = "drft-fit"
 
 
 class FittedRun(msgspec.Struct):

@@ -4,6 +4,7 @@ import dataclasses
 import shutil
 from pathlib import Path
 
+import h5py
 import pytest
 
 from diagnose.model_file import MARK
@@ -35,6 +36,19 @@ def test_a_simulation_never_replaces_a_recorded_run(drft, recording):
     link.symlink_to(recording)
     assert "is read here" in drft("simulate", "--like", recording, "-o", link).refusal
     assert recording.read_bytes() == before
+
+
+@pytest.mark.parametrize("attributes", [{}, {"schema": "logger", "source": "simulated"}])
+def test_a_file_of_another_program_is_never_replaced(drft, tmp_path, attributes):
+    path = tmp_path / "logger.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs.update(attributes)
+        file["t"] = file["force"] = [0.0, 1.0]
+    before = path.read_bytes()
+    said = f"{path} is an HDF5 file that holds no simulation or fit"
+    assert drft("simulate", PAPER, "-o", path).refusal.startswith(said)
+    assert drft("fit", RUN, "-o", path.with_suffix("")).refusal.startswith(said)
+    assert path.read_bytes() == before
 
 
 def test_what_cannot_be_opened_may_be_a_recording(drft, tmp_path):

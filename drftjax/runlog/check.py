@@ -8,6 +8,7 @@ from drftjax.runlog.content import Violation
 from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
 from drftjax.runlog.layout import SCHEMA, run_from
 from drftjax.runlog.record import RunLog
+from drftjax.runlog.result import FIT_SCHEMA
 
 
 def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violation]:
@@ -40,10 +41,10 @@ def read_runs_guarded(paths: Iterable[str | Path], time_limit: float = TIME_LIMI
 
 
 def require_no_recording(path: Path) -> None:
-    """Refuse to put a result in the place of a run that cannot be made again.
+    """Refuse to put a result in the place of what cannot be made again.
 
-    An earlier simulation, or an HDF5 file of another kind, may be replaced; what cannot be opened
-    may hold a recording.
+    An earlier simulation or fit may be replaced; an HDF5 file of another program, or one that
+    cannot be opened, may hold a recording.
 
     Raises:
         InputError: names the file and what it holds.
@@ -54,9 +55,14 @@ def require_no_recording(path: Path) -> None:
         content, violations = reader.survey(path)
     if content is None:
         raise InputError(f"{violations[0]}; give another name than that, or move it away")
-    source = content.attributes.get("source")
-    if content.attributes.get("schema") == SCHEMA and source != "simulated":
+    schema, source = (content.attributes.get(name) for name in ("schema", "source"))
+    if schema == SCHEMA and source != "simulated":
         raise InputError(
             f"{path} holds a run of source {source!r}, which no simulation or fit may replace; "
+            "give another name, or move it away"
+        )
+    if schema not in (SCHEMA, FIT_SCHEMA):
+        raise InputError(
+            f"{path} is an HDF5 file that holds no simulation or fit, and may hold a recording; "
             "give another name, or move it away"
         )

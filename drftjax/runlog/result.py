@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drftjax.errors import InputError
 from drftjax.runlog.content import Attribute, Content, Dataset, Group
+
+FIT_SCHEMA: Final = "drft-fit"
 
 
 @dataclass(frozen=True, eq=False)
