@@ -133,7 +133,16 @@ def _bends(time: np.ndarray, values: np.ndarray, last: int, knot: int) -> bool:
     return bool(abs(values[knot] - line) > 1e-9 * max(1.0, float(np.abs(values).max())))
 
 
+def _held_until(end: float, command: CommandSetUp) -> CommandSetUp:
+    """The same profile with its last value held to `end` [s]."""
+    vx = None if command.vx is None else [*command.vx, command.vx[-1]]
+    time, omega = [*command.time, float(end)], [*command.omega, command.omega[-1]]
+    return CommandSetUp(time, omega, vx, command.omega_unit)
+
+
 _run = eqx.filter_jit(Trial.run)
+# Of times of rows, written in decimals [s].
+ROUNDING = 1e-9
 
 
 def simulated_run(
@@ -144,20 +153,24 @@ def simulated_run(
     Args:
         setup: What is simulated.
         interval: Time between rows [s]; rounded to whole steps.
-        at: Times of the rows [s] in place of that, met by interpolation.
+        at: Times of the rows [s] in place of that, met by interpolation; past the command's end
+            its last value holds.
 
     Raises:
         InputError: where the set-up cannot be, or the run leaves what the model covers.
     """
     if at is not None and len(at) > 1:
         interval = min(interval, float(np.median(np.diff(at))))
-    trial = setup.trial(interval)
+    command = setup.command.build()
+    end = command.time[-1] + ROUNDING
+    held = setup
+    if at is not None and len(at) and at[-1] > end:
+        held = msgspec.structs.replace(setup, command=_held_until(at[-1], setup.command))
+    trial = held.trial(interval)
     output = _run(trial)
     check_output(output, trial.simulator)
-    command = setup.command.build()
-    end = command.time[-1]
     time = np.asarray(output.time) + command.time[0]
-    rows = time[time <= end + 1e-9] if at is None else at
+    rows = time[time <= end] if at is None else at
     measured = {
         name: np.interp(rows, time, np.asarray(getattr(output, name)))
         for name in ("x", "z", "fx", "fz", "torque")

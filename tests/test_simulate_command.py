@@ -107,6 +107,21 @@ def test_rows_at_uneven_times_are_those_of_the_run(short):
     assert rmse(uneven.x, np.interp(times, full.time, full.x)) < INTERPOLATION
 
 
+@pytest.mark.parametrize("carriage", ["", "vx = [0, 0, 0.1, 0.1]\n[rig]\ncarriage = 'driven'\n"])
+def test_past_its_commands_end_a_run_goes_on_as_it_was_last_told(short, carriage):
+    short.write_text(SHORT + carriage)
+    beyond = read_setup(short)
+    longer = SHORT + carriage.replace("0.1]", "0.1, 0.1]")
+    longer = longer.replace("0.5, 1.0]", "0.5, 1.0, 2.0]").replace("1, 1]", "1, 1, 1]")
+    short.write_text(longer)
+    times = np.linspace(0.0, 2.0, 41)
+    held, written = simulated_run(beyond, at=times), simulated_run(read_setup(short), at=times)
+    np.testing.assert_array_equal(held.measured.x, written.measured.x)
+    np.testing.assert_array_equal(held.measured.z, written.measured.z)
+    assert held.measured.x[-1] > held.measured.x[20] + 0.05
+    assert held.command.time[-1] == 1.0
+
+
 def final(drft: Drft, folder: Path, *arguments: object):
     log = folder / "log.h5"
     answer = drft("simulate", *arguments, "-o", log)
