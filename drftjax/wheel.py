@@ -295,7 +295,8 @@ class GrouserWheel(AbstractWheel):
         turned = [turn(sector, jnp.asarray(-self._pitch * k, self.radius.dtype)) for k in sectors]
         outline = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *turned)
         # The outermost sectors still cover this angle when the wheel stands half a pitch off.
-        covered = min(self._pitch * (len(sectors) // 2), math.pi / 2)
+        whole = len(sectors) == self.grouser_count
+        covered = math.pi / 2 if whole else min(self._pitch * (len(sectors) // 2), math.pi / 2)
         tip = self.radius + self.grouser_fraction * self.grouser_height
         limit = self.radius - tip * math.cos(covered)
         return TurningCut(self.radius, limit, outline, self._pitch)

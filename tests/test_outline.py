@@ -60,11 +60,14 @@ def assert_same(got, expected, share):
     assert np.max(np.abs(got - expected) / scale) < share
 
 
+@pytest.mark.parametrize("count", [1, 2, 12])
 @pytest.mark.parametrize("sinkage", [0.01, 0.03, 0.06])
-def test_polygon_of_the_grousered_outline_carries_what_the_grouser_wheel_carries(sinkage):
+def test_polygon_of_the_grousered_outline_carries_what_the_grouser_wheel_carries(sinkage, count):
     angles = np.linspace(0, 2 * np.pi, 25)
-    drawn = wrenches(OutlineWheel(grousered(), RADIUS, plate_size=PLATES), sinkage, angles)
-    built = wrenches(GrouserWheel(plate_size=PLATES), sinkage, angles)
+    built_in = GrouserWheel(grouser_count=count, plate_size=PLATES)
+    assert float(built_in.cut().sinkage_limit) > sinkage
+    drawn = wrenches(OutlineWheel(grousered(count), RADIUS, plate_size=PLATES), sinkage, angles)
+    built = wrenches(built_in, sinkage, angles)
     assert_same(np.asarray(drawn), np.asarray(built), PLATE_ACCURACY)
 
 

@@ -104,6 +104,12 @@ def test_sinkage_limit_is_where_the_next_plate_would_touch():
     np.testing.assert_allclose(some, whole, atol=FORCE_ROUNDING)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_wheel_that_carries_all_its_grousers_may_sink_to_its_axle(count):
+    wheel = GrouserWheel(grouser_count=count)
+    assert float(wheel.cut().sinkage_limit) == pytest.approx(float(wheel.radius), abs=ROUNDING)
+
+
 @pytest.mark.parametrize("turns", [1, -1, 5, 12, 1200])
 def test_turning_by_whole_pitches_changes_nothing(turns):
     pitch = 2 * math.pi / 12
