@@ -166,6 +166,12 @@ def simulated_run(
     held = setup
     if at is not None and len(at) and at[-1] > end:
         held = msgspec.structs.replace(setup, command=_held_until(at[-1], setup.command))
+    lasts = held.command.time[-1] - held.command.time[0]
+    if interval > lasts + ROUNDING:
+        raise InputError(
+            f"rows {interval:g} s apart are farther than the command lasts ({lasts:g} s); ask for "
+            "more rows a second"
+        )
     trial = held.trial(interval)
     output = _run(trial)
     check_output(output, trial.simulator)

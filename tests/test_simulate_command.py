@@ -165,6 +165,13 @@ def test_step_and_rate_say_how_finely(drft, short, tmp_path):
     np.testing.assert_allclose(sparse.z, plain.z[::5], atol=1e-12)
 
 
+def test_rows_come_at_whole_steps_and_the_command_says_so(drft, short):
+    answer = drft("simulate", short, "--rate", "1500")
+    assert "note: rows come at 2000 Hz, at whole steps of 0.0005 s" in answer.err
+    assert "note" not in drft("simulate", short, "--rate", "400").err
+    assert drft("simulate", short, "--rate", "1").code == 0
+
+
 def test_run_ends_with_its_command_where_rows_do_not_divide_it(drft, short, tmp_path):
     short.write_text(SHORT.replace("0.5, 1.0", "0.5, 0.999"))
     time = final(drft, tmp_path, short, "--rate", "100").measured.time
@@ -209,6 +216,8 @@ def test_one_source_is_asked_for(drft, short, tmp_path):
     [
         (["--rate", "0"], "--rate is 0 Hz, must be above 0 and at most 100000 Hz"),
         (["--rate", "nan"], "--rate is nan Hz, must be above 0 and at most"),
+        (["--rate", "0.5"], "rows 2 s apart are farther than the command lasts (1 s)"),
+        (["--rate", "1e-7"], "rows 1e+07 s apart are farther than the command lasts (1 s)"),
         (["--step", "0"], "integrator step is 0, must lie between"),
         (["--step", "nan"], "integrator step is nan, must lie between"),
         (["--zeta", "-1"], "zeta is -1, must lie between"),

@@ -102,6 +102,10 @@ def simulate(
     log = saved.simulated_run(chosen, interval=1 / rate, at=sampled)
 
     typer.echo(saved.summary(log))
+    time = log.measured.time
+    if sampled is None and len(time) > 1 and abs((time[1] - time[0]) * rate - 1) > 1e-6:
+        true, steps = 1 / (time[1] - time[0]), chosen.integrator.step
+        typer.echo(f"note: rows come at {true:.4g} Hz, at whole steps of {steps:g} s", err=True)
     for doubt in doubts(log):
         typer.echo(f"note: {doubt}", err=True)
     if output is not None:
