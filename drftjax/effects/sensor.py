@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Number = Float[Array, ""]
 
-# A delay keeps so many readings, one each so often [s].
+# A delay keeps so many readings, so far apart or a little more [s].
 KEPT, KEPT_EVERY = 101, 0.01
 
 
@@ -86,7 +86,10 @@ def _with_channels(output: "Output", values: Float[Array, "5"]) -> "Output":
 
 
 class MeasurementDelay(AbstractSensor):
-    """The readings are late, by a second at the most; what was true is kept every 10 ms."""
+    """The readings are late, by a second at the most.
+
+    What was true is kept every 10 ms, or at the first step after.
+    """
 
     about: ClassVar = About(
         "measurement_delay",
@@ -109,7 +112,8 @@ class MeasurementDelay(AbstractSensor):
         later = jnp.clip(jnp.sum(ages <= self.delay) - 1, 0, KEPT - 1)
         share = jnp.minimum((self.delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
         value = values[later] + share * (values[later + 1] - values[later])
-        due = older[0] > KEPT_EVERY - dt / 2
+        # Never closer, or the kept would not reach back far enough; but for the times' rounding.
+        due = older[0] > KEPT_EVERY - dt / 100
         kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
         return _with_channels(output, value), kept
 
