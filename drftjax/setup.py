@@ -90,7 +90,7 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ZetaKnots(msgspec.Struct, forbid_unknown_fields=True):
-    """zeta at knots in time [s], linear in between."""
+    """zeta at knots in time [s] from the command's first knot on, linear in between."""
 
     time: list[float]
     value: list[float]
