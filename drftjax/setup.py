@@ -253,7 +253,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             INTEGRATORS[self.integrator.method](),
             tuple(built(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
-        simulator.prepared()  # refuses an effect that this wheel or this law cannot have
+        simulator.check()
         command = self.command.build()
         if self.rig.carriage == "driven" and command.vx is None:
             raise InputError("the carriage is driven, so [command] needs vx in m/s")

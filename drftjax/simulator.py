@@ -138,14 +138,29 @@ class Simulator(eqx.Module):
             if not isinstance(effect, AbstractEffect):
                 raise InputError(f"{effect!r} is not an effect; see drftjax.effects")
 
-    def prepared(self) -> "Simulator":
-        """The same simulator, adjusted and with its wheel cut: what a loop should step."""
+    def adjusted(self) -> "Simulator":
+        """The same simulator with the numbers that its effects change, these effects left out."""
         simulator = self
         for effect in self.effects:
             if isinstance(effect, AbstractAdjustment):
                 simulator = effect.adjust(simulator)
         rest = tuple(e for e in self.effects if not isinstance(e, AbstractAdjustment))
-        return dataclasses.replace(simulator, wheel=simulator.wheel.cut(), effects=rest)
+        return dataclasses.replace(simulator, effects=rest)
+
+    def prepared(self) -> "Simulator":
+        """The same simulator, adjusted and with its wheel cut: what a loop should step."""
+        simulator = self.adjusted()
+        return dataclasses.replace(simulator, wheel=simulator.wheel.cut())
+
+    def check(self) -> None:
+        """Refuse effects that this wheel or law cannot have, or that leave grousers that cannot be.
+
+        Raises:
+            InputError: says which number, and what must hold.
+        """
+        wheel = self.adjusted().wheel
+        if isinstance(wheel, GrouserWheel):
+            wheel.check()
 
     def begin(self, state: State, command: Command) -> State:
         """The state that a run starts from: where it truly is, and a memory for each effect.

@@ -9,6 +9,7 @@ import math
 
 import equinox as eqx
 import jax
+import jax.core as jax_core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -130,6 +131,17 @@ def _check_cut(radius: Real, plate_size: float, reach: float) -> None:
     require_between("reach", reach, 0.1, math.pi, " rad")
 
 
+def _check_grousers(which: str, radius: Real, count: int, height: Real, thickness: Real) -> None:
+    require_between(f"{which}grouser height", height, 0.0, float(radius), UNIT_HINT)
+    require_between(
+        f"{which}grouser thickness",
+        thickness,
+        0.0,
+        0.999 * (2 * math.pi / count) * float(radius),
+        f", the pitch of {count} grousers on a rim of {float(radius):g} m",
+    )
+
+
 def _midpoints(count: int, dtype) -> Float[Array, " count"]:
     return jnp.asarray((np.arange(count) + 0.5) / count, dtype)
 
@@ -222,15 +234,7 @@ class GrouserWheel(AbstractWheel):
     ):
         _check_rim(radius, width)
         require_between("grouser count", grouser_count, 1, 1000, " (PlainWheel has none)")
-        require_between("grouser height", grouser_height, 0.0, float(radius), UNIT_HINT)
-        pitch = 2 * math.pi / grouser_count
-        require_between(
-            "grouser thickness",
-            grouser_thickness,
-            0.0,
-            0.999 * pitch * float(radius),
-            f", the pitch of {grouser_count} grousers on a rim of {float(radius):g} m",
-        )
+        _check_grousers("", radius, grouser_count, grouser_height, grouser_thickness)
         require_between("grouser fraction", grouser_fraction, 0.0, 2.0)
         _check_cut(radius, plate_size, reach)
         self.radius = as_real(radius)
@@ -239,11 +243,24 @@ class GrouserWheel(AbstractWheel):
         self.grouser_thickness = as_real(grouser_thickness)
         self.grouser_fraction = as_real(grouser_fraction)
         self.grouser_count = int(grouser_count)
-        gap = pitch * float(radius) - float(grouser_thickness)
+        gap = self._pitch * float(radius) - float(grouser_thickness)
         self.rim_plates = plate_count(gap, plate_size)
         self.tip_plates = max(1, plate_count(float(grouser_thickness), plate_size))
         self.side_plates = max(1, plate_count(float(grouser_height), plate_size))
         self.reach = reach
+
+    def check(self) -> None:
+        """Refuse grousers that effects made such as cannot be; traced numbers pass.
+
+        Raises:
+            InputError: says which length, and what must hold.
+        """
+        radius, height, thickness = self.radius, self.grouser_height, self.grouser_thickness
+        if any(isinstance(each, jax_core.Tracer) for each in (radius, height, thickness)):
+            return
+        # A rounding below none is none.
+        height = max(float(height), 0.0)
+        _check_grousers("the true ", radius, self.grouser_count, height, thickness)
 
     @property
     def _pitch(self) -> float:

@@ -120,7 +120,7 @@ def read_virtual_setup(path: str | Path) -> VirtualSetUp:
     setup = to_structure(read_document(path), VirtualSetUp, path)
     find_outline(setup.wheel, path)
     try:
-        setup.simulator().prepared()
+        setup.simulator().check()
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
     return setup

@@ -131,6 +131,19 @@ def test_simulate_runs_the_effects(drft, tmp_path):
             "[[effect]]\nname = 'wheel_radius'\nexcess = -3\n",
             "the wheel's true radius is -2.85, must lie between 0.005 and 2 m",
         ),
+        (
+            "[[effect]]\nname = 'grouser_height'\nexcess = 0.2\n",
+            "the true grouser height is 0.218, must lie between 0 and 0.15",
+        ),
+        (
+            "[[effect]]\nname = 'wheel_radius'\nexcess = -0.135\n",
+            "the true grouser height is 0.018, must lie between 0 and 0.015",
+        ),
+        (
+            "[[effect]]\nname = 'wheel_radius'\nexcess = -0.134\n"
+            "[[effect]]\nname = 'grouser_height'\nexcess = -0.018\n",
+            "the true grouser thickness is 0.009, must lie between 0 and 0.0083692",
+        ),
     ],
 )
 def test_what_an_effect_may_not_be_is_refused_in_one_sentence(drft, tmp_path, text, said):

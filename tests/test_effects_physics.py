@@ -15,6 +15,7 @@ from effect_runs import KNOWN, RIM, driven, rows, simulator, typical, vector, wi
 
 from drftjax.effects.stress import DepthHardening, HeightDecrease, MomentumFlux, RateHardening
 from drftjax.effects.wheel import GrouserHeight, Imbalance, WheelRadius
+from drftjax.errors import InputError
 from drftjax.simulator import Simulator, State
 from drftjax.stress import Dynamic, plate_motion
 from drftjax.terrain import Terrain
@@ -157,6 +158,19 @@ def test_wheel_radius_and_grouser_height_are_those_of_the_wheel_itself():
         changed = effect.adjust(sim).wheel
         np.testing.assert_allclose(changed.radius, wheel.radius, rtol=1e-15)
         np.testing.assert_allclose(changed.grouser_height, wheel.grouser_height, atol=1e-17)
+
+
+def test_a_traced_strength_is_not_checked_and_one_of_the_whole_height_passes():
+    def true_height(excess):
+        sim = replace(Simulator(GrouserWheel()), effects=(GrouserHeight(excess=excess),))
+        sim.check()
+        return sim.adjusted().wheel.grouser_height
+
+    assert float(jax.jit(true_height)(0.2)) == pytest.approx(0.218)
+    assert float(jax.grad(true_height)(-0.1)) == pytest.approx(1)
+    assert float(true_height(-0.018)) == pytest.approx(0, abs=CLOSE)
+    with pytest.raises(InputError, match="true grouser height"):
+        true_height(0.2)
 
 
 def test_without_grousers_a_wheel_feels_as_its_bare_rim_does():
