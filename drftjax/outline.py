@@ -115,6 +115,8 @@ def read_outline(path: str | Path) -> np.ndarray:
     Raises:
         InputError: names the file, the line and what must hold.
     """
+    if Path(path).is_char_device():  # some never end
+        raise InputError(f"{path}: is a device; must be a CSV file, two numbers a line")
     try:
         # Some editors put a byte-order mark first.
         with Path(path).open(newline="", encoding="utf-8-sig") as file:

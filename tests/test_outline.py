@@ -163,6 +163,11 @@ def test_outline_from_a_file_is_the_outline_from_points(tmp_path):
     np.testing.assert_array_equal(wheel.points, OutlineWheel(circle(36), RADIUS).points)
 
 
+def test_a_device_is_no_outline():
+    with pytest.raises(InputError, match="/dev/zero: is a device"):
+        read_outline("/dev/zero")
+
+
 def test_byte_order_mark_of_an_editor_is_no_obstacle(tmp_path):
     first, *others = lines_of(closed(circle(36)))
     np.testing.assert_array_equal(

@@ -223,6 +223,7 @@ def test_a_mapping_that_cannot_be_meant_is_refused_with_a_hint(made, old, new, r
         ("a,30,200", "a,30,fast", r"table\.csv, line 4: rim is 'fast', it must be a finite number"),
         ("a,30,200", "a,30,", r"line 4: rim is ''"),
         ("a,30,200", "a,30,nan", r"line 4: rim is 'nan'"),
+        ("a,30,200", "a,30,2_0", r"line 4: rim is '2_0', it must be a finite number"),
         ("a,30,200", "a,20,200", r"lines 3-4.*time must increase"),
         ("a,30,200", "a,30,1,200", r"line 4: has 8 cells under 7 headings"),
         ("a,", "a\0,", r"lines 3-4.*: title holds the character '\\x00'"),

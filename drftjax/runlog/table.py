@@ -75,10 +75,7 @@ class Table:
     def numbers(self, column: str) -> Reals:
         """A column as numbers; an InputError names the line of the first that is none."""
         cells = self.cells(column)
-        try:
-            values = np.array(cells, dtype=np.float64)
-        except ValueError:
-            values = np.array([_number(cell) for cell in cells])
+        values = np.array([_number(cell) for cell in cells])
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             place = f"{self.path}, line {self.lines[bad[0]]}"
@@ -345,6 +342,7 @@ def _in_unit(place: str, given: units.Unit, wanted: str, written: float | str | 
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        # Python would read 1_7 as 17.
+        return math.nan if "_" in cell else float(cell)
     except ValueError:
         return math.nan
