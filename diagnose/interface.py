@@ -12,7 +12,7 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
 from diagnose.model_file import read_model_file
-from diagnose.runs import each_reading_once, from_one_start, gather, of_one_wheel, usable
+from diagnose.runs import gather, of_one_rig, usable
 from diagnose.search import Report
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -134,10 +134,8 @@ def gathered_from(
     if left_out and not candidates:
         raise InputError("; ".join(left_out.values()))
     told = usable(candidates)
-    kept = of_one_wheel(told.candidates)
-    once = each_reading_once(kept.candidates)
-    left_out |= {**told.left_out, **kept.left_out, **once.left_out}
-    return Gathered(from_one_start(once.candidates, origin), left_out)
+    kept = of_one_rig(told.candidates, origin)
+    return Gathered(kept.candidates, {**left_out, **told.left_out, **kept.left_out})
 
 
 def diagnosed(

@@ -186,8 +186,8 @@ def _variations(case: Case, base: int) -> list[Variation]:
     if len({np.sign(_goes(each)) for each in made}) == 1:
         way = "backward" if _goes(candidate.trial) > 0 else "forward"
         found.append(Variation(f"{candidate.name} {way}", _scaled(trial, -1.0)))
-    words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
     if top > 0:
+        words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
         found.append(_upto(Variation(words, _stop_and_go(trial, top))))
     for factor in LOADS:
         mass = float(trial.simulator.rig.mass_z) * factor

@@ -35,12 +35,25 @@ def gather(
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
     gathered = gather_runs(given, sinkage=True, tell=tell)
-    kept = of_one_wheel(gathered.candidates)
-    once = each_reading_once(kept.candidates)
-    left_out = kept.left_out | once.left_out
-    for why in left_out.values():
+    kept = of_one_rig(gathered.candidates, origin)
+    for why in kept.left_out.values():
         tell(f"left out: {why}")
-    return Gathered(from_one_start(once.candidates, origin), gathered.left_out | left_out)
+    return Gathered(kept.candidates, gathered.left_out | kept.left_out)
+
+
+def of_one_rig(candidates: Sequence[Candidate], origin: float | None = None) -> Gathered:
+    """The runs of one wheel, each once, from one start, and why the others are left out.
+
+    Args:
+        candidates: The runs.
+        origin: See `from_one_start`.
+
+    Raises:
+        InputError: where the runs are of several wheels and none prevails.
+    """
+    kept = of_one_wheel(candidates)
+    once = each_reading_once(kept.candidates)
+    return Gathered(from_one_start(once.candidates, origin), kept.left_out | once.left_out)
 
 
 def usable(candidates: Sequence[Candidate]) -> Gathered:

@@ -338,6 +338,9 @@ def over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
         one: Of a run's trial, its recording, what is shared, and what is the run's own.
         shared: Anything, the same for every run.
         own: Arrays with a leading axis of runs.
+
+    Returns:
+        What `one` returns, its arrays with a leading axis of runs, in the batch's order.
     """
     spread, whole = PartitionSpec("runs"), PartitionSpec()
     trials, observed, each = jax.tree.map(

@@ -59,15 +59,17 @@ class Beside:
 
     Attributes:
         parameters: What was fitted beside them, shared ones first.
+        places: Of each run's values among the coordinates, in the parameters' order.
         steps: Each run's path, its covariance that of a path whose other numbers are uncertain.
         candidates: The runs with the values put in.
-        coordinates: Of the values: shared, then each run's own.
-        covariance: Of these.
+        coordinates: Of the values: shared, then each run's own, shape (coordinates,).
+        covariance: Of these, shape (coordinates, coordinates).
         turns: Gauss-Newton steps of the values.
         converged: Whether they settled.
     """
 
     parameters: tuple[Parameter, ...]
+    places: list[np.ndarray]
     steps: list[PathSteps]
     candidates: list[Candidate]
     coordinates: np.ndarray
@@ -85,21 +87,21 @@ class Beside:
     @property
     def values(self) -> tuple[dict[str, Value], list[dict[str, Value]]]:
         """Shared values, and each run's own."""
-        shared = sum(p.shared for p in self.parameters)
         error = np.sqrt(np.diag(self.covariance))
-        each = []
-        for run in range(len(self.steps)):
-            at, spread = jnp.asarray(self.coordinates[self._of(run)]), error[self._of(run)]
-            each.append(values_of(self.parameters, at, spread))
-        names = [p.quantity.name for p in self.parameters]
-        common = {name: each[0][name] for name in names[:shared]}
-        return common, [{name: found[name] for name in names[shared:]} for found in each]
+        each = [
+            values_of(self.parameters, jnp.asarray(self.coordinates[place]), error[place])
+            for place in self.places
+        ]
+        shared = [p.quantity.name for p in self.parameters if p.shared]
+        own = [p.quantity.name for p in self.parameters if not p.shared]
+        common = {name: each[0][name] for name in shared}
+        return common, [{name: found[name] for name in own} for found in each]
 
     def bounded(self, run: int) -> list[str]:
         """Names of the values that ran into a bound: shared ones, and this run's own."""
         return [
             p.quantity.name
-            for p, at in zip(self.parameters, self.coordinates[self._of(run)], strict=True)
+            for p, at in zip(self.parameters, self.coordinates[self.places[run]], strict=True)
             if bool(p.near_bound(jnp.asarray(at)))
         ]
 
@@ -107,18 +109,12 @@ class Beside:
     def covariance_of_values(self) -> np.ndarray:
         """Covariance of the values, in their units squared, ordered as `labels`."""
         slope = np.zeros(len(self.coordinates))
-        for run in range(len(self.steps)):
-            place = self._of(run)
+        for place in self.places:
             slope[place] = [
                 float(p.bijector.slope(jnp.asarray(at)))
                 for p, at in zip(self.parameters, self.coordinates[place], strict=True)
             ]
         return slope[:, None] * self.covariance * slope
-
-    def _of(self, run: int) -> np.ndarray:
-        """Places of a run's coordinates, in the parameters' order."""
-        shared = sum(p.shared for p in self.parameters)
-        return coordinates_of(run, len(self.parameters), shared)
 
 
 def require_beside(parameters: Sequence[Parameter]) -> None:
@@ -158,7 +154,8 @@ def paths_beside(
     if not parameters:
         steps = path_steps(candidates, knot_spacing)
         settled = all(each.converged for each in steps)
-        return Beside((), steps, [*candidates], np.zeros(0), np.zeros((0, 0)), 0, settled)
+        nowhere = [np.zeros(0, int)] * len(steps)
+        return Beside((), nowhere, steps, [*candidates], np.zeros(0), np.zeros((0, 0)), 0, settled)
     require_beside(parameters)
     report = progress or (lambda stage, turn, evidence: None)
     fit = _Beside(candidates, parameters)
@@ -192,7 +189,9 @@ def paths_beside(
     covariance = _inverse(fit.normal(now, linear)[0])
     fit.widen(best, linear, covariance)
     converged = converged and all(each.converged for each in best)
-    return Beside(fit.parameters, best, fit.placed(now), now, covariance, turns, converged)
+    places = [fit.of(run) for run in range(len(best))]
+    placed = fit.placed(now)
+    return Beside(fit.parameters, places, best, placed, now, covariance, turns, converged)
 
 
 class _Beside:
@@ -303,8 +302,8 @@ class _Linear:
 
     Attributes:
         path: Number of the path's coordinates.
-        information: Second derivative of half the misfit and the bends.
-        slope: Their first.
+        information: Second derivative of half the misfit and the bends, shape (all, all).
+        slope: Their first, shape (all,).
     """
 
     path: int

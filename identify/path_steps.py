@@ -255,6 +255,9 @@ class PathSteps:
         Args:
             slopes: Derivative of the channels by the other numbers, shape (channels, samples,
                 numbers), where they are compared.
+
+        Returns:
+            Shapes (all, all) and (all,), the path's coordinates before the numbers'.
         """
         picked = [self.channels.index(name) for name in self.followed]
         assert self.slopes is not None
