@@ -136,6 +136,11 @@ class Case:
         """Times of the samples compared [s]."""
         return self.candidates[run].observation.time[self.counts(run)]
 
+    def spacing(self, run: int) -> float:
+        """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
+        time = self.time(run)
+        return float(np.median(np.diff(time))) if len(time) > 1 else 1 / FASTEST
+
     def recorded(self, run: int) -> np.ndarray:
         """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
         observation = self.candidates[run].observation
@@ -158,8 +163,19 @@ class Case:
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 
+    @cached_property
+    def _traced(self) -> dict[int, tuple[float, Trace]]:
+        return {}
+
     def trace(self, run: int, log_zeta: float) -> Trace:
-        """A run of the reference model at this zeta, linearised."""
+        """A run of the reference model at this zeta, linearised; the last one of a run is kept."""
+        at, found = self._traced.get(run, (np.nan, None))
+        if found is None or at != log_zeta:
+            found = self._linearised(run, log_zeta)
+            self._traced[run] = float(log_zeta), found
+        return found
+
+    def _linearised(self, run: int, log_zeta: float) -> Trace:
         trial = with_zeta(self.trials[run], log_zeta)
         steps = [steps_in_a_node(each) for each in self.trials]
         rows = np.asarray(self.batch.observed.compared_rows)

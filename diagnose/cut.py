@@ -20,7 +20,7 @@ class Share:
     Attributes:
         axis: What the gap is cut by.
         label: The bin, with its unit.
-        share: Of the summed squared residual, in units of the floor [-].
+        share: Of the squared residual over time, in units of the floor [-].
         interval: That holds it with a probability of 90 %.
         time: Share of the time spent there; NaN where that means nothing.
     """
@@ -39,42 +39,50 @@ class RunMisfit:
     Attributes:
         motion: How it moved.
         error: In floors, shape (channels, samples); zero where not recorded.
+        spacing: Time that a sample stands for [s].
     """
 
     motion: Motion
     error: np.ndarray
+    spacing: float
 
     @property
     def power(self) -> np.ndarray:
         """Of every sample, over channels."""
         return (self.error**2).sum(axis=0)
 
+    @property
+    def whole(self) -> float:
+        """Power over time [s]."""
+        return self.spacing * float(self.power.sum())
+
     def in_bins(self, place: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Sums of `values` (rows, samples) over half seconds, shape (half seconds, rows)."""
+        """`values` (rows, samples) over the time of half seconds, shape (half seconds, rows)."""
         count = int(self.motion.bins.max()) + 1
-        return np.stack([np.bincount(place, row, count) for row in values], axis=1)
+        sums = np.stack([np.bincount(place, row, count) for row in values], axis=1)
+        return self.spacing * sums
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """An axis: by run, power and samples of each half second in each bin of it."""
+    """An axis: by run, power over time, and time, of each half second in each bin of it."""
 
     axis: str
     labels: Sequence[str]
     power: list[np.ndarray]
-    samples: list[np.ndarray] | None = None
+    time: list[np.ndarray] | None = None
 
 
 def placed(
     runs: Sequence[RunMisfit], axis: str, labels: Sequence[str], places: Sequence[np.ndarray]
 ) -> Cut:
     """An axis by the number of each sample's bin."""
-    power, samples = [], []
+    power, time = [], []
     for run, place in zip(runs, places, strict=True):
         inside = (place == np.arange(len(labels))[:, None]).astype(float)
         power.append(run.in_bins(run.motion.bins, inside * run.power))
-        samples.append(run.in_bins(run.motion.bins, inside))
-    return Cut(axis, labels, power, samples)
+        time.append(run.in_bins(run.motion.bins, inside))
+    return Cut(axis, labels, power, time)
 
 
 def named(runs: Sequence[RunMisfit], axis: str, names: Sequence[str]) -> Cut:
@@ -115,8 +123,8 @@ def shares_of(cut: Cut, draws: np.ndarray, total: float) -> list[Share]:
     Args:
         cut: The axis.
         draws: By `drawn_anew`, shape (draws, half seconds of all runs).
-        total: The whole gap, summed squared error in floors: a draw of next to nothing of it tells
-            nothing.
+        total: The whole gap, squared error in floors over time [s]: a draw of next to nothing of it
+            tells nothing.
     """
     power = np.concatenate(cut.power)
     share = power.sum(axis=0) / power.sum()
@@ -126,9 +134,9 @@ def shares_of(cut: Cut, draws: np.ndarray, total: float) -> list[Share]:
     tail = 50 * (1 - PROBABILITY)
     low, high = np.percentile(drawn, [tail, 100 - tail], axis=0)
     time = np.full(len(share), np.nan)
-    if cut.samples is not None:
-        samples = np.concatenate(cut.samples).sum(axis=0)
-        time = samples / samples.sum()
+    if cut.time is not None:
+        spent = np.concatenate(cut.time).sum(axis=0)
+        time = spent / spent.sum()
     return [
         Share(
             cut.axis,
@@ -138,5 +146,5 @@ def shares_of(cut: Cut, draws: np.ndarray, total: float) -> list[Share]:
             float(time[k]),
         )
         for k, label in enumerate(cut.labels)
-        if cut.samples is None or time[k] > 0
+        if cut.time is None or time[k] > 0
     ]

@@ -10,8 +10,8 @@ import numpy as np
 from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.floor import noise_floors
+from diagnose.mean_sinkage import Followed, followed
 from diagnose.plates import APART, own_errors
-from diagnose.promise import Followed, followed
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
 from diagnose.units import shown

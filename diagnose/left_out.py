@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.bench import Bench
-from diagnose.case import LONGEST_MOVE
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import Hypothesis, changes
+from diagnose.mean_sinkage import Followed, met_from
 from identify.candidate import Candidate
 
 # Loads [kg, N] and commands [rad/s] are the same within this.
@@ -111,7 +111,8 @@ def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
         return Unseen(hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = bench.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
     left_out: set[int] = set()
-    for group in conditions(bench.case.candidates):
+    case = bench.case
+    for group in conditions(case.candidates):
         kept = np.setdiff1d(np.arange(len(log_zeta)), group)
         if kept.size == 0:
             continue
@@ -124,40 +125,31 @@ def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
     def of(run: int) -> np.ndarray:
         if run not in left_out:
             return hypothesis.residual[run]
-        return _missed(bench, hypothesis, run, log_zeta[run], coordinates[run])
+        model, at = hypothesis.model, coordinates[run]
+        return case.predicted(model, run, log_zeta[run], at) - case.recorded(run)
 
-    return Unseen(hypothesis, log_zeta, coordinates, bench.case.each_run(of))
+    return Unseen(hypothesis, log_zeta, coordinates, case.each_run(of))
 
 
 def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[np.ndarray]:
     """Simulated less recorded where each run's own zeta meets its mean sinkage.
 
-    The zeta that suits all channels best may give one up for another, and which is a matter of
-    weights. This one is what sinkage alone tells, as on runs that no effect was fitted to: one
-    straight-line step of zeta, and a simulation there. A run whose sinkage no straight line in zeta
-    leads to stays as it is.
+    A run whose mean sinkage no step of zeta leads to stays as it is.
 
     Returns:
         By run, shape (channels, samples) [m, N, N m].
     """
-    z = bench.case.channels.index("z")
-    here = unseen.hypothesis
+    here, z = unseen.hypothesis, bench.case.channels.index("z")
 
     def of(run: int) -> np.ndarray:
-        slope = here.columns[run][z, :, 0].mean()
+        start = Followed(unseen.residual[run], unseen.log_zeta[run], met=False)
+        slope = here.by_zeta(run)[z].mean()
         if not slope > 0:
-            return unseen.residual[run]
-        move = np.clip(-unseen.residual[run][z].mean() / slope, -LONGEST_MOVE, LONGEST_MOVE)
-        return _missed(bench, here, run, unseen.log_zeta[run] + move, unseen.coordinates[run])
+            return start.residual
+        found = met_from(bench.case, here.model, run, unseen.coordinates[run], start, slope)
+        return found.residual if found.met else start.residual
 
     return bench.case.each_run(of)
-
-
-def _missed(
-    bench: Bench, hypothesis: Hypothesis, run: int, log_zeta: float, coordinates: np.ndarray
-) -> np.ndarray:
-    case = bench.case
-    return case.predicted(hypothesis.model, run, log_zeta, coordinates) - case.recorded(run)
 
 
 def _of_runs(products: Products, runs: np.ndarray) -> Products:

@@ -45,7 +45,7 @@ def by_hertz(runs: Sequence[RunMisfit]) -> Cut:
 def _whole(run: RunMisfit, found: np.ndarray) -> np.ndarray:
     """Powers made to add up to the run's: interpolation loses some of the fastest."""
     total = found.sum()
-    return found * (run.power.sum() / total) if total > 0 else found
+    return found * (run.whole / total) if total > 0 else found
 
 
 def by_order(runs: Sequence[RunMisfit]) -> Cut:

@@ -63,6 +63,8 @@ def gaps(
 ) -> dict[str, Gap]:
     """The gap in every channel, with intervals by drawing a few conditions anew.
 
+    A run counts by how long it is, however often it was sampled.
+
     Args:
         case: The runs.
         before, after: Residuals of each run, shape (channels, samples); `after` of runs left out.
@@ -77,18 +79,20 @@ def gaps(
         for number, group in enumerate(groups):
             for run in group:
                 counts = np.isfinite(before[run][index])
-                power[number] += [
-                    float((before[run][index][counts] ** 2).sum()),
-                    float((after[run][index][counts] ** 2).sum()),
-                    float(counts.sum()),
-                ]
+                power[number] += case.spacing(run) * np.array(
+                    [
+                        (before[run][index][counts] ** 2).sum(),
+                        (after[run][index][counts] ** 2).sum(),
+                        counts.sum(),
+                    ]
+                )
         # Drawn by what they show, not by how their files are called.
         power = power[np.lexsort(power.T)]
         floor = floors[channel]
 
         def of(rows: np.ndarray) -> tuple[float, float]:
             total = rows.sum(axis=0)
-            first, last = np.sqrt(total[:2] / max(total[2], 1))
+            first, last = np.sqrt(total[:2] / (total[2] or 1.0))
             return float(first), float(last)
 
         first, last = of(power)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from diagnose.added import Added, effects_of
-from diagnose.bench import Bench
+from diagnose.bench import Bench, Variant
 from diagnose.case import Case
 from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
@@ -151,11 +151,19 @@ def unwritten(
     known = [each for each in variables if each[0] in known_to(stage.name)]
     likely = [(name, share) for name, share in known if share >= FOLLOWS][:LIKELY]
     curves = [(curve, share) for name, share in likely for curve in fitted(case, stage, name)]
+    if not curves:
+        return Unwritten(stage, variables, None)
+    kinds = [in_modes(each.kind, _modes(each), 1 / STRENGTH_BELIEF) for each, _ in curves]
+    case.warm(predict, [Model((kind,)) for kind in kinds])
+    bench = Bench.of(case, none.log_zeta, kinds)
 
-    def of(one: tuple[Fitted, float]) -> Correction | None:
-        return corrected(case, *one, none, before, floors)
+    def of(one: tuple[tuple[Fitted, float], Variant]) -> Correction | None:
+        (curve, share), variant = one
+        found = settled(bench, proposed(bench, [variant]), TURNS)
+        return _corrected(bench, curve, share, found, before, floors) if found.simulated else None
 
-    tried = [each for each in case.side_by_side(of, curves) if each is not None]
+    each_of = case.side_by_side(of, zip(curves, bench.variants, strict=True))
+    tried = [each for each in each_of if each is not None]
     if not tried:
         return Unwritten(stage, variables, None)
     best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
@@ -209,27 +217,20 @@ def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> C
     return replace(best, means=meaning(best)) if told and of_place else None
 
 
-def corrected(
-    case: Case,
+def _corrected(
+    bench: Bench,
     curve: Fitted,
     explained: float,
-    none: Hypothesis,
+    found: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
-) -> Correction | None:
-    """A curve fitted by free-running simulation; None where it cannot be simulated."""
-    modes = _modes(curve)
-    kind = in_modes(curve.kind, modes, 1 / STRENGTH_BELIEF)
-    case.warm(predict, [Model((kind,))])
-    bench = Bench.of(case, none.log_zeta, [kind])
-    best = settled(bench, proposed(bench, bench.variants), TURNS)
-    if not best.simulated:
-        return None
-    after = at_mean_sinkage(bench, predicted_unseen(bench, best))
-    (effect,) = effects_of(best)
+) -> Correction:
+    """What a curve leaves of the gap on runs left out, once it is fitted by simulation."""
+    after = at_mean_sinkage(bench, predicted_unseen(bench, found))
+    (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    added = Added((plain,), best.log_zeta, after, gaps(case, before, after, floors))
+    added = Added((plain,), found.log_zeta, after, gaps(bench.case, before, after, floors))
     return Correction(plain, explained, added)
 
 

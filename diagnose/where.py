@@ -42,7 +42,7 @@ def where(case: Case, residual: list[np.ndarray], floor: dict[str, float]) -> li
         from one half second to the next counts, so that one early slip does not count for ever.
     """
     runs = [_run(case, number, each, floor) for number, each in enumerate(residual) if each.size]
-    total = sum(float(run.power.sum()) for run in runs)
+    total = sum(run.whole for run in runs)
     if not total > 0:
         return []
     candidates = [case.candidates[k] for k, each in enumerate(residual) if each.size]
@@ -155,7 +155,7 @@ def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float])
             change = np.r_[0.0, parts["slow"][:, 0]]
             values = splitter.back @ change + parts["fast"][:, 0]
         error[row] = values / floor[channel]
-    return RunMisfit(motion_of_run(case, number, splitter), error)
+    return RunMisfit(motion_of_run(case, number, splitter), error, case.spacing(number))
 
 
 def _loads(candidates: Sequence) -> list[str]:

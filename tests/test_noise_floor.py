@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case, baseline
+from diagnose.mean_sinkage import followed
 from diagnose.plates import on_finer_plates, own_errors
-from diagnose.promise import followed
 from diagnose.reachable import gone
 from diagnose.response import Model
 from diagnose.shrinkage import gaps
@@ -43,12 +43,16 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
     assert 1e-5 < own["x"] < 5e-3
 
 
+def recorded_runs(*setups) -> SimpleNamespace:
+    """What a gap asks of a case: how runs were set up and sampled."""
+    candidates = [SimpleNamespace(setup=each) for each in setups]
+    return SimpleNamespace(candidates=candidates, channels=("x",), spacing=lambda run: 0.01)
+
+
 def test_an_interval_is_of_draws_in_which_something_could_shrink():
     setup = setup_of(PROFILE)
     other = setup_of((PROFILE[0], [0.0, 0.0, 0.5, 0.5]))
-    case = SimpleNamespace(
-        candidates=[SimpleNamespace(setup=each) for each in (setup, other)], channels=("x",)
-    )
+    case = recorded_runs(setup, other)
     # One command shows a gap of ten floors, half of which goes; the other shows none.
     before = [np.full((1, 100), 10.0), np.full((1, 100), 1.0)]
     after = [np.full((1, 100), 5.5), np.full((1, 100), 1.0)]
@@ -64,8 +68,7 @@ def test_an_interval_holds_what_a_few_runs_more_show():
     """Where all that is left is chance, which differs from run to run."""
     random = np.random.default_rng(0)
     setups = [setup_of((PROFILE[0], [0.0, 0.0, w, w])) for w in np.linspace(0.3, 0.9, 8)]
-    candidates = [SimpleNamespace(setup=each) for each in setups]
-    case = SimpleNamespace(candidates=candidates, channels=("x",))
+    case = recorded_runs(*setups)
     held, narrow, cases = 0, 0, 200
     for _ in range(cases):
         before, after = (
