@@ -106,7 +106,8 @@ def drawn_anew(random: np.random.Generator, sizes: list[int], groups: Sequence) 
         groups: What each run stands for.
     """
     times = np.zeros((DRAWS, len(sizes)), int)
-    for group in set(groups):
+    # In the order of the runs: a set of names has another one in every process.
+    for group in dict.fromkeys(groups):
         members = [k for k, each in enumerate(groups) if each == group]
         even = np.full(len(members), 1 / len(members))
         times[:, members] = random.multinomial(len(members), even, size=DRAWS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case
-from diagnose.cut import Share
+from diagnose.cut import Share, drawn_anew
 from diagnose.motion import PHASES, motion_of_run
 from diagnose.shrinkage import gaps
 from diagnose.where import sentence, where
@@ -205,6 +205,14 @@ def test_a_driven_carriage_has_a_slip_and_forces():
     assert on(shares, "channel")["fx"] == pytest.approx(0.9, abs=EXACT)
     assert "travel" in {each.axis for each in shares}
     assert sum(s for label, s in on(shares, "slip").items() if "standing" not in label) > 0.8
+
+
+def test_what_is_drawn_does_not_hang_on_names_of_groups():
+    numbers = [*range(8), *range(8)]
+    sizes = [4] * len(numbers)
+    named = [f"{number} kg on the wheel" for number in numbers]
+    one, other = (drawn_anew(np.random.default_rng(0), sizes, each) for each in (numbers, named))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_no_gap_has_no_shares():
