@@ -88,7 +88,8 @@ class Evaluation:
             tolerance: Error of the sinkage that is left alone [m].
 
         Raises:
-            InputError: where a number cannot be, or a replay diverges.
+            InputError: where a number cannot be, a replay diverges, or no tick falls where a wheel
+                moves.
         """
         from diagnose.tuned import moves
 

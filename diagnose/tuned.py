@@ -50,7 +50,7 @@ def moves(found: Evaluation, tuner: StepTuner) -> list[tuple[Moves, Moves]]:
     """By run, the tuner's moves by the reference model and with the effects.
 
     Raises:
-        InputError: where a replay diverges.
+        InputError: where a replay diverges, or no tick falls where a wheel moves.
     """
     case = found.case
     tick = float(tuner.tick)
@@ -104,6 +104,8 @@ def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np
     each = case.candidates[run]
     knots = np.asarray(each.trial.time)
     moving = np.flatnonzero(asked_to_move(each.trial, starts) & (starts < knots[-1]))
+    if not moving.size:
+        raise InputError(f"{each.name}: no tick falls where the wheel moves; give a shorter tick")
     ticks = slice(moving[0], moving[-1] + 1)
     counted = zeta[ticks]
     if not np.isfinite(counted).all():

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from drftjax import __version__
+from drftjax.errors import InputError, RunError
 from drftjax.runlog.record import Online
 from identify.candidate import Candidate
 from identify.kinds import of_usable
@@ -149,8 +150,8 @@ def crosscheck(
     """Replay the tuner over recorded runs, and hold it against their offline zeta(t).
 
     Args:
-        candidates: Runs; one that cannot be replayed or fitted, or is of another kind of wheel,
-            law or carriage than most, is left out.
+        candidates: Runs; one that cannot be replayed or fitted, moves for too few ticks, or is of
+            another kind of wheel, law or carriage than most, is left out.
         setting: The tuner.
         online: What a run logged of its own tuner, by name.
         truths: The true zeta(t) of a run, by name, where it is known.
@@ -162,21 +163,18 @@ def crosscheck(
     """
     settings = [setting, *(_sweep(setting) if sweep else [])]
 
-    def both_ways(runs: list[Candidate]) -> list[tuple[ZetaPath, Replayed]]:
-        return list(zip(zeta_paths(runs, knot_spacing), replays(runs, settings), strict=True))
+    def both_ways(runs: list[Candidate]) -> list[RunCheck]:
+        made = zip(runs, zeta_paths(runs, knot_spacing), replays(runs, settings), strict=True)
+        return [told(*each) for each in made]
 
-    kept, found, left_out = of_usable(candidates, both_ways)
-    runs = [
-        _check(
-            each,
-            path,
-            settings,
-            ticks,
-            (online or {}).get(path.name),
-            (truths or {}).get(path.name),
-        )
-        for each, (path, ticks) in zip(kept, found, strict=True)
-    ]
+    def told(each: Candidate, path: ZetaPath, replayed: Replayed) -> RunCheck:
+        logged, truth = (online or {}).get(each.name), (truths or {}).get(each.name)
+        try:
+            return _check(each, path, settings, replayed, logged, truth)
+        except InputError as problem:
+            raise RunError(each.name, str(problem)) from None
+
+    _, runs, left_out = of_usable(candidates, both_ways)
     return CrossCheck(setting, runs, left_out)
 
 

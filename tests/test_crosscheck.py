@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from drftjax.errors import RunError
 from drftjax.runlog.hdf5 import write_run
 from drftjax.runlog.record import Online
 from drftjax.setup import IntegratorSetUp
@@ -167,6 +168,20 @@ def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
     left, *_ = plot(untold).axes
     low, high = left.get_ylim()
     assert low < run.zeta.min() < run.zeta.max() < high
+
+
+def test_a_run_that_moves_for_too_few_ticks_is_left_out():
+    brief, name = (0.0, 0.5, 0.6, 0.65, 0.75), "brief"
+    setup = known_setup(name, faint, GRID, brief, (0.0, 0.0, 45.0, 45.0, 0.0), PLATE_SIZE)
+    setup.integrator = IntegratorSetUp("held pace", STEP)
+    each = candidate(name, known_run(setup, np.random.default_rng(1)), step=STEP)
+    each.setup.wheel.plate_size = PLATE_SIZE
+    short = dataclasses.replace(each, trial=each.setup.trial(2 * STEP))
+    found = crosscheck([ready("faint", faint), short], Setting(2 * TICK, 1e-3, 1e-4), sweep=False)
+    assert [run.name for run in found.runs] == ["faint"]
+    assert "too few to compare" in found.failures[name]
+    with pytest.raises(RunError, match=f"{name}: the wheel moves over"):
+        crosscheck([short], Setting(2 * TICK, 1e-3, 1e-4), sweep=False)
 
 
 # The command --------------------------------------------------------------------------------------

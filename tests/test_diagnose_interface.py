@@ -121,6 +121,9 @@ def test_the_tuner_hides_what_an_effect_with_its_numbers_explains(runs):
         assert before.range > 5 * after.range
         assert before.time.shape == before.zeta.shape
         assert np.ptp(before.zeta) == before.range
+    # The longest of the runs lasts 5 s: the one tick is before the wheel sets off.
+    with pytest.raises(InputError, match="no tick falls where the wheel moves"):
+        evaluated.tuned(tick=5.0)
 
 
 def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
