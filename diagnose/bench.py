@@ -128,7 +128,7 @@ class Bench:
             for index, channel in enumerate(self.case.channels):
                 both = np.concatenate([columns[run][index], residual[run][index][:, None]], axis=1)
                 recorded = np.isfinite(both[:, -1]).all()
-                parts = self.splitters[run].split(channel, both if recorded else 0 * both[:, :])
+                parts = self.splitters[run].split(channel, both)
                 for part in parts.values():
                     part = part if recorded else np.zeros_like(part)
                     grams.append(part.T @ part)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -14,6 +14,7 @@ from diagnose.bench import Bench
 from diagnose.case import Case
 from diagnose.caveats import caveats
 from diagnose.chance import chance
+from diagnose.cut import Share
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, foremost, left_of
@@ -90,7 +91,7 @@ class Diagnosis:
     chosen: Hypothesis
     before: list[np.ndarray]
     floors: Mapping[str, float]
-    where: Sequence[Any] = field(default_factory=list)
+    where: Sequence[Share] = field(default_factory=list)
     unwritten: Unwritten | None = None
     steps: Sequence[Step] = field(default_factory=list)
 

@@ -16,6 +16,7 @@ import numpy as np
 from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
+from diagnose.units import shown
 from drftjax.arrays import as_real
 from drftjax.effects.catalogue import spoken
 from drftjax.integrator import sharpest_ramp, steady_step
@@ -24,8 +25,6 @@ from identify.candidate import STEPS_A_ROW
 from identify.observation import comparable
 
 CHANNELS = ("x", "z", "fx", "fz", "torque")
-UNITS = {"x": "mm", "z": "mm", "fx": "N", "fz": "N", "torque": "N m"}
-SHOWN = {"x": 1e3, "z": 1e3, "fx": 1.0, "fz": 1.0, "torque": 1.0}
 # What a force sensor and a torque sensor of a wheel test bed can be trusted to [N], [N m].
 FORCE_FLOOR, TORQUE_FLOOR = 1.0, 0.1
 # A rig's limits: fastest wheel [rad/s], and the load over the one that was run.
@@ -90,14 +89,10 @@ def next_run(
     parted += case.threads.map(lambda each: _apart(each, base, first, second), variations[1:])
     for variation, apart in zip(variations, parted, strict=True):
         for channel, difference in apart.items():
+            unit, scale = shown(channel)
+            floors_apart = difference / floor[channel]
             proposals.append(
-                Proposal(
-                    variation.words,
-                    channel,
-                    difference * SHOWN[channel],
-                    UNITS[channel],
-                    difference / floor[channel],
-                )
+                Proposal(variation.words, channel, scale * difference, unit, floors_apart)
             )
     recorded = set(case.channels)
     missing = (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnose.cut import Cut, RunMisfit
-from diagnose.motion import PHASES
+from diagnose.motion import PHASES, Motion
 from diagnose.spectrum import (
     HERTZ_LABELS,
     LINE_FROM,
@@ -32,6 +32,9 @@ FEWEST_TURNS = 3.0
 # Bins of the orders that name no period.
 NO_PERIOD = (SLOWER, UNPARTED, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
 
+# Place of a line and its share of its octave, see `Line.strongest`.
+Strongest = tuple[float, float]
+
 
 def by_hertz(runs: Sequence[RunMisfit]) -> Cut:
     """The axis of frequencies [Hz]."""
@@ -50,9 +53,10 @@ def _whole(run: RunMisfit, found: np.ndarray) -> np.ndarray:
 
 def by_order(runs: Sequence[RunMisfit]) -> Cut:
     """The axis of periods in a turn, of what keeps its frequency, and of what stands."""
-    hertz = _shared_hertz(runs)
+    in_time, over_turning = _lines(runs)
+    hertz = _shared_hertz(in_time, over_turning)
     grousers = runs[0].motion.grousers
-    drive = _shared_order(runs, grousers) if hertz is None else None
+    drive = _shared_order(over_turning, grousers) if hertz is None else None
     edges, parted = _orders(grousers, drive)
     told = [_parted(run, parted) for run in runs]
     fixed = f"at {hertz:.2g} Hz, whatever the speed" if hertz is not None else "at fixed hertz"
@@ -61,8 +65,7 @@ def by_order(runs: Sequence[RunMisfit]) -> Cut:
     power = []
     for run, names in zip(runs, told, strict=True):
         motion = run.motion
-        stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
-        stands |= np.r_[True, np.diff(motion.turning) <= 0]
+        stands = _stands(motion)
         found = np.zeros((int(motion.bins.max()) + 1, len(labels)))
         for row in run.error:
             rest = row
@@ -113,16 +116,20 @@ def _parted(run: RunMisfit, names: Sequence[str]) -> list[str]:
     return [UNPARTED if name in (SLOWER, ONCE) else name for name in names]
 
 
+def _stands(motion: Motion) -> np.ndarray:
+    """Samples at which the wheel is not asked to turn, or has not turned."""
+    stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
+    return stands | np.r_[True, np.diff(motion.turning) <= 0]
+
+
 def _series(run: RunMisfit, unit: float):
     """Every channel's even series in time and over turning, in some unit, each with its step."""
-    motion = run.motion
-    stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
-    stands |= np.r_[True, np.diff(motion.turning) <= 0]
+    motion, stands = run.motion, _stands(run.motion)
     for row in run.error / unit:
         yield evenly(motion.time, row), in_turning(motion.time, motion.turning, row, stands)[:2]
 
 
-def _lines(runs: Sequence[RunMisfit]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _lines(runs: Sequence[RunMisfit]) -> tuple[Strongest, Strongest]:
     """The strongest line over time [Hz] and over turning, each with its share of its octave."""
     steps = [float(np.diff(run.motion.time).mean()) for run in runs if len(run.motion.time) > 1]
     hertz = Line(LINE_FROM, 0.5 / max(steps, default=1.0), LINE_WIDTH)
@@ -135,15 +142,15 @@ def _lines(runs: Sequence[RunMisfit]) -> tuple[tuple[float, float], tuple[float,
     return hertz.strongest(), order.strongest()
 
 
-def _shared_hertz(runs: Sequence[RunMisfit]) -> float | None:
+def _shared_hertz(in_time: Strongest, over_turning: Strongest) -> float | None:
     """A frequency that the error keeps at every speed [Hz]; None without one."""
-    (at, share), (_, other) = _lines(runs)
+    (at, share), (_, other) = in_time, over_turning
     return at if share > LINE_SHARE and share > LINE_GAIN * other else None
 
 
-def _shared_order(runs: Sequence[RunMisfit], grousers: int) -> float | None:
+def _shared_order(over_turning: Strongest, grousers: int) -> float | None:
     """Periods in a turn that the error keeps, other than the grousers'; None without any."""
-    _, (at, share) = _lines(runs)
+    at, share = over_turning
     known = [1.0, *(k * grousers for k in (1, 2) if grousers)]
     near = any(abs(at - each) < 2 * ORDER_WIDTH for each in known)
     return at if share > LINE_SHARE and not near else None

@@ -97,7 +97,7 @@ def paragraphs(found: Diagnosis) -> list[str]:
     lines += group_sentences(found)
     lines += gap_sentences(found)
     if found.verdict != (NONE,):
-        lines.append(location.sentence(found.where))  # pyright: ignore[reportArgumentType]
+        lines.append(location.sentence(found.where))
     lines += parameter_sentences(found)
     lines += [f"note: {note}" for note in found.notes]
     lines += next_sentences(found)
@@ -296,7 +296,7 @@ def page(found: Diagnosis) -> str:
         sentences=[
             *group_sentences(found),
             *gap_sentences(found),
-            *([location.sentence(found.where)] if found.verdict != (NONE,) else []),  # pyright: ignore
+            *([location.sentence(found.where)] if found.verdict != (NONE,) else []),
         ],
         glance=as_source(at_a_glance(found)),
         weights=as_source(weights(found)),

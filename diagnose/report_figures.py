@@ -94,7 +94,7 @@ def _bins(axes: Axes, found: Diagnosis) -> None:
 
 
 def _of(found: Diagnosis, axis: str) -> list[Share]:
-    return [each for each in found.where if isinstance(each, Share) and each.axis == axis]
+    return [each for each in found.where if each.axis == axis]
 
 
 def _label(share: Share) -> str:

@@ -21,27 +21,19 @@ from diagnose.latent import INPUTS
 from diagnose.path import FORCES, MOTION, Path
 from diagnose.response import Model
 from diagnose.smoother import Smoothed, Sums, alone, smoothed
+from drftjax.effects.correction import READING, STAGES
 
 # Time between a signal's knots [s], and what their number is padded to: programs are shared.
 KNOT = 0.5
 ROOM = 64
-# Stages that act within the run: name, unit, typical size, what the error is.
+# Stages that act within the run, and what the error is; the others are of readings.
 WITHIN = {
-    "zeta": ("-", 0.1, "an unknown factor on zeta (logarithm)"),
-    "force_x": ("N", 5.0, "an unknown horizontal force"),
-    "force_z": ("N", 5.0, "an unknown vertical force"),
-    "speed": ("rad/s", 0.02, "an unknown error of the drive's speed"),
-    "height": ("m", 1e-3, "an unknown height of the surface under the wheel"),
+    "zeta": "an unknown factor on zeta (logarithm)",
+    "force_x": "an unknown horizontal force",
+    "force_z": "an unknown vertical force",
+    "speed": "an unknown error of the drive's speed",
+    "height": "an unknown height of the surface under the wheel",
 }
-# Errors of readings: unit and typical size.
-READ = {
-    "x": ("m", 1e-3),
-    "z": ("m", 2e-4),
-    "fx": ("N", 2.0),
-    "fz": ("N", 2.0),
-    "torque": ("N m", 0.2),
-}
-READING = "reading "
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +121,9 @@ def stages(
 
 def described(name: str) -> tuple[str, float, str]:
     """Unit, typical size and meaning of a stage's signal."""
-    if name in WITHIN:
-        return WITHIN[name]
-    channel = name.removeprefix(READING)
-    return (*READ[channel], f"an unknown error of the reading of {channel}")
+    _, unit, typical = STAGES[name]
+    of_a_reading = f"an unknown error of the reading of {name.removeprefix(READING)}"
+    return unit, typical, WITHIN.get(name, of_a_reading)
 
 
 def floor_of(channel: str) -> float:
