@@ -163,6 +163,17 @@ class Case:
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 
+    def sound(self, residuals: Sequence[np.ndarray]) -> bool:
+        """Whether every run was simulated to its end: no number is missing where one was recorded.
+
+        Args:
+            residuals: By run, simulated less recorded, shape (channels, samples).
+        """
+        return all(
+            bool(np.isfinite(each[~np.isnan(self.recorded(run))]).all())
+            for run, each in enumerate(residuals)
+        )
+
     @cached_property
     def _traced(self) -> dict[int, tuple[float, Trace]]:
         return {}

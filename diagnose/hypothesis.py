@@ -323,12 +323,9 @@ def _simulated(
         return scaled / np.concatenate([[ZETA_UNIT], units]), residual
 
     both = case.each_run(of)
-    if not all(
-        np.isfinite(residual[~np.isnan(case.recorded(run))]).all()
-        for run, (_, residual) in enumerate(both)
-    ):
-        return None
     columns, residual = [c for c, _ in both], [r for _, r in both]
+    if not case.sound(residual):
+        return None
     moved = log_zeta + bench.reference
     left, number = left_of(bench, residual)
     scatter = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0

@@ -64,6 +64,8 @@ def one_by_one(
     scale = np.array([floors[channel] for channel in case.channels])[:, None]
 
     def misfit(after: Sequence[np.ndarray]) -> float:
+        if not case.sound(after):
+            return np.inf
         return sum(float(np.nansum(np.square(each / scale))) for each in after)
 
     first, after = min(tried, key=lambda each: misfit(each[1]))

@@ -224,9 +224,11 @@ def _corrected(
     found: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
-) -> Correction:
-    """What a curve leaves of the gap on runs left out, once it is fitted by simulation."""
+) -> Correction | None:
+    """What a curve, fitted by simulation, leaves of the gap on runs left out; None if one fails."""
     after = at_mean_sinkage(bench, predicted_unseen(bench, found))
+    if not bench.case.sound(after):
+        return None
     (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())

@@ -119,6 +119,22 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
     assert any("repeats" in note for note in found.notes)
 
 
+def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
+    sloping, monkeypatch
+):
+    def lost(bench, hypothesis):
+        unseen = predicted_unseen(bench, hypothesis)
+        if hypothesis.names != ("surface_slope",):
+            return unseen
+        first, *others = unseen.residual
+        return dataclasses.replace(unseen, residual=[np.full_like(first, np.nan), *others])
+
+    monkeypatch.setattr("diagnose.diagnosis.predicted_unseen", lost)
+    found = diagnose(sloping, (SurfaceSlope, TravelGain))
+    assert "surface_slope" not in found.weights
+    assert all(np.isfinite(gap.after) for gap in found.gap.values())
+
+
 def test_nothing_added_is_none():
     found = diagnose(case_with(), CATALOGUE)
     assert found.verdict == ("none",)
@@ -166,7 +182,6 @@ def test_a_bound_of_a_strength_counts_in_its_own_unit():
 def test_the_reference_model_leaves_what_it_leaves_wherever(sloping):
     random = np.random.default_rng(0)
     left = [3e-5 * random.standard_normal((2, len(sloping.time(run)))) for run in range(3)]
-    left += left[: len(sloping.candidates) - 3]
     found = gaps(sloping, left, left, {"x": 5e-5, "z": 1e-5})
     assert {gap.interval for gap in found.values()} == {(0.0, 0.0)}
 
