@@ -3,6 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Literal
 
 import msgspec
@@ -153,6 +154,16 @@ class LoopPhysics:
     def begin(self, start: Start) -> NDArray[np.float64]:
         """The packed state at the start."""
         return self.step.begin(start.sinkage, start.zeta, 0.0, self.loop.setup.start.angle)
+
+
+def shared_physics(loop: LoopSetUp) -> LoopPhysics:
+    """The compiled physics of a loop; repeats share it."""
+    return _compiled(msgspec.json.encode(loop))
+
+
+@lru_cache(maxsize=16)
+def _compiled(loop: bytes) -> LoopPhysics:
+    return LoopPhysics(msgspec.json.decode(loop, type=LoopSetUp))
 
 
 def profile(loop: LoopSetUp, substeps: int) -> NDArray[np.float64]:

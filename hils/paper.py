@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.errors import InputError
-from hils.loop_setup import LoopSetUp, Start, TunerSetUp
+from hils.loop_setup import LoopSetUp, Start, TunerSetUp, shared_physics
 from hils.operator_dialogue import Unattended
-from hils.procedure import Procedure, RunReport, run, shared_physics
+from hils.procedure import Procedure, RunReport, run
 from hils.rows import KeptRows
 from hils.simulated import QUICK, soft_rig
 from hils.spectrum import Spectrum, order, spectrum

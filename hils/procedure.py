@@ -34,7 +34,7 @@ from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
 from hils.guard import CommandLimits, require_profile
 from hils.link import AbstractLink, LinkLost, LinkQuality
 from hils.loop import LoopReport, Overruns, TickLoop, Zero, channels
-from hils.loop_setup import LoopPhysics, LoopRecord, LoopSetUp, Start
+from hils.loop_setup import LoopRecord, LoopSetUp, Start, shared_physics
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
 from hils.recorder import CLOSE_LIMIT
@@ -373,16 +373,6 @@ def _within(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
 
 def _conduct(loop: LoopSetUp, free: bool) -> AbstractTick:
     return FreeTick(loop) if free else TunedTick(shared_physics(loop))
-
-
-def shared_physics(loop: LoopSetUp) -> LoopPhysics:
-    """The compiled physics of a loop; repeats share it."""
-    return _compiled(msgspec.json.encode(loop))
-
-
-@lru_cache(maxsize=16)
-def _compiled(loop: bytes) -> LoopPhysics:
-    return LoopPhysics(msgspec.json.decode(loop, type=LoopSetUp))
 
 
 @lru_cache(maxsize=16)

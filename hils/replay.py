@@ -19,8 +19,7 @@ from drftjax.errors import InputError
 from drftjax.runlog.record import Online, RunLog
 from hils.events import TickFlag
 from hils.guard import REST, Demand, Reading
-from hils.loop_setup import LoopRecord
-from hils.procedure import shared_physics
+from hils.loop_setup import LoopRecord, shared_physics
 from hils.tick import Given, Reaction, begin, react
 
 Reals = NDArray[np.float64]

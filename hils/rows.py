@@ -118,7 +118,8 @@ class KeptRows:
         if head.online is not None and self.ticks:
             columns = dict(zip(UNITS["online"], np.array(self.ticks).T, strict=True))
             numbers = {name: getattr(head.online, name) for name in ONLINE_NUMBERS}
-            online = record.Online(**columns, **numbers)
+            kept = {"loop": head.online.loop, "meanings": head.online.flag_meanings}
+            online = record.Online(**columns, **numbers, **kept)
         return record.RunLog(
             setup=head.setup,
             command=record.Command(*np.array(self.commands).reshape(len(self.commands), -1).T),

@@ -68,7 +68,6 @@ class CompiledStep:
         self.tick = float(tuner.tick)
         self.substeps = substeps
         simulator = tunable(simulator)
-        self._simulator, self._tuner = simulator, tuner
 
         def start(state: State, zeta: Float[Array, ""]) -> Loop:
             still = jnp.zeros_like(zeta)
