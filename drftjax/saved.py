@@ -221,12 +221,13 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
 
 
 def summary(run: record.RunLog) -> str:
-    """A run in one sentence: duration, sinkage, travel and final slip."""
+    """A run in one sentence: duration, deepest and final sinkage, and travel."""
     measured = run.measured
+    lasts = measured.time[-1] - measured.time[0]
     assert measured.x is not None
     assert measured.z is not None
     return (
-        f"{printable(run.title)}: {measured.time[-1]:.4g} s, "
+        f"{printable(run.title)}: {lasts:.4g} s, "
         f"deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
         f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, "
         f"travel {measured.x[-1] - measured.x[0]:.4f} m"

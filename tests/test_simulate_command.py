@@ -97,6 +97,13 @@ def test_like_a_simulated_run_gives_it_again(drft, short, tmp_path):
     assert rmse(twin.x, recorded.x) < INTERPOLATION
 
 
+def test_a_run_lasts_as_long_whenever_it_begins(drft, short):
+    short.write_text(SHORT.replace("time = [0, 0.2, 0.5, 1.0]", "time = [5, 5.2, 5.5, 6]"))
+    answer = drft("simulate", short)
+    assert answer.code == 0
+    assert "a short run: 1 s, deepest sinkage" in answer.out
+
+
 def test_rows_at_uneven_times_are_those_of_the_run(short):
     setup = read_setup(short)
     times = np.sort(np.random.default_rng(1).uniform(0, 1, 40))
