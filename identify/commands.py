@@ -1,13 +1,16 @@
 """`drft fit`: recorded runs in, fitted numbers with errors out."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drftjax.commands.folders import leaves_no_empty_folder
 from drftjax.errors import InputError
 from identify.stem import stem_of
+
+if TYPE_CHECKING:
+    from identify.parameter import Parameter
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -122,60 +125,22 @@ def fit(
     from drftjax.runlog.content import printable
     from drftjax.runlog.files import each_once, run_files
     from drftjax.runlog.replace import require_places
-    from drftjax.scaling import LARGEST_ZETA
     from drftjax.setup import read_setup
-    from identify.bootstrap import require_draws
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
     from identify.gathering import gather
-    from identify.interface import ZETAS
-    from identify.multistart import require_starts
     from identify.noise import Autoregressive, White
-    from identify.parameter import parameter, require_once
-    from identify.parameter_file import read_parameters
     from identify.path_fit import fit_paths
-    from identify.path_parameters import require_beside
     from identify.phases import zeta_phases
     from identify.profile import require_fitted
     from identify.reach import with_reach
     from identify.result import result_files
     from identify.zeta_smoother import KNOT_SPACING
 
-    if method not in METHODS:
-        why = "; explicit steps are wrong by a millimetre (docs/integrator.md)"
-        raise InputError(
-            f"--method is {method!r}, must be one of {', '.join(METHODS)}"
-            + (why if method == "explicit" else "")
-        )
-    if zeta not in ZETAS:
-        raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
-    if zeta == "path" and (starts != 1 or profile or bootstrap):
-        raise InputError(
-            "--zeta path goes from one start to one answer; leave --starts, --profile and "
-            "--bootstrap out"
-        )
-    if zeta != "path" and knots is not None:
-        raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
-    if zeta == "path" and autoregressive:
-        raise InputError("--zeta path finds each channel's correlation; leave --autoregressive out")
-    require_starts(starts)
-    if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
-        raise InputError(
-            f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"
-        )
-    if bootstrap is not None:
-        require_draws(bootstrap)
+    _require_method(method, start_zeta)
+    _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
     path = zeta == "path"
-    shared_names = share if share is not None else ([] if own or cluster or path else ["lambda"])
-    own_names = own if own is not None else ([] if "zeta" in shared_names or path else ["zeta"])
-    if parameters is not None and (own or share):
-        raise InputError("--parameters lists every parameter; leave --own and --share out")
-    fitted = [parameter(n, shared=True) for n in shared_names]
-    fitted += [parameter(n, shared=False) for n in own_names]
-    fitted = fitted if parameters is None else read_parameters(parameters)
-    require_once(fitted)
-    if path:
-        require_beside(fitted)
+    fitted = _named(own, share, parameters, path=path, apart=cluster is not None)
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
@@ -254,6 +219,90 @@ def fit(
         picture = result_files(stem)[2]
         save_figure(plot_fit(result), picture)
         say(f"written: {', '.join(str(each) for each in [*written, picture])}")
+
+
+def _require_method(method: str, start_zeta: float | None) -> None:
+    """Refuse a method that no fit can step with, or a zeta to start from that cannot be."""
+    from drftjax.scaling import LARGEST_ZETA
+
+    if method not in METHODS:
+        why = "; explicit steps are wrong by a millimetre (docs/integrator.md)"
+        raise InputError(
+            f"--method is {method!r}, must be one of {', '.join(METHODS)}"
+            + (why if method == "explicit" else "")
+        )
+    if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
+        raise InputError(
+            f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"
+        )
+
+
+def _require_together(
+    zeta: str,
+    knots: float | None,
+    starts: int,
+    profile: list[str] | None,
+    bootstrap: int | None,
+    autoregressive: bool,
+) -> None:
+    """Refuse a kind of zeta that there is not, and what does not go with the one that is asked for.
+
+    Raises:
+        InputError: names the option, and what must hold.
+    """
+    from identify.bootstrap import require_draws
+    from identify.interface import ZETAS
+    from identify.multistart import require_starts
+
+    if zeta not in ZETAS:
+        raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
+    if zeta == "path" and (starts != 1 or profile or bootstrap):
+        raise InputError(
+            "--zeta path goes from one start to one answer; leave --starts, --profile and "
+            "--bootstrap out"
+        )
+    if zeta != "path" and knots is not None:
+        raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
+    if zeta == "path" and autoregressive:
+        raise InputError("--zeta path finds each channel's correlation; leave --autoregressive out")
+    require_starts(starts)
+    if bootstrap is not None:
+        require_draws(bootstrap)
+
+
+def _named(
+    own: list[str] | None,
+    share: list[str] | None,
+    parameters: Path | None,
+    *,
+    path: bool,
+    apart: bool,
+) -> "list[Parameter]":
+    """What the options say is fitted.
+
+    Args:
+        own, share, parameters: As for the command.
+        path: Whether zeta(t) is fitted, beside which nothing is fitted unasked.
+        apart: Whether each run is fitted alone, so that nothing is shared unasked.
+
+    Raises:
+        InputError: for options that contradict one another, or a parameter that cannot be.
+    """
+    from identify.parameter import parameter, require_once
+    from identify.parameter_file import read_parameters
+    from identify.path_parameters import require_beside
+
+    shared_names = share if share is not None else ([] if own or apart or path else ["lambda"])
+    own_names = own if own is not None else ([] if "zeta" in shared_names or path else ["zeta"])
+    if parameters is not None and (own or share):
+        raise InputError("--parameters lists every parameter; leave --own and --share out")
+    fitted = [parameter(n, shared=True) for n in shared_names]
+    fitted += [parameter(n, shared=False) for n in own_names]
+    fitted = fitted if parameters is None else read_parameters(parameters)
+    require_once(fitted)
+    if path:
+        require_beside(fitted)
+    return fitted
 
 
 def _stem(output: Path) -> Path:
