@@ -42,7 +42,10 @@ class AbstractIntegrator(eqx.Module):
         """
 
 
-def _value_and_jacobian(function, at: Float[Array, "2"]):
+def value_and_jacobian(
+    function: Callable[[Float[Array, "2"]], Float[Array, " n"]], at: Float[Array, "2"]
+) -> tuple[Float[Array, " n"], Float[Array, "n 2"]]:
+    """A function of the velocity [m/s], and its exact derivative there."""
     value, along = jax.linearize(function, at)
     # One direction at a time: a batched pair keeps XLA from fusing it with the plates' other sums.
     directions = jnp.eye(2, dtype=at.dtype)
@@ -55,7 +58,7 @@ class Rosenbrock(AbstractIntegrator):
     def linearise(
         self, wrench: Wrench, velocity: Float[Array, "2"]
     ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
-        return _value_and_jacobian(lambda v: wrench(v, v), velocity)
+        return value_and_jacobian(lambda v: wrench(v, v), velocity)
 
 
 class HeldPace(AbstractIntegrator):
@@ -70,7 +73,7 @@ class HeldPace(AbstractIntegrator):
     def linearise(
         self, wrench: Wrench, velocity: Float[Array, "2"]
     ) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
-        return _value_and_jacobian(lambda v: wrench(v, velocity), velocity)
+        return value_and_jacobian(lambda v: wrench(v, velocity), velocity)
 
 
 class Explicit(AbstractIntegrator):

@@ -11,7 +11,7 @@ from drftjax.command import Command
 from drftjax.effects import chain
 from drftjax.effects.stage import AbstractAdjustment, AbstractEffect, Moment
 from drftjax.errors import InputError
-from drftjax.integrator import AbstractIntegrator, Rosenbrock
+from drftjax.integrator import AbstractIntegrator, Rosenbrock, value_and_jacobian
 from drftjax.rig import Rig
 from drftjax.stress import PlateMotion, plate_motion
 from drftjax.terrain import Terrain
@@ -277,7 +277,7 @@ class Simulator(eqx.Module):
 
         start = self.rig.carriage.approach(state.velocity, command)
         sand, by_velocity = self.integrator.linearise(sand_wrench, start)
-        held, held_by_velocity = chain.with_jacobian(rig_load, start)
+        held, held_by_velocity = value_and_jacobian(rig_load, start)
         damping = jnp.stack([self.rig.damping_x, self.rig.damping_z])
         inertia = jnp.diag(self.rig.mass() + dt * damping)
         inertia = inertia - dt * (by_velocity[:2] + held_by_velocity)

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from diagnose.blind.curve import Curve, flat
 from drftjax.arrays import as_real
+from drftjax.effects.load import along_x
 from drftjax.effects.stage import (
     AbstractSandLoad,
     AbstractZetaFactor,
@@ -110,7 +111,7 @@ class Bulldozing(AbstractSandLoad):
         resistance = -self.force * jnp.minimum(travel / self.length, 1)
         parting = jnp.where(side < 0, -resistance, resistance) * (1 - back / LEFT)
         resistance = jnp.where((side < 0) | (back > 0), parting, resistance)
-        return jnp.stack([resistance, jnp.zeros_like(resistance)])
+        return along_x(resistance)
 
 
 SAND = (Loosening, SlipSoftening, TerrainVariation, Bulldozing)

@@ -6,7 +6,6 @@ Every function takes the effects and their memories, one for each, in the order 
 import dataclasses
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -159,10 +158,3 @@ def read(
         if isinstance(effect, AbstractSensor):
             reading, after[index] = effect.read(reading, dt, memories[index])
     return reading, tuple(after)
-
-
-def with_jacobian(force, velocity: Pair) -> tuple[Pair, Float[Array, "2 2"]]:
-    """A force of the velocity [N] and its exact derivative."""
-    value, along = jax.linearize(force, velocity)
-    directions = jnp.eye(2, dtype=velocity.dtype)
-    return value, jnp.stack([along(directions[0]), along(directions[1])], axis=1)

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from drftjax.effects.load import along_x, along_z
 from drftjax.effects.stage import (
     About,
     AbstractDrive,
@@ -157,8 +158,7 @@ class XForceCorrection(_ForceCorrection):
     about: ClassVar = About(NAME, "rig", "F_x = F_x + curve", "a fitted horizontal force")
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        force = self.force(velocity, moment, memory)
-        return jnp.stack([force, jnp.zeros_like(force)])
+        return along_x(self.force(velocity, moment, memory))
 
 
 class ZForceCorrection(_ForceCorrection):
@@ -167,8 +167,7 @@ class ZForceCorrection(_ForceCorrection):
     about: ClassVar = About(NAME, "rig", "F_z = F_z + curve", "a fitted vertical force")
 
     def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
-        force = self.force(velocity, moment, memory)
-        return jnp.stack([jnp.zeros_like(force), force])
+        return along_z(self.force(velocity, moment, memory))
 
 
 class SpeedCorrection(Curve, AbstractDrive):

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.effects import places
+from drftjax.effects.load import along_x
 from drftjax.effects.stage import (
     About,
     AbstractSandLoad,
@@ -135,8 +136,7 @@ class Bulldozing(AbstractSandLoad):
         began, _, back = memory
         travel = position[0] - began
         piled = 1 - jnp.exp(-jnp.abs(travel) / self.length)
-        resistance = -self.force * jnp.sign(travel) * piled * (1 - back / PARTING)
-        return jnp.stack([resistance, jnp.zeros_like(resistance)])
+        return along_x(-self.force * jnp.sign(travel) * piled * (1 - back / PARTING))
 
 
 TERRAIN = (Loosening, SlipSoftening, TerrainVariation, TerrainWave, Bulldozing)
