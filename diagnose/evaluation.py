@@ -14,10 +14,10 @@ from diagnose.mean_sinkage import Followed, followed
 from diagnose.plates import APART, own_errors
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
-from diagnose.units import shown
 from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError
 from drftjax.tuner import StepTuner
+from identify.result import SHOWN
 from identify.summary import summary_html, summary_text
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class Evaluation:
 
 def _named(channel: str, **values: float) -> dict[str, float | str]:
     """Numbers of a channel in the unit that is given beside them."""
-    unit, scale = shown(channel)
+    unit, scale = SHOWN[channel]
     return {**{name: value * scale for name, value in values.items()}, "unit": unit}
 
 

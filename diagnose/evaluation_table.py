@@ -4,7 +4,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from diagnose.evaluation import Evaluation
-from diagnose.units import shown
+from identify.result import SHOWN
 
 
 def sentences(found: Evaluation) -> list[str]:
@@ -25,7 +25,7 @@ def gap_table(found: Evaluation) -> Table:
     table.add_column("zeta", justify="right")
     channels = found.case.channels
     for channel in channels:
-        table.add_column(escape(f"{channel} [{shown(channel)[0]}]"), justify="right")
+        table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
     for run, each in enumerate(found.case.candidates):
         cells = found.rmse(run)
         first, last = found.zeta(run)
@@ -38,7 +38,7 @@ def gap_table(found: Evaluation) -> Table:
     gaps = [found.gap[channel] for channel in channels]
     pairs = zip(channels, gaps, strict=True)
     table.add_row("all runs", "", *(_pair(c, gap.before, gap.after) for c, gap in pairs))
-    scaled = [f"{shown(c)[1] * found.floors[c]:.3f}" for c in channels]
+    scaled = [f"{SHOWN[c][1] * found.floors[c]:.3f}" for c in channels]
     table.add_row("noise floor", "", *scaled)
     floors = [f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}" for gap in gaps]
     table.add_row("in floors", "", *floors)
@@ -46,5 +46,5 @@ def gap_table(found: Evaluation) -> Table:
 
 
 def _pair(channel: str, before: float, after: float) -> str:
-    scale = shown(channel)[1]
+    scale = SHOWN[channel][1]
     return f"{scale * before:.3f} → {scale * after:.3f}"

@@ -16,15 +16,15 @@ import numpy as np
 from diagnose.case import Case, with_zeta
 from diagnose.hypothesis import Hypothesis
 from diagnose.response import Model, with_effects
-from diagnose.units import shown
 from drftjax.arrays import as_real
 from drftjax.effects.catalogue import spoken
 from drftjax.integrator import sharpest_ramp, steady_step
+from drftjax.runlog.record import CHANNELS
 from drftjax.trial import Trial
 from identify.candidate import STEPS_A_ROW
 from identify.observation import comparable
+from identify.result import SHOWN
 
-CHANNELS = ("x", "z", "fx", "fz", "torque")
 # What a force sensor and a torque sensor of a wheel test bed can be trusted to [N], [N m].
 FORCE_FLOOR, TORQUE_FLOOR = 1.0, 0.1
 # A rig's limits: fastest wheel [rad/s], and the load over the one that was run.
@@ -89,7 +89,7 @@ def next_run(
     parted += case.threads.map(lambda each: _apart(each, base, first, second), variations[1:])
     for variation, apart in zip(variations, parted, strict=True):
         for channel, difference in apart.items():
-            unit, scale = shown(channel)
+            unit, scale = SHOWN[channel]
             floors_apart = difference / floor[channel]
             proposals.append(
                 Proposal(variation.words, channel, scale * difference, unit, floors_apart)
@@ -119,7 +119,8 @@ class Variation:
     Attributes:
         words: The run in words.
         trial: The run.
-        lasts: Time over which it is simulated [s]; where it moves last if that is less.
+        lasts: Time over which it is simulated [s]; where it moves last if that is less. The trial's
+            command may go on past it, as it is padded.
     """
 
     words: str

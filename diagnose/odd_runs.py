@@ -10,7 +10,7 @@ from diagnose.case import Case
 from diagnose.chance import Response, apart, repeats
 from diagnose.cut import Share
 from diagnose.hypothesis import Hypothesis
-from diagnose.units import shown
+from identify.result import SHOWN
 
 # Repeats disagree where they differ by so many times what instruments and plates make, and by more
 # than this share of the gap.
@@ -46,7 +46,7 @@ def of_repeats(
             whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
             alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
             if differ > max(DISAGREE * alone, OF_GAP * whole):
-                unit, scale = shown(channel)
+                unit, scale = SHOWN[channel]
                 told.setdefault(pair, []).append(
                     f"{scale * differ:.2g} {unit} in {channel}, {differ / alone:.0f} times what "
                     "instruments and plates make"
@@ -76,7 +76,7 @@ def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
     if away < max(ODD_ZETA, ODD_SCATTERS * float(np.std(others, ddof=1))):
         return []
     z = bench.case.channels.index("z")
-    unit, scale = shown("z")
+    unit, scale = SHOWN["z"]
     sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
     return [
         f"The zeta of {bench.case.candidates[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "

@@ -22,13 +22,13 @@ from diagnose.report_figures import (
     weights,
 )
 from diagnose.shrinkage import Gap
-from diagnose.units import shown
 from diagnose.weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file, require_no_others_setup
+from identify.result import SHOWN
 
 # So many noise floors off, a run is plainly not followed.
 PLAIN = 3.0
@@ -224,7 +224,7 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """By channel: unit, before, after, floor, both in floors, shrinkage and its interval."""
     rows = []
     for channel, gap in found.gap.items():
-        unit, scale = shown(channel)
+        unit, scale = SHOWN[channel]
         rows.append(
             (
                 f"{channel} [{unit}]",
@@ -266,7 +266,7 @@ def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def _rms_pair(before: np.ndarray, after: np.ndarray, channel: str) -> str:
-    _, scale = shown(channel)
+    _, scale = SHOWN[channel]
     if not np.isfinite(before).any():
         return "not recorded"
     first, last = (scale * float(np.sqrt(np.nanmean(np.square(v)))) for v in (before, after))
@@ -274,7 +274,7 @@ def _rms_pair(before: np.ndarray, after: np.ndarray, channel: str) -> str:
 
 
 def run_columns(found: Diagnosis) -> tuple[str, ...]:
-    channels = (f"{c} [{shown(c)[0]}]" for c in found.case.channels)
+    channels = (f"{c} [{SHOWN[c][0]}]" for c in found.case.channels)
     return ("run", "title", "compared [s]", "zeta", *channels)
 
 

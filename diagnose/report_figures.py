@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from diagnose.cut import Share
 from diagnose.diagnosis import Diagnosis
 from diagnose.follows import against
-from diagnose.units import shown
 from diagnose.unwritten import Unwritten
 from diagnose.weights import percent
 from drftjax.effects.correction import VARIABLES, Curve
+from identify.result import SHOWN
 
 NAMES = {"x": "travel x", "z": "height z", "fx": "force fx", "fz": "force fz", "torque": "torque"}
 BEFORE, AFTER, CORRECTED, FLOOR = "#b8542f", "#2a6f97", "#4c8c4a", "0.55"
@@ -50,7 +50,7 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
         sizes = [each / gap.floor for each, gap in zip(left, gaps, strict=True)]
         axes.barh(shifted, sizes, 0.9 * wide, color=colour, label=label)
         for at, size, each, channel in zip(shifted, sizes, left, channels, strict=True):
-            unit, scale = shown(channel)
+            unit, scale = SHOWN[channel]
             axes.text(size, at, f" {each * scale:.3g} {unit}", va="center", fontsize=8)
     axes.axvline(1, color=FLOOR, ls="--", lw=1.2, label="noise floor")
     axes.set_yticks(place, [NAMES[channel] for channel in channels])
@@ -132,7 +132,7 @@ def residuals(found: Diagnosis) -> Figure:
     for run, row in zip(runs, grid, strict=True):
         name = case.candidates[run].name
         for place, (channel, axes) in enumerate(zip(case.channels, row, strict=True)):
-            unit, scale = shown(channel)
+            unit, scale = SHOWN[channel]
             floor = found.floors[channel] * scale
             axes.axhspan(-floor, floor, color=FLOOR, alpha=0.25, lw=0, label="noise floor")
             time = case.time(run)

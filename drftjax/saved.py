@@ -178,8 +178,7 @@ def simulated_run(
     time = np.asarray(output.time) + command.time[0]
     rows = time[time <= end] if at is None else at
     measured = {
-        name: np.interp(rows, time, np.asarray(getattr(output, name)))
-        for name in ("x", "z", "fx", "fz", "torque")
+        name: np.interp(rows, time, np.asarray(getattr(output, name))) for name in record.CHANNELS
     }
     return record.RunLog(
         setup=believed(setup, setup.start.sinkage, float(output.zeta[0])),

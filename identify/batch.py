@@ -17,9 +17,10 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from drftjax.errors import InputError
+from drftjax.runlog.record import CHANNELS
 from drftjax.simulator import Output
 from drftjax.trial import Trial
-from identify.observation import CHANNELS, Observation
+from identify.observation import Observation
 from identify.parameter import Parameter
 
 Values = TypeVar("Values")
@@ -93,7 +94,7 @@ def make_batch(
     rows = size(max(trial.rows for trial in trials))
     knots = size(max(len(trial.time) for trial in trials))
     samples = size(max(len(o.time) for o in observations))
-    padded = [_without_lengths(trial, rows, knots) for trial in trials]
+    padded = [of_lengths(trial, rows, knots) for trial in trials]
     recorded = [
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
@@ -138,13 +139,13 @@ def alike(trial: Trial, other: Trial) -> bool:
 
     def kind(trial: Trial) -> tuple:
         parts = jax.tree.leaves((trial.simulator, trial.start))
-        return jax.tree.structure(_without_lengths(trial, 1, 1)), [each.shape for each in parts]
+        return jax.tree.structure(of_lengths(trial, 1, 1)), [each.shape for each in parts]
 
     return kind(trial) == kind(other)
 
 
-def _without_lengths(trial: Trial, rows: int, knots: int) -> Trial:
-    """The trial padded to a common number of rows and command knots."""
+def of_lengths(trial: Trial, rows: int, knots: int) -> Trial:
+    """The trial with so many rows, and with knots of its command added up to so many."""
     missing = max(0, knots - len(trial.time))
     later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
     hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731

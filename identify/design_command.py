@@ -200,7 +200,7 @@ def design_table(result: "Design") -> "Table":
 
     from rich.table import Table
 
-    from identify.result import UNITS
+    from drftjax.runlog.layout import UNITS
 
     unit = "" if result.unit == "-" else f" [{result.unit}]"
     beside = ", ".join(result.nuisances) or "nothing else unknown"
@@ -217,11 +217,12 @@ def design_table(result: "Design") -> "Table":
         share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
         table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
 
+    units = UNITS["measured"]
     for head, options in (("", [result.now]), ("best: ", [result.best])):
         for each in options:
             add(head + each.name, each.knows)
             for channel, more in each.added.items():
-                add(f"  with {channel} ({result.noise[channel]:g} {UNITS[channel]})", more)
+                add(f"  with {channel} ({result.noise[channel]:g} {units[channel]})", more)
         table.add_section()
     for group in (result.others, result.found, result.scan):
         for each in group:

@@ -173,8 +173,8 @@ def _reweighted(
     # A channel that is met better than its instrument can tell must not rule the others.
     finest = np.array(
         [
-            max(_lower_median(noise), FINEST * MODEL_ERROR[channel])
-            for channel, noise in zip(problem.batch.channels, _fast(raw, counts), strict=True)
+            max(_lower_median(fast), FINEST * MODEL_ERROR[channel])
+            for channel, fast in zip(problem.batch.channels, _fast(raw, counts), strict=True)
         ]
     )
     usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]

@@ -21,11 +21,12 @@ from drftjax.arrays import require_between
 from drftjax.ensemble import map_runs
 from drftjax.errors import InputError
 from drftjax.runlog.layout import UNITS
+from drftjax.runlog.record import CHANNELS
 from drftjax.setup import SetUp
 from drftjax.trial import ROW_INTERVAL, Trial
+from identify.batch import of_lengths
 from identify.parameter import Quantity
 
-CHANNELS = ("x", "z", "fx", "fz", "torque")
 POSITIONS = ("x", "z")
 
 # Of a parameter's whole effect, the share that its nuisances cannot imitate; below it, what is
@@ -218,18 +219,12 @@ def counted(setup: SetUp, rows: int) -> np.ndarray:
     return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
 
 
-def alike(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
+def stackable(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
     """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
     setup = copy.deepcopy(setup)
     setup.integrator.step = step
     trial = setup.trial()
-    missing = knots - len(trial.time)
-    later = trial.time[-1] + jnp.arange(1.0, missing + 1)
-    rows = math.ceil(duration / (trial.every * step) - 1e-9)
-    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
-    time = jnp.concatenate([trial.time, later])
-    known = trial.simulator, trial.start, time, hold(trial.omega), hold(trial.vx)
-    return Trial(*known, trial.step, trial.every, rows)
+    return of_lengths(trial, math.ceil(duration / (trial.every * step) - 1e-9), knots)
 
 
 class Profile(eqx.Module):

@@ -18,11 +18,11 @@ from drftjax.trial import Trial
 from identify.information import (
     Instrument,
     Knowledge,
-    alike,
     counted,
     knowledge,
     scales,
     sensitivities,
+    stackable,
 )
 from identify.limits import Limits, way
 from identify.parameter import Quantity, parameter
@@ -116,7 +116,7 @@ class Judge:
         finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
         longest = max(each.command.time[-1] - each.command.time[0] for each in setups)
-        trials = [alike(each, finest, knots, longest) for each in setups]
+        trials = [stackable(each, finest, knots, longest) for each in setups]
         scale = scales(trials[0], self.quantities)
         options = []
         for first in range(0, len(trials), TOGETHER):

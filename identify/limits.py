@@ -7,9 +7,8 @@ import numpy as np
 
 from drftjax.arrays import require_between
 from drftjax.errors import InputError
-from drftjax.integrator import LARGEST_CHANGE, STEPS
+from drftjax.integrator import sharpest_ramp
 from drftjax.runlog.record import Command
-from drftjax.stress import REST_SPEED
 
 # A limit is kept where it is exceeded by no more than this share of it, which files round by.
 ROUNDED = 1e-3
@@ -62,7 +61,7 @@ class Limits:
     def check(self, radius: float) -> None:
         """Refuse limits that no run can keep, or that no step can simulate."""
         require_between("the largest speed", math.degrees(self.speed), 1.0, 3000.0, " deg/s")
-        fastest = math.degrees(LARGEST_CHANGE * REST_SPEED / (STEPS[-1] * radius))
+        fastest = math.degrees(sharpest_ramp(radius))
         require_between(
             "the largest acceleration",
             math.degrees(self.acceleration),

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drftjax.errors import InputError
-from drftjax.runlog.record import RunLog
+from drftjax.runlog.record import CHANNELS, RunLog
 from identify.pace import STANDS, pace
 
-CHANNELS = ("x", "z", "fx", "fz", "torque")
 FREE_CHANNELS = ("x", "z", "torque")
 DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 

@@ -16,9 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.errors import InputError
-from drftjax.integrator import LARGEST_CHANGE, STEPS, steady_step
+from drftjax.integrator import sharpest_ramp, steady_step
 from drftjax.setup import SetUp
-from drftjax.stress import REST_SPEED
 from drftjax.trial import Trial
 from identify.batch import Problem, device_mesh, make_batch
 from identify.candidate import STEPS_A_ROW
@@ -125,7 +124,7 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
         command = setup.command.build()
         turning = np.abs(np.diff(command.omega) / np.diff(command.time)).max()
         # A run that would speed up too fast to be simulated takes longer, with as many samples.
-        stretch = max(1.0, STEPS[-1] * setup.wheel.radius * turning / (LARGEST_CHANGE * REST_SPEED))
+        stretch = max(1.0, turning / sharpest_ramp(setup.wheel.radius))
         setup.command.time = [stretch * value for value in setup.command.time]
         command = setup.command.build()
         setup.integrator.step = min(

@@ -16,6 +16,7 @@ from drftjax import __version__
 from drftjax.errors import InputError
 from drftjax.runlog.content import printable
 from drftjax.runlog.hdf5 import write_result
+from drftjax.runlog.layout import UNITS
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import RigSetUp, SetUp, WheelSetUp
@@ -34,8 +35,13 @@ if TYPE_CHECKING:
     from identify.zeta_path import ZetaPath
 
 # Reports show lengths in mm.
-SHOWN = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
-UNITS = {"x": "m", "z": "m", "fx": "N", "fz": "N", "torque": "N m"}
+SHOWN = {
+    "x": ("mm", 1e3),
+    "z": ("mm", 1e3),
+    "fx": ("N", 1.0),
+    "fz": ("N", 1.0),
+    "torque": ("N m", 1.0),
+}
 
 
 # A standard error of so much of the value, or more, tells little but the order of size; one of so
@@ -402,9 +408,9 @@ def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):
     datasets = {"time": (run.time, "s"), "counts": (run.counts, "1")}
     for index, channel in enumerate(run.channels):
         for kind in ("recorded", "before", "after"):
-            datasets[f"{channel}_{kind}"] = (getattr(run, kind)[index], UNITS[channel])
+            datasets[f"{channel}_{kind}"] = (getattr(run, kind)[index], UNITS["measured"][channel])
         for kind, values in zip(("low", "high"), bands.get(channel, ()), strict=False):
-            datasets[f"{channel}_{kind}"] = (values, UNITS[channel])
+            datasets[f"{channel}_{kind}"] = (values, UNITS["measured"][channel])
     if run.path is not None:
         datasets["zeta_time"] = (run.path.time, "s")
         datasets["zeta"] = (run.path.value, "1")

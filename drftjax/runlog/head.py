@@ -2,13 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 from drftjax.errors import InputError
 from drftjax.runlog import rules
-from drftjax.runlog.record import Setup
-
-CHANNELS: Final = ("x", "z", "fx", "fz", "torque")
+from drftjax.runlog.record import CHANNELS, Setup
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,8 @@ from drftjax.runlog import rules
 
 Reals = NDArray[np.float64]
 
-_FORCES: Final = ("x", "z", "fx", "fz", "torque")
+CHANNELS: Final = ("x", "z", "fx", "fz", "torque")
+"""What a rig may measure, in the format's order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,13 +112,13 @@ class Measured:
     torque: Reals | None = None
 
     def __post_init__(self) -> None:
-        _settle(self, "time", _FORCES)
+        _settle(self, "time", CHANNELS)
         if not self.channels():
-            raise InputError(f"nothing was measured: give at least one of {', '.join(_FORCES)}")
+            raise InputError(f"nothing was measured: give at least one of {', '.join(CHANNELS)}")
 
     def channels(self) -> dict[str, Reals]:
         """The channels that were measured, by name."""
-        pairs = ((name, getattr(self, name)) for name in _FORCES)
+        pairs = ((name, getattr(self, name)) for name in CHANNELS)
         return {name: values for name, values in pairs if values is not None}
 
     @property

@@ -28,6 +28,7 @@ from drftjax.runlog.content import (
 )
 from drftjax.runlog.hdf5.committed import COMMITTED, committed_rows, committed_values
 from drftjax.runlog.seal import seal_holds
+from drftjax.structfile import HDF5
 
 SIZE_LIMIT: Final = 512 * 2**20
 """Most bytes that a file's datasets may declare together."""
@@ -40,7 +41,6 @@ BUILT_IN_FILTERS: Final = 255
 _LIBRARY_ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 _AT_WORK: Final = "is still being recorded; it can be read when the run has ended"
 _NO_HDF5: Final = "is not an HDF5 file"
-_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 
 
@@ -143,7 +143,7 @@ def _signed(path: Path) -> bool:
     """Whether a file begins as HDF5 does; the library would ask for locks of a recording."""
     try:
         with path.open("rb") as file:
-            return file.read(len(_SIGNATURE)) == _SIGNATURE
+            return file.read(len(HDF5)) == HDF5
     except OSError:
         return True  # opening it says what is wrong
 
