@@ -119,8 +119,7 @@ class Variation:
     Attributes:
         words: The run in words.
         trial: The run.
-        lasts: Time over which it is simulated [s]; where it moves last if that is less. The trial's
-            command may go on past it, as it is padded.
+        lasts: Time over which it is simulated [s]; where it moves last if that is less.
     """
 
     words: str
@@ -212,13 +211,9 @@ def _stop_and_go(trial: Trial, top: float) -> Trial:
 
 
 def _steady(trial: Trial) -> Trial:
-    """The same at a step that its command allows, over the rows there are."""
-    moved = np.flatnonzero(np.diff(np.asarray(trial.time)) > 0)
-    step = steady_step(
-        float(trial.simulator.wheel.radius),
-        np.asarray(trial.time)[: moved[-1] + 2],
-        np.asarray(trial.omega)[: moved[-1] + 2],
-    )
+    """The same at a step that its command allows."""
+    radius = float(trial.simulator.wheel.radius)
+    step = steady_step(radius, np.asarray(trial.time), np.asarray(trial.omega))
     return replace(trial, step=as_real(step))
 
 

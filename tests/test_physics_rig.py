@@ -39,7 +39,7 @@ NO_BOUNCE = 5e-5
 # A linearly implicit step falls g t dt / 2 short of the parabola.
 FALL = 1.1
 
-MASS_X, MASS_Z, GRAVITY = 13.902, 18.837, 9.81
+MASS_Z, GRAVITY = 18.837, 9.81
 PITCH = 2 * math.pi / 12
 REST_DEPTH = float(sinkage_under_load(Simulator(), 0.7823, descent=REST))
 

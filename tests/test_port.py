@@ -10,6 +10,7 @@ import termios
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from link_ends import (
@@ -239,5 +240,16 @@ def test_a_port_woken_before_it_waits_does_not_wait():
     rig.close()
 
 
-def test_ports_are_listed_by_name():
-    assert [each.name for each in ports()] == sorted(each.name for each in ports())
+def test_ports_are_listed_by_name_with_what_is_known_of_them(monkeypatch):
+    told = [("/dev/ttyUSB1", "UART", "FTDI"), ("/dev/ttyS0", "n/a", None), ("/dev/ttyUSB0", "", "")]
+    found = [
+        SimpleNamespace(device=device, description=description, manufacturer=manufacturer)
+        for device, description, manufacturer in told
+    ]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
+    nothing = "nothing known of it"
+    assert ports() == [
+        ("/dev/ttyS0", nothing),
+        ("/dev/ttyUSB0", nothing),
+        ("/dev/ttyUSB1", "UART, FTDI"),
+    ]

@@ -1,6 +1,5 @@
 """Slow vertical intrusion: how far the force is from proportional to depth, and zeta by depth."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -186,11 +185,3 @@ def _support(simulator: Simulator, below_rim: float):
         return turned(angles).mean()
 
     return jax.vmap(at)
-
-
-def spread_over_angle(simulator: Simulator, sinkage: float) -> float:
-    """Largest over smallest vertical force at this sinkage from the rim, over a pitch [-]."""
-    simulator = dataclasses.replace(simulator, wheel=simulator.wheel.cut())
-    angles = jnp.arange(16) / 16 * pitch_of(simulator.wheel)
-    force = jax.vmap(lambda a: vertical_support(simulator, sinkage, 1.0, a))(angles)
-    return float(force.max() / force.min())
