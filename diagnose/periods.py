@@ -18,8 +18,8 @@ from diagnose.spectrum import (
     ORDER_WIDTH,
     STANDS,
     Line,
-    bands,
     evenly,
+    in_hertz,
     in_turning,
     power_by_hertz,
     power_by_order,
@@ -70,8 +70,7 @@ def by_order(runs: Sequence[RunMisfit]) -> Cut:
         for row in run.error:
             rest = row
             if hertz is not None:
-                even, step = evenly(motion.time, row)
-                line = bands(even, step, (hertz - LINE_WIDTH, hertz + LINE_WIDTH))[1]
+                line = in_hertz(motion.time, row, (hertz - LINE_WIDTH, hertz + LINE_WIDTH))[1]
                 rest = row - line
                 found[:, -2] += run.in_bins(motion.bins, line[None] ** 2)[:, 0]
             found[:, -1] += run.in_bins(motion.bins, (np.where(stands, rest, 0) ** 2)[None])[:, 0]

@@ -56,10 +56,19 @@ def evenly(time: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, float]:
     return np.interp(even, time, error), float(even[1] - even[0])
 
 
+def in_hertz(time: np.ndarray, error: np.ndarray, edges: tuple[float, ...]) -> np.ndarray:
+    """A series cut into bands between these edges [Hz], at its samples, shape (bands, samples).
+
+    Where samples were lost, the bands of the series at even times, read at its own.
+    """
+    even, step = evenly(time, error)
+    at = np.linspace(time[0], time[-1], len(time))
+    return np.stack([np.interp(time, at, band) for band in bands(even, step, edges)])
+
+
 def power_by_hertz(time: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Power of a series in each band of `HERTZ` at its samples, shape (bands, samples)."""
-    even, step = evenly(time, error)
-    return bands(even, step, HERTZ) ** 2
+    return in_hertz(time, error, HERTZ) ** 2
 
 
 def in_turning(

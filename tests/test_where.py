@@ -155,6 +155,24 @@ def test_a_line_is_named_by_what_it_is_locked_to(order, hertz, label):
     assert label in sentence(shares)
 
 
+def without(run: RunLog, begin: float, end: float) -> RunLog:
+    """The run without the samples between two times [s]."""
+    measured = run.measured
+    kept = (measured.time < begin) | (measured.time > end)
+    channels = {name: values[kept] for name, values in measured.channels().items()}
+    return dataclasses.replace(run, measured=Measured(time=measured.time[kept], **channels))
+
+
+def test_a_line_keeps_its_frequency_where_samples_were_lost():
+    case = case_of(*(without(run_of(speed, 20.0), 8.0, 10.0) for speed in (1.5, 2.4, 3.3)))
+    residual = nothing(case)
+    for run, each in enumerate(residual):
+        each[case.channels.index("z")] = wave(case, run, None, 3.0)
+    shares = where(case, residual, FLOOR)
+    check(shares)
+    assert on(shares, "order")["at 3 Hz, whatever the speed"] > 1 - LEAK
+
+
 def test_in_few_turns_a_drift_is_no_period():
     case = case_of(*(run_of(speed, 12.0) for speed in (0.5, 1.5)))
     assert max(np.ptp(motion_of_run(case, run).turning) for run in (0, 1)) < 3 * 2 * np.pi
