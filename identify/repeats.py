@@ -20,19 +20,23 @@ LEAST_SHARED = 0.95
 def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
     """Groups of two or more runs with the same command and believed set-up, by index.
 
-    Clocks may differ, and one run may have been stopped a little earlier than another.
+    Clocks may differ, and one run may have been stopped a little earlier than another. Each is held
+    against the longest of a group, so that the order of the runs is no matter.
     """
     groups: list[list[int]] = []
     commands = [run.setup.command.build() for run in runs]
-    for index, run in enumerate(runs):
+    lasts = [float(command.time[-1] - command.time[0]) for command in commands]
+    for index in sorted(range(len(runs)), key=lambda each: -lasts[each]):
         for group in groups:
             first = group[0]
-            if _same_built(run, runs[first]) and _same_command(commands[index], commands[first]):
+            if _same_built(runs[index], runs[first]) and _same_command(
+                commands[index], commands[first]
+            ):
                 group.append(index)
                 break
         else:
             groups.append([index])
-    return [group for group in groups if len(group) > 1]
+    return sorted(sorted(group) for group in groups if len(group) > 1)
 
 
 def _same_built(run: RunFit, other: RunFit) -> bool:

@@ -322,6 +322,16 @@ def test_fits_of_another_load_wheel_or_command_are_no_repeats(other):
     assert repeated([run, altered(run, **other)]) == []
 
 
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_a_fit_goes_with_the_longest_run_that_it_repeats_in_any_order(order):
+    # The first and last are too far apart in length, the middle one is near enough to both.
+    runs = [
+        altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.3, 8.3, end]) for end in (9, 8.92, 8.84)
+    ]
+    groups = repeated([runs[k] for k in order])
+    assert [{order[k] for k in group} for group in groups] == [{0, 1}]
+
+
 def test_a_rig_is_compared_as_it_was_believed_to_be():
     run = fitted("a", 0.7)
     other = altered(run, rig_mass_z=18.9)
