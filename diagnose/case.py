@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.path import Path as Trace
-from diagnose.path import steadied, steps_in_a_node, trace
+from diagnose.path import Trace, steadied, steps_in_a_node, trace
 from diagnose.response import Model, predict
 from drftjax.arrays import as_real
 from drftjax.errors import InputError, RunError

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diagnose.latent import INPUTS
-from diagnose.path import FORCES, MOTION, Path, command_at_time, motion_of, state_of
+from diagnose.path import FORCES, MOTION, Trace, command_at_time, motion_of, state_of
 from drftjax.effects.catalogue import numbers, shapes, strengths
 from drftjax.effects.stage import (
     AbstractAdjustment,
@@ -61,7 +61,7 @@ READINGS = ("x", "z", "fx", "fz", "torque")
 def kick(
     effect: type[AbstractEffect],
     trial: Trial,
-    path: Path,
+    path: Trace,
     node: Float[Array, ""],
     variants: Variants,
 ) -> Kick:
@@ -94,7 +94,7 @@ def kick(
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found)
 
 
-def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, ""]) -> Kick:
+def _along(effect: AbstractEffect, trial: Trial, path: Trace, node: Float[Array, ""]) -> Kick:
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
@@ -108,7 +108,7 @@ def _along(effect: AbstractEffect, trial: Trial, path: Path, node: Float[Array, 
     return kick
 
 
-def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Path, node) -> Kick:
+def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Trace, node) -> Kick:
     series: dict[str, Array] = {}
     read = jnp.zeros((path.middle_time.shape[0], len(FORCES)))
     if isinstance(effect, AbstractZetaFactor):
@@ -125,7 +125,7 @@ def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Path, node) -> Ki
     return replace(_of_inputs(path, **series), forces=read)
 
 
-def _of_inputs(path: Path, **series: Float[Array, " nodes"]) -> Kick:
+def _of_inputs(path: Trace, **series: Float[Array, " nodes"]) -> Kick:
     nothing = jnp.zeros_like(path.middle_time)
     nodes = nothing.shape[0]
     return Kick(
@@ -137,7 +137,7 @@ def _of_inputs(path: Path, **series: Float[Array, " nodes"]) -> Kick:
     )
 
 
-def _moments(trial: Trial, path: Path, node: Float[Array, ""]) -> Moment:
+def _moments(trial: Trial, path: Trace, node: Float[Array, ""]) -> Moment:
     """What an effect may know in the middle of each node, nodes leading."""
     commanded = jax.vmap(lambda time: command_at_time(trial, time).omega)(path.middle_time)
     alike = jnp.ones_like(path.middle_time)
@@ -153,7 +153,7 @@ def _moments(trial: Trial, path: Path, node: Float[Array, ""]) -> Moment:
     )
 
 
-def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Path, node) -> Float[Array, " nodes"]:
+def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Trace, node) -> Float[Array, " nodes"]:
     def one(memory, moment: Moment):
         half = replace(moment, dt=moment.dt / 2)
         memory = effect.advance(memory, half)
@@ -162,7 +162,7 @@ def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Path, node) -> Float[A
     return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
 
 
-def _plane(effect: AbstractPlane, trial: Trial, path: Path, node) -> tuple[Array, Array]:
+def _plane(effect: AbstractPlane, trial: Trial, path: Trace, node) -> tuple[Array, Array]:
     def one(memory, moment: Moment):
         half = replace(moment, dt=moment.dt / 2)
         memory = effect.advance(memory, half)
@@ -171,7 +171,7 @@ def _plane(effect: AbstractPlane, trial: Trial, path: Path, node) -> tuple[Array
     return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
 
 
-def _force(effect: AbstractLoad, trial: Trial, path: Path, node) -> Float[Array, "nodes 2"]:
+def _force(effect: AbstractLoad, trial: Trial, path: Trace, node) -> Float[Array, "nodes 2"]:
     def one(memory, moment: Moment):
         force = effect.load(moment.position, moment.velocity, moment, memory)
         return effect.advance(memory, moment), force
@@ -179,7 +179,7 @@ def _force(effect: AbstractLoad, trial: Trial, path: Path, node) -> Float[Array,
     return jax.lax.scan(one, effect.begin(path.motion[0, :2]), _moments(trial, path, node))[1]
 
 
-def _speed(effect: AbstractDrive, trial: Trial, path: Path, node) -> Float[Array, " nodes"]:
+def _speed(effect: AbstractDrive, trial: Trial, path: Trace, node) -> Float[Array, " nodes"]:
     moments = _moments(trial, path, node)
 
     def one(memory, moment: Moment):
@@ -190,7 +190,7 @@ def _speed(effect: AbstractDrive, trial: Trial, path: Path, node) -> Float[Array
     return jax.lax.scan(one, effect.begin(path.omega[0], path.motion[0, 4]), moments)[1]
 
 
-def _readings(effect: AbstractSensor, path: Path, node) -> Float[Array, "nodes 5"]:
+def _readings(effect: AbstractSensor, path: Trace, node) -> Float[Array, "nodes 5"]:
     def output(time, motion, omega, forces) -> Output:
         x, z, vx, vz, angle = motion
         fx, fz, torque = forces
@@ -207,7 +207,7 @@ def _readings(effect: AbstractSensor, path: Path, node) -> Float[Array, "nodes 5
     return jax.lax.scan(one, effect.begin(first), ends)[1]
 
 
-def _of_a_step(effect: AbstractEffect, trial: Trial, path: Path, node) -> Kick:
+def _of_a_step(effect: AbstractEffect, trial: Trial, path: Trace, node) -> Kick:
     """What a step in the middle of each node ends at with the effect."""
     plain = trial.simulator
     simulator = replace(plain, effects=(*plain.effects, effect)).prepared()
@@ -227,7 +227,7 @@ def _of_a_step(effect: AbstractEffect, trial: Trial, path: Path, node) -> Kick:
 
 
 @eqx.filter_jit
-def respond_to(path: Path, kick: Kick) -> Float[Array, "all 5 columns"]:
+def respond_to(path: Trace, kick: Kick) -> Float[Array, "all 5 columns"]:
     """What a run's readings (x, z, fx, fz, torque) become at its nodes, per unit of each column."""
     driven = jnp.einsum("nij,njc->nic", path.enter, kick.inputs) + kick.motion
     driven = jnp.einsum("nij,njc->nic", path.gather, driven)
@@ -246,7 +246,7 @@ def respond_to(path: Path, kick: Kick) -> Float[Array, "all 5 columns"]:
     return jnp.concatenate([jnp.zeros_like(readings[:1]), readings])
 
 
-def zeta_kick(path: Path) -> Kick:
+def zeta_kick(path: Trace) -> Kick:
     """The run's own log zeta as the only column."""
     alike = jnp.ones_like(path.middle_time)
     return jax.tree.map(lambda leaf: leaf[..., None], _of_inputs(path, zeta=alike))

@@ -28,7 +28,7 @@ RIPPLE_POINTS = 48
 FORCES = ("fx", "fz", "torque")
 
 
-class Path(eqx.Module):
+class Trace(eqx.Module):
     """A run at its nodes, and the run's linear map from one to the next.
 
     Attributes:
@@ -90,7 +90,7 @@ def steps_in_a_node(trial: Trial) -> int:
 
 
 @eqx.filter_jit
-def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int) -> Path:
+def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int) -> Trace:
     """Simulate a run and linearise it.
 
     Args:
@@ -172,7 +172,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
     def ended(rows, last):
         return jnp.concatenate([rows, rows[-1:]]).at[nodes].set(last)
 
-    return Path(
+    return Trace(
         nodes,
         dt,
         steps,
@@ -195,7 +195,7 @@ def _powers(step: Float[Array, "5 5"], count: Int[Array, ""]):
     return jax.lax.fori_loop(0, count, again, (one, jnp.zeros_like(one)))
 
 
-def steadied(path: Path, pitch: float) -> Path:
+def steadied(path: Trace, pitch: float) -> Trace:
     """The path made fit for sums over many nodes.
 
     Where a plate crosses a corner of the stress law just as a step is differentiated, the step's
@@ -228,7 +228,7 @@ def steadied(path: Path, pitch: float) -> Path:
     return replace(path, **{name: getattr(path, name)[index] for name in maps})
 
 
-def _ripple(path: Path, pitch: float) -> np.ndarray:
+def _ripple(path: Trace, pitch: float) -> np.ndarray:
     nodes = int(path.nodes)
     slope = np.zeros((path.motion.shape[0], 2))
     motion = np.asarray(path.motion)[: nodes + 1]

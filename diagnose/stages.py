@@ -18,7 +18,7 @@ from diagnose.case import Case
 from diagnose.evidence import FLOOR
 from diagnose.kick import READINGS, Kick, respond_to, zeta_kick
 from diagnose.latent import INPUTS
-from diagnose.path import FORCES, MOTION, Path
+from diagnose.path import FORCES, MOTION, Trace
 from diagnose.response import Model
 from diagnose.smoother import Smoothed, Sums, alone, smoothed
 from drftjax.effects.correction import READING, STAGES
@@ -247,11 +247,11 @@ def _hat(time, knots):
     return np.maximum(0, 1 - np.abs(time - knots) / KNOT)
 
 
-def _hats(path: Path, room: int) -> Float[Array, "nodes knots"]:
+def _hats(path: Trace, room: int) -> Float[Array, "nodes knots"]:
     return jnp.asarray(_hat(np.asarray(path.middle_time)[:, None], KNOT * np.arange(room)))
 
 
-def _kick(path: Path, hats: Float[Array, "nodes knots"], name: str) -> Kick:
+def _kick(path: Trace, hats: Float[Array, "nodes knots"], name: str) -> Kick:
     nodes, room = hats.shape
     inputs = jnp.zeros((nodes, len(INPUTS), room)).at[:, INPUTS.index(name)].set(hats)
     return Kick(

@@ -81,7 +81,7 @@ class Experiment:
             raise InputError(f"runs is {self.runs}, must be at least 1")
 
 
-class Path(NamedTuple):
+class Track(NamedTuple):
     """A trajectory, on the ticks.
 
     Attributes:
@@ -105,8 +105,8 @@ class HilsRun:
 
     seed: int
     start: Start
-    simulated: Path
-    measured: Path
+    simulated: Track
+    measured: Track
     zeta: Values
 
     @property
@@ -132,8 +132,8 @@ class FreeRun:
 
     seed: int
     start: Start
-    measured: Path
-    predicted: Path
+    measured: Track
+    predicted: Track
 
 
 class Apart(NamedTuple):
@@ -169,7 +169,7 @@ class Result:
     hils: tuple[HilsRun, ...]
     free: tuple[FreeRun, ...]
 
-    def means(self) -> dict[str, Path]:
+    def means(self) -> dict[str, Track]:
         """Mean trajectory over the runs: HILS (sim), HILS (real), DRFT and free."""
         return {
             "HILS (sim)": mean([each.simulated for each in self.hils]),
@@ -286,7 +286,7 @@ def hils_run(experiment: Experiment, seed: int) -> HilsRun:
     start, rows = _made(experiment, seed, free=False)
     online = np.array(rows.ticks)[: shared_physics(experiment.loop).ticks]
     time, zeta, x, z = online[:, :4].T
-    return HilsRun(seed, start, Path(x, z), _measured(rows, time), zeta)
+    return HilsRun(seed, start, Track(x, z), _measured(rows, time), zeta)
 
 
 def free_run(experiment: Experiment, seed: int) -> FreeRun:
@@ -297,7 +297,7 @@ def free_run(experiment: Experiment, seed: int) -> FreeRun:
     return FreeRun(seed, start, _measured(rows, time), predicted)
 
 
-def drft(loop: LoopSetUp, start: Start) -> Path:
+def drft(loop: LoopSetUp, start: Start) -> Track:
     """The loop's simulation over its profile with zeta held, on the ticks."""
     held = TunerSetUp("step", {"zeta_step": 0.0})
     physics = shared_physics(msgspec.structs.replace(loop, tuner=held))
@@ -306,7 +306,7 @@ def drft(loop: LoopSetUp, start: Start) -> Path:
         said = physics.step.answer(packed)
         places.append((said.x, said.z))
         packed = physics.step(packed, NO_READING, omega)
-    return Path(*np.array(places).T)
+    return Track(*np.array(places).T)
 
 
 def by_tick(
@@ -352,12 +352,12 @@ def rms(values: Values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def mean(paths: list[Path]) -> Path:
+def mean(paths: list[Track]) -> Track:
     """The mean place at each time."""
-    return Path(*(np.mean([getattr(path, axis) for path in paths], axis=0) for axis in ("x", "z")))
+    return Track(*(np.mean([getattr(path, axis) for path in paths], axis=0) for axis in ("x", "z")))
 
 
-def apart(path: Path, other: Path) -> Apart:
+def apart(path: Track, other: Track) -> Apart:
     """How far two trajectories are from each other, RMS over the run [m]."""
     dx, dz = path.x - other.x, path.z - other.z
     # Travel the way that the wheel goes farther; what is taken twice, as noise at rest has it, or a
@@ -385,6 +385,6 @@ def _begun(report: RunReport, seed: int) -> Start:
     return report.start
 
 
-def _measured(rows: KeptRows, time: Values) -> Path:
+def _measured(rows: KeptRows, time: Values) -> Track:
     told, x, z = np.array(rows.readings).T
-    return Path(np.interp(time, told, x), np.interp(time, told, z))
+    return Track(np.interp(time, told, x), np.interp(time, told, z))

@@ -49,11 +49,11 @@ def soft_rig(
     """
     setup = setup or VirtualSetUp(physics=QUICK)
     clock = VirtualClock(start, grain)
-    rig = VirtualRig(setup, shared_physics(setup), script, seed, baud, latency, start)
+    rig = VirtualRig(setup, rig_physics(setup), script, seed, baud, latency, start)
     return SoftRig(rig, SoftLink(rig, clock), clock)
 
 
-def shared_physics(setup: VirtualSetUp) -> RigPhysics:
+def rig_physics(setup: VirtualSetUp) -> RigPhysics:
     """The compiled physics of a set-up, made once in a program's life."""
     physics = VirtualSetUp(
         wheel=setup.wheel,

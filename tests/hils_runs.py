@@ -14,8 +14,7 @@ from hils.operator_dialogue import Unattended
 from hils.procedure import Procedure, RunReport, run
 from hils.recorder import Recorder
 from hils.rows import KeptRows
-from hils.simulated import QUICK, SoftRig
-from hils.simulated import shared_physics as rig_physics
+from hils.simulated import QUICK, SoftRig, rig_physics
 from hils.stop_request import StopRequest
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp

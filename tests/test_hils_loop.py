@@ -24,8 +24,7 @@ from hils.replay import replay
 from hils.rows import KeptRows
 from hils.run_figure import plot_hils
 from hils.scene import Phase
-from hils.simulated import QUICK, soft_rig
-from hils.simulated import shared_physics as rig_physics
+from hils.simulated import QUICK, rig_physics, soft_rig
 from hils.stop_request import StopRequest, Wish
 from hils.virtual_rig import VirtualRig
 from hils.virtual_setup import VirtualSetUp

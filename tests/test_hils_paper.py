@@ -13,8 +13,8 @@ from hils.loop_setup import LoopSetUp, TunerSetUp
 from hils.paper import (
     CLOSE,
     Experiment,
-    Path,
     Result,
+    Track,
     apart,
     by_tick,
     hils_run,
@@ -129,19 +129,19 @@ def test_the_report_names_the_paper_s_figures_beside_ours(result):
 
 def test_distances_of_trajectories_that_are_known():
     x = np.linspace(0.0, 1.0, 500)
-    path = Path(x, -0.03 * x)
-    deeper = apart(Path(x, path.z - 1e-3), path)
+    path = Track(x, -0.03 * x)
+    deeper = apart(Track(x, path.z - 1e-3), path)
     assert deeper == pytest.approx((1e-3, 1e-3, 0.0, 1e-3), abs=1e-12)
     # Late by 0.01 m on the same course: apart at equal times only.
-    late = apart(Path(x - 0.01, -0.03 * (x - 0.01)), path)
+    late = apart(Track(x - 0.01, -0.03 * (x - 0.01)), path)
     assert late.x == pytest.approx(0.01)
     assert late.z == pytest.approx(3e-4)
     assert late.plane == pytest.approx(np.hypot(0.01, 3e-4))
     assert late.course < 1e-6
     # The same of wheels that go backward.
-    back = Path(-x, path.z)
-    assert apart(Path(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=1e-12)
-    assert apart(Path(0.01 - x, -0.03 * (x - 0.01)), back).course < 1e-6
+    back = Track(-x, path.z)
+    assert apart(Track(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=1e-12)
+    assert apart(Track(0.01 - x, -0.03 * (x - 0.01)), back).course < 1e-6
 
 
 def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():

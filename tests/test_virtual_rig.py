@@ -32,7 +32,7 @@ from hils.instruments import Instruments, Noise, RigClock
 from hils.link import LinkLost
 from hils.rig_physics import LOWERING_TIME, REST, Demand
 from hils.rig_protocol import Reason
-from hils.simulated import QUICK, SoftRig, shared_physics, soft_rig
+from hils.simulated import QUICK, SoftRig, rig_physics, soft_rig
 from hils.virtual_rig import RigFault
 from hils.virtual_setup import BedSetUp, VirtualSetUp, read_virtual_setup
 from hils.wire import VIRTUAL_RIG, Arm, Bye, Drive, Hello, HelloAck, Measurement, RigState, Stop
@@ -89,7 +89,7 @@ def settled(setup: VirtualSetUp | None = None, *faults: Fault, **line: float) ->
 
 
 def test_wheel_let_down_stands_where_statics_says():
-    physics = shared_physics(quick())
+    physics = rig_physics(quick())
     simulator = quick().simulator()
     packed = physics.held()
     assert physics.motion(packed).z == 0.0
@@ -102,7 +102,7 @@ def test_wheel_let_down_stands_where_statics_says():
 
 def test_block_of_steps_is_the_simulator():
     """Two blocks, driven evenly from one demand to the next, are as many single steps."""
-    physics, setup = shared_physics(quick()), quick()
+    physics, setup = rig_physics(quick()), quick()
     packed = physics.held()
     demands = [REST, Demand(0.2, 0.0, False), Demand(0.5, 0.0, False)]
     for start, end in pairwise(demands):
