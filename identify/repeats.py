@@ -1,7 +1,6 @@
 """Repeats: runs of the same command and set-up, and what they say of chance."""
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,6 +14,8 @@ SAME, NOUGHT = 1e-6, 1e-9
 # Repeats were recorded over this share of each other's time at least. With more missing, the zeta
 # of one meets other parts of the run than the other's, and a misfit that grows passes for chance.
 LEAST_SHARED = 0.95
+# Each repeat is held against so many others at most, as hundreds have too many pairs.
+PARTNERS = 10
 
 
 def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
@@ -81,7 +82,7 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     """
     powers: dict[str, list[float]] = {}
     for group in repeated(runs):
-        for first, second in pairwise(group):
+        for first, second in _pairs(group):
             a, b = runs[first], runs[second]
             told = b.time[b.counts]
             both = a.counts & recorded_at(told, a.time)
@@ -95,6 +96,15 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
                 power = (power + averaged) / 2
                 powers.setdefault(channel, []).append(power)
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}
+
+
+def _pairs(group: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Every two of a group, in whatever order; of a large one, each run beside as many others."""
+    size = len(group)
+    for apart in range(1, min(PARTNERS, size // 2) + 1):
+        # Half way round a circle, each two meet twice.
+        for place in range(size // 2 if 2 * apart == size else size):
+            yield group[place], group[(place + apart) % size]
 
 
 def fast_scatter(runs: Sequence[RunFit]) -> dict[str, float]:

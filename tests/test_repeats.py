@@ -15,7 +15,7 @@ from identify.candidate import Candidate, candidate
 from identify.cluster_command import _together
 from identify.findings import between
 from identify.lone_result import decoded, encoded
-from identify.repeats import noise_floor, repeated
+from identify.repeats import _pairs, noise_floor, repeated
 from identify.result import FitResult, RunFit, Value
 from tests.virtual_runs import recorded, setup_of
 
@@ -276,6 +276,26 @@ def test_clocks_and_roundings_make_no_other_run(other):
     assert floor == pytest.approx({"z": 5e-4 / np.sqrt(2)})
 
 
+@pytest.mark.parametrize("order", [*itertools.permutations(range(3))])
+def test_the_floor_of_repeats_is_the_same_in_any_order(order):
+    fits = [fitted("a", 0.7), fitted("b", 0.7, 5e-4), fitted("c", 0.7, 2e-3)]
+    # Three differences, each shared by two: 0.5, 2 and 1.5 mm.
+    expected = 5e-4 * np.sqrt((1 + 16 + 9) / 6)
+    assert noise_floor([fits[n] for n in order]) == pytest.approx({"z": expected})
+
+
+def test_a_repeat_too_short_to_compare_parts_no_others():
+    fits = [fitted("a", 0.7), altered(fitted("b", 0.7), samples=80), fitted("c", 0.7, 5e-4)]
+    assert repeated(fits) == [[0, 1, 2]]
+    assert noise_floor(fits) == pytest.approx({"z": 5e-4 / np.sqrt(2)})
+
+
+@pytest.mark.parametrize(("size", "pairs"), [(2, 1), (4, 6), (21, 210), (300, 3000)])
+def test_each_repeat_is_held_against_others_once(size, pairs):
+    found = [frozenset(pair) for pair in _pairs(range(size))]
+    assert len(found) == len({*found}) == pairs
+
+
 @pytest.mark.parametrize("delay", [0.0, 1.25e-4, 2.5e-4])
 def test_reading_a_repeat_between_its_samples_loses_no_noise(delay):
     noise = 20e-6
@@ -346,7 +366,7 @@ def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
     told = between(runs)
     assert [sentence.split(" ")[0] for sentence in told] == ["zeta", "repeated"]
     assert "scatters by 6.7 %" in told[0]
-    assert "z 0.141 mm" in told[1]
+    assert "z 0.115 mm" in told[1]
     assert between([*runs, fitted("lost", 0.78, 0.1, "diverged")]) == told
 
 
