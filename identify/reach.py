@@ -6,6 +6,7 @@ with the noise and the model's error that the fit found.
 """
 
 import copy
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -137,7 +138,10 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
     observation = optimum.candidates[run].observation
     observation = replace(observation, time=stretch * observation.time)
     batch = make_batch([trial], [observation], jax.device_count())
-    parameters = optimum.problem.shared + optimum.problem.own
+    # At the values that the set-up holds, wherever the fit was told to start.
+    parameters = tuple(
+        replace(each, start=math.nan) for each in optimum.problem.shared + optimum.problem.own
+    )
     problem = Problem(batch, parameters, optimum.problem.correlation, device_mesh())
     kept = [optimum.problem.batch.channels.index(c) for c in batch.channels]
     length = batch.observed.weight.shape[-1]

@@ -308,6 +308,14 @@ def test_the_speed_named_starts_from_the_error_that_the_fit_has():
     assert all("of the believed 1.1" in f for f in with_reach(result).findings if "from about" in f)
 
 
+def test_where_a_fit_starts_is_no_matter_to_the_speed_named():
+    run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4))
+    result = fit([run], [own("zeta", start=0.6), shared("lambda", start=8.0)])
+    setup = result.runs[0].setup
+    (value,) = result.shared.values()
+    assert _error(result.optimum, 0, setup, LAMBDA, 1.0) == pytest.approx(value.error, rel=REACH)
+
+
 def test_a_zeta_by_phase_goes_along_to_other_speeds():
     run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4, noise=1e-4))
     phases = [shared("zeta.stand"), own("zeta.accelerate"), own("zeta.steady")]
