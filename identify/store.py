@@ -140,17 +140,21 @@ class Store:
             for number, line in enumerate(file, start=1):
                 if not line.endswith(b"\n") and (number > 1 or first.startswith(line)):
                     break
-                if number == 1:
-                    self._compare(line, settings)
-                else:
+                if number > 1:
                     self._learn(line, number, place)
+                else:
+                    other = self._settings(line)
+                    if other != settings and not file.peek(1):
+                        break  # a call that finished no fit left this: it is begun anew
+                    self._compare(other, settings)
                 place += len(line)
         os.ftruncate(self._handle, place)
         if place == 0:
             self._write(first)
             os.fsync(self._handle)
 
-    def _compare(self, line: bytes, settings: dict[str, Any]) -> None:
+    def _settings(self, line: bytes) -> dict[str, Any]:
+        """What the first line says of the fits below it."""
         try:
             header = msgspec.json.decode(_checked(line), type=Header)
         except ValueError:
@@ -163,7 +167,9 @@ class Store:
                 f"{self.path}: is a {header.schema!r} of version {header.schema_version}, must be "
                 f"a {SCHEMA!r} of version {SCHEMA_VERSION}"
             )
-        other = header.settings
+        return header.settings
+
+    def _compare(self, other: dict[str, Any], settings: dict[str, Any]) -> None:
         for name in [*settings, *other]:
             if other.get(name) != settings.get(name):
                 raise InputError(

@@ -309,6 +309,17 @@ def test_a_store_of_other_settings_is_refused(store):
         assert f"holds fits with {name}" in refusal(store, other)
 
 
+def test_a_store_without_fits_is_begun_anew_with_other_settings(tmp_path):
+    path = tmp_path / "fit.store"
+    other = Settings((ZETA,), step=2e-3)
+    for settings in (SETTINGS, other):
+        with Store(path, settings.named()) as kept:
+            assert len(kept) == 0
+    with Store(path, other.named()) as kept:
+        kept.append([Finished("aa", "log.h5", {}, b"result")])
+    assert "holds fits with" in refusal(path)
+
+
 def test_any_flipped_byte_of_a_store_is_found(store):
     whole = store.read_bytes()
     for place in range(0, len(whole) - 1, 7):
