@@ -23,7 +23,7 @@ from identify.descent import Descent
 from identify.memory import piece_bytes
 from identify.optimum import Optimum, linearised
 from identify.solve import normal_equations
-from identify.uncertainty import inverse, lag_one_correlation
+from identify.uncertainty import FINEST_RUN, inverse, lag_one_correlation
 
 LEVEL = 0.90
 MOST_DRAWS = 100_000
@@ -164,7 +164,7 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
             continue
         rho = lag_one_correlation(residual[run, channel], here, intervals[run])
         shares = rho ** intervals[run]
-        spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), 1.0)
+        spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), FINEST_RUN)
         fresh = random.standard_normal((count, len(here)))
         carried = np.empty_like(fresh)
         carried[:, 0] = fresh[:, 0]

@@ -152,7 +152,7 @@ def _scaled(optimum: Optimum, number: int) -> Whitening:
     alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
     told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared, optimum.scatter)
     share = inverse(alike)[number, number] / inverse(told)[number, number]
-    even = counts * np.sqrt(min(share, 1.0))
+    even = counts * np.sqrt(share)
     return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)
 
 

@@ -10,6 +10,9 @@ from identify.spread import spread_of
 
 # Beyond this the inflation is no longer an estimate but a statement that the samples are one.
 LARGEST_CORRELATION = 0.9999
+# Residuals of a run are taken for no finer than this share of what its channel is weighed by: what
+# few samples leave, or a simulation fitted to itself, is no noise.
+FINEST_RUN = 0.1
 # A direction is seen where its information is over so many times what rounding leaves of none.
 LEAST_TOLD = 100.0
 
@@ -59,10 +62,10 @@ def covariance(
     root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]
     stretch = root.T @ noise @ root
     # Where rounding leaves nothing to tell, there is as little noise as information.
-    stretch[unseen], stretch[:, unseen] = 0, 0
-    # Noise stretches no direction by less than one, but what rounding leaves of it may.
+    stretch[unseen], stretch[:, unseen], stretch[unseen, unseen] = 0, 0, 1
+    # The finest noise stretches no direction by less, but what rounding leaves of it may.
     more, along = np.linalg.eigh(stretch)
-    spread = root @ along * np.sqrt(np.maximum(more, 1))
+    spread = root @ along * np.sqrt(np.maximum(more, FINEST_RUN**2))
     return spread @ spread.T
 
 
@@ -81,7 +84,7 @@ def rescaled(
     inner = vectors / np.sqrt(values) / size[:, None]
     outer = vectors * np.sqrt(values) * size[:, None]
     more, along = np.linalg.eigh(inner.T @ noise @ inner)
-    shrink = outer @ along / np.maximum(more, 1)
+    shrink = outer @ along / np.maximum(more, FINEST_RUN**2)
     return shrink @ (outer @ along).T, shrink @ (inner @ along).T
 
 
@@ -228,7 +231,7 @@ class Whitening:
             intervals: Usual intervals from the sample before, likewise.
         """
         number = np.maximum(counts.sum(axis=2), 1)
-        inflation = np.maximum((residual**2).sum(axis=2) / number, 1.0)
+        inflation = np.maximum((residual**2).sum(axis=2) / number, FINEST_RUN**2)
         for run, channel in np.ndindex(inflation.shape):
             rho = lag_one_correlation(residual[run, channel], counts[run, channel], intervals[run])
             inflation[run, channel] *= (1 + rho) / (1 - rho)

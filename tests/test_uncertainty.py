@@ -72,6 +72,23 @@ def test_a_number_that_no_sample_sees_does_not_hide_the_others():
     assert not any("apart" in sentence for sentence in told(blocks, whitening))
 
 
+def test_a_run_of_finer_instruments_than_the_others_is_told_as_well_as_alone():
+    random = np.random.default_rng(3)
+    blocks = random.standard_normal((2, 1, SAMPLES, 1))
+    size = np.array([0.2, 1.4])[:, None, None]
+    residual = size * random.standard_normal((2, 1, SAMPLES))
+    counts, nothing = np.ones(residual.shape, bool), np.zeros(residual.shape)
+    clock = np.zeros((2, SAMPLES), int), np.ones((2, SAMPLES))
+
+    def errors(size: np.ndarray) -> np.ndarray:
+        whitening = Whitening.of(residual / size, counts, nothing, *clock)
+        return np.sqrt(np.diag(covariance(blocks / size[..., None], whitening, 0)))
+
+    together, alone = errors(np.ones_like(size)), errors(size)
+    assert together == pytest.approx(alone, rel=1e-9)
+    assert alone[0] < 0.2 * alone[1]
+
+
 @pytest.mark.parametrize("error", [np.nan, np.inf])
 def test_an_error_that_is_no_number_tells_nothing(error):
     value = Value(0.75, error, "-", "lambda")
