@@ -139,7 +139,7 @@ def from_run_to_run(
         np.diag(covariance(blocks[run][None], whitening.of_run(run), blocks.shape[-1]))
         for run in told
     ]
-    errors = np.sqrt(np.reshape(spread, (len(told), -1)))
+    errors = np.sqrt(np.reshape(spread, (len(told), blocks.shape[-1])))
     return np.array([spread_of(moves[told, k], errors[:, k]).variance for k in range(scattered)])
 
 
@@ -169,16 +169,15 @@ def _directions(
     """Eigenvalues and vectors of the information over each coordinate's own; the root of that
     own; and which directions rounding alone may have made."""
     alone = np.diag(information)
-    most = max(alone.max(initial=0), float(np.finfo(float).tiny))
-    size = np.sqrt(np.where(alone > 0, alone, most))
+    most = alone.max(initial=0)
+    size = np.sqrt(np.where(alone > 0, alone, most if most > 0 else 1.0))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     return values, vectors, size, values <= LEAST_TOLD * _floor(values)
 
 
 def _floor(values: np.ndarray) -> float:
     """The least information that rounding leaves to tell from none."""
-    tiny = float(np.finfo(float).tiny)
-    return max(values.max() * np.finfo(float).eps * len(values), tiny) if len(values) else tiny
+    return float(values.max(initial=1.0) * np.finfo(float).eps * max(len(values), 1))
 
 
 def inverse(information: np.ndarray) -> np.ndarray:

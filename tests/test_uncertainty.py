@@ -6,7 +6,7 @@ import pytest
 from identify.findings import findings
 from identify.parameter import own
 from identify.result import RunFit, Value
-from identify.uncertainty import Whitening, covariance, unseen
+from identify.uncertainty import Whitening, covariance, from_run_to_run, unseen
 from tests.virtual_runs import setup_of
 
 SAMPLES = 200
@@ -70,6 +70,20 @@ def test_a_number_that_no_sample_sees_does_not_hide_the_others():
     assert variance[0] < 1e-3
     assert np.all(variance[1:3] > 1e4)
     assert not any("apart" in sentence for sentence in told(blocks, whitening))
+
+
+def test_runs_that_see_nothing_at_all_say_so_without_a_warning():
+    blocks, whitening = degenerate(4)
+    blocks[:] = 0
+    variance = np.diag(covariance(blocks, whitening, 1))
+    assert np.all((variance > 1e4) & np.isfinite(variance))
+    sentences = told(blocks, whitening)
+    assert [sentence.split(" cannot be identified")[0] for sentence in sentences[:4]] == [
+        f"run: {name}" for name in NAMES
+    ]
+    assert not any("apart" in sentence for sentence in sentences)
+    moves = np.zeros((1, len(NAMES)))
+    assert np.all(from_run_to_run(moves, blocks, whitening, 1) == 0)
 
 
 def test_a_run_of_finer_instruments_than_the_others_is_told_as_well_as_alone():
