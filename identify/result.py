@@ -232,13 +232,16 @@ class FitResult:
         """RMSE before and after, by run and channel, with each run's own values."""
         channels = self.channels
         table = Table(title="simulated minus recorded, RMSE before → after the fit")
-        table.add_column("run")
-        table.add_column("status")
+        # Names fold in a narrow terminal: cut off, zeta.stand and zeta.steady would look alike.
+        table.add_column("run", overflow="fold")
+        table.add_column("status", overflow="fold")
         own = list(self.runs[0].values)
         for name in own:
-            table.add_column(self.runs[0].values[name].label, justify="right")
+            label = self.runs[0].values[name].label
+            table.add_column(label, justify="right", overflow="fold")
         for channel in channels:
-            table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
+            heading = escape(f"{channel} [{SHOWN[channel][0]}]")
+            table.add_column(heading, justify="right", overflow="fold")
 
         def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
             return [

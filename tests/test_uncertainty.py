@@ -5,7 +5,7 @@ import pytest
 
 from identify.findings import findings
 from identify.parameter import own
-from identify.result import RunFit, Value
+from identify.result import FitResult, RunFit, Value
 from identify.uncertainty import Whitening, covariance, from_run_to_run, unseen
 from tests.virtual_runs import setup_of
 
@@ -101,6 +101,18 @@ def test_a_run_of_finer_instruments_than_the_others_is_told_as_well_as_alone():
     together, alone = errors(np.ones_like(size)), errors(size)
     assert together == pytest.approx(alone, rel=1e-9)
     assert alone[0] < 0.2 * alone[1]
+
+
+def test_no_name_of_a_value_is_cut_off_in_a_narrow_table():
+    names = ("zeta.stand", "zeta.accelerate", "zeta.steady", "zeta.decelerate")
+    values = {name: Value(0.73247, 0.0012, "-", name) for name in names}
+    two = np.zeros((2, 1))
+    run = RunFit("slow_a", setup_of(), values, two[0], two[0] == 0, ("x", "z"), two, two, two)
+    text = FitResult({}, [run], "converged", 5, {}).summary(80)
+    assert "…" not in text
+    rows = [[cell.strip() for cell in line.strip("┃").split("┃")] for line in text.splitlines()]
+    heads = zip(*[row for row in rows if len(row) == 8], strict=True)
+    assert ["".join(head) for head in heads][2:6] == [*names]
 
 
 @pytest.mark.parametrize("error", [np.nan, np.inf])
