@@ -133,7 +133,13 @@ def _together(
         runs.append(replace(lone.run, name=name))
         status = max(status, lone.status, key=WORST_LAST.index)
         steps = max(steps, lone.steps)
-        said = [finding.replace(digests[name], name) for finding in lone.findings]
+        # One run alone has no repeats; all together may.
+        of_one = between([lone.run])
+        said = [
+            finding.replace(digests[name], name)
+            for finding in lone.findings
+            if finding not in of_one
+        ]
         said = [text if name in text else f"{name}: {text}" for text in said]
         if lone.status != WORST_LAST[0]:
             said.append(f"{name}: the solver is {lone.status} after {lone.steps} steps")

@@ -372,7 +372,10 @@ def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
 
 def test_runs_fitted_on_a_cluster_are_compared_as_in_one_process():
     runs = [fitted("a", 0.70), fitted("b", 0.75, 2e-4), fitted("c", 0.80)]
-    lone = [FitResult({}, [run], "converged", 5, {}, [f"{run.name} is fine"]) for run in runs]
+    lone = [
+        FitResult({}, [run], "converged", 5, {}, [f"{run.name} is fine", *between([run])])
+        for run in runs
+    ]
     together = _together(
         {run.name: encoded(each) for run, each in zip(runs, lone, strict=True)},
         {run.name: 64 * run.name for run in runs},
