@@ -118,13 +118,13 @@ class Variation:
 
     Attributes:
         words: The run in words.
-        trial: The run.
-        lasts: Time over which it is simulated [s]; where it moves last if that is less.
+        trial: The run, padded.
+        lasts: Time over which it is simulated [s].
     """
 
     words: str
     trial: Trial
-    lasts: float = np.inf
+    lasts: float
 
 
 def _upto(variation: Variation, lasts: float = np.inf) -> Variation:
@@ -134,7 +134,7 @@ def _upto(variation: Variation, lasts: float = np.inf) -> Variation:
     """
     trial = variation.trial
     lasts = min(lasts, trial.rows * STEPS_A_ROW * float(trial.step))
-    if lasts >= _end(trial):
+    if lasts >= variation.lasts:
         return variation
     return Variation(f"{variation.words}, its first {lasts:.1f} s", trial, lasts)
 
@@ -166,8 +166,8 @@ def _typical(case: Case) -> int:
 
 def _variations(case: Case, base: int) -> list[Variation]:
     candidate = case.candidates[base]
-    trial = case.trials[base]
-    found = [Variation(f"{candidate.name} as it was", trial)]
+    trial, lasted = case.trials[base], _end(candidate.trial)
+    found = [Variation(f"{candidate.name} as it was", trial, lasted)]
     top = float(np.abs(np.asarray(trial.omega)).max())
     made = [each.trial for each in case.candidates]
     farthest = max(float(_ways(each)[-1]) for each in made)
@@ -176,14 +176,15 @@ def _variations(case: Case, base: int) -> list[Variation]:
             faster = _steady(_scaled(trial, factor))
             lasts = float(np.interp(farthest, _ways(faster), np.asarray(faster.time)))
             words = f"{candidate.name} at {np.rad2deg(top * factor):.0f} deg/s"
-            found.append(_upto(Variation(words, faster), lasts))
+            found.append(_upto(Variation(words, faster, lasted), lasts))
     # A run that goes the other way has been made where any has.
     if len({np.sign(_goes(each)) for each in made}) == 1:
         way = "backward" if _goes(candidate.trial) > 0 else "forward"
-        found.append(Variation(f"{candidate.name} {way}", _scaled(trial, -1.0)))
+        found.append(Variation(f"{candidate.name} {way}", _scaled(trial, -1.0), lasted))
     if top > 0:
         words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
-        found.append(_upto(Variation(words, _stop_and_go(trial, top))))
+        starts_and_stops = _stop_and_go(trial, top)
+        found.append(_upto(Variation(words, starts_and_stops, _end(starts_and_stops))))
     for factor in LOADS:
         mass = float(trial.simulator.rig.mass_z) * factor
         heavier = eqx.tree_at(
@@ -194,7 +195,7 @@ def _variations(case: Case, base: int) -> list[Variation]:
                 trial.start.position.at[1].multiply(factor),
             ),
         )
-        found.append(Variation(f"{candidate.name} with {mass:.1f} kg", heavier))
+        found.append(Variation(f"{candidate.name} with {mass:.1f} kg", heavier, lasted))
     return found
 
 
@@ -230,8 +231,7 @@ def _apart(
     The second one's zeta is moved so that both sink alike on the mean: a new run has its own.
     """
     trial = variation.trial
-    lasts = min(_end(trial), variation.lasts)
-    rows = min(trial.rows, math.ceil(lasts / (STEPS_A_ROW * float(trial.step))))
+    rows = min(trial.rows, math.ceil(variation.lasts / (STEPS_A_ROW * float(trial.step))))
 
     def of(hypothesis: Hypothesis, more: float = 0.0) -> np.ndarray:
         scaled = with_zeta(trial, hypothesis.log_zeta[base] + more)
@@ -252,7 +252,7 @@ def _apart(
 
 
 def _end(trial: Trial) -> float:
-    """When the wheel is last asked to move [s]."""
+    """When the wheel is last asked to move [s]; the end of a command that ends in motion."""
     time, omega = np.asarray(trial.time), np.asarray(trial.omega)
     moving = np.flatnonzero(omega != 0)
     return float(time[min(moving[-1] + 1, len(time) - 1)]) if moving.size else float(time[-1])

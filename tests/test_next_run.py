@@ -18,12 +18,12 @@ NAMES = ("drawbar", "horizontal_coulomb")
 
 @pytest.fixture(scope="module")
 def pulled():
-    return case_with({"name": "drawbar", "force": -3.0})
+    return case_with({"name": "drawbar", "force": 4.0})
 
 
 @pytest.fixture(scope="module")
 def advice(pulled):
-    # Both push back, or on, all the while as long as the carriage only goes forward.
+    # Both pull back all the while as long as the carriage only goes forward.
     singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
     return next_run(pulled, *(singles[(name,)] for name in NAMES), FLOORS)
 
@@ -50,6 +50,13 @@ def test_no_run_goes_farther_than_the_longest_so_far(pulled):
             lasts = min(each.lasts, float(np.asarray(each.trial.time)[-1]))
             gone = np.interp(lasts, np.asarray(each.trial.time), _ways(each.trial))
             assert gone <= farthest * (1 + 1e-9)
+
+
+def test_no_run_outlasts_a_command_that_ends_in_motion(pulled):
+    (end,) = {float(each.trial.time[-1]) for each in pulled.candidates[:2]}
+    assert pulled.trials[0].time[-1] > end
+    for each in _variations(pulled, 0):
+        assert each.lasts <= end, each.words
 
 
 def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
