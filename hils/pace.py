@@ -5,20 +5,20 @@ from hils.wire import BITS_PER_BYTE, Drive, Measurement, wire_bytes
 
 # Where none is given [bit/s]: it carries ticks of 1 ms, and every usual USB adapter has it.
 USUAL_BAUD = 921_600
-LEAST_WATCHDOG = 0.02  # [s]
+LEAST_WATCHDOG_US = 20_000
 WATCHDOG_TICKS = 5
 # The watchdog's field on the wire holds 65.5 s.
 LONGEST_TICK = 13.0
 
 
-def watchdog_s(tick_us: int) -> float:
-    """Time without a command after which a rig goes SAFE [s], for a control period [us]."""
-    return max(LEAST_WATCHDOG, WATCHDOG_TICKS * tick_us * 1e-6)
+def watchdog_us(tick_us: int) -> int:
+    """Time without a command after which a rig goes SAFE [us], for a control period [us]."""
+    return max(LEAST_WATCHDOG_US, WATCHDOG_TICKS * tick_us)
 
 
 def watchdog_ms(tick_us: int) -> int:
     """The same in whole milliseconds, rounded up."""
-    return max(round(LEAST_WATCHDOG * 1e3), -(-WATCHDOG_TICKS * tick_us // 1000))
+    return -(-watchdog_us(tick_us) // 1000)
 
 
 def require_baud(baud: int, tick: float) -> None:

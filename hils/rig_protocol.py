@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from hils.pace import LEAST_WATCHDOG, watchdog_ms, watchdog_s
+from hils.pace import LEAST_WATCHDOG_US, watchdog_ms, watchdog_us
 from hils.receiver import Splitter
 from hils.wire import (
     FROM_HOST,
@@ -142,7 +142,7 @@ class RigProtocol:
         self._session: int | None = None
         self._last_heard, self._next_seq = 0, 1
         self._greeted = False
-        self._watchdog = LEAST_WATCHDOG
+        self._watchdog = LEAST_WATCHDOG_US * 1e-6
         self._commanded = self._lapses = math.inf
         self._now = self._measured = start
         self._answered = -math.inf
@@ -258,7 +258,7 @@ class RigProtocol:
             return
         if understood:
             self._session, self._last_heard, self._greeted = frame.session, frame.seq, True
-            self._watchdog = watchdog_s(hello.tick_us)
+            self._watchdog = watchdog_us(hello.tick_us) * 1e-6
             self._measured, self._ack_seq = self._now, 0
             self._repeats.clear()
         me = self._identity

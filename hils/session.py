@@ -7,7 +7,7 @@ from collections.abc import Callable
 from drftjax.errors import InputError
 from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival, LinkQuality
-from hils.pace import watchdog_s
+from hils.pace import watchdog_us
 from hils.rig_protocol import told
 from hils.wire import (
     READY,
@@ -275,7 +275,7 @@ def _says_stopped(arrival: Arrival) -> bool:
 
 
 def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
-    due = watchdog_s(hello.tick_us) * 1e3
+    due_us = watchdog_us(hello.tick_us)
     scales = [ack.z_scale, ack.x_scale]
     limits = [ack.omega_max, ack.vx_max]
     if ack.schema != SCHEMA:
@@ -295,10 +295,10 @@ def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
             f"{ack.vx_max:.4g} m/s, must be finite, the first positive and the second not negative"
         )
     # Less than the rule's, it would bite between two commands; far more, a wheel runs on alone.
-    if not math.floor(due) <= ack.watchdog_ms <= 2.0 * due:
+    if not due_us // 1000 <= ack.watchdog_ms <= 2 * due_us / 1000:
         raise InputError(
             f"the rig on {name} has a watchdog of {ack.watchdog_ms} ms, must be max(20 ms, "
-            f"5 ticks) = {due:g} ms, or up to twice that"
+            f"5 ticks) = {due_us / 1000:g} ms, or up to twice that"
         )
 
 

@@ -175,6 +175,19 @@ def test_a_rig_that_cannot_be_driven_safely_is_refused(greeting, said):
         Table(OtherRig(greeting=greeting)).session.connect(HELLO)
 
 
+@pytest.mark.parametrize(("tick_ms", "rule"), [(1, 20), (5, 25), (10, 50), (20, 100), (77, 385)])
+def test_a_watchdog_of_the_rules_length_up_to_twice_that_is_accepted(tick_ms, rule):
+    def connect(watchdog_ms):
+        greeting = (0x44524654, 9, 7, 1e-5, 1e-4, 2.0, 0.1, watchdog_ms, 0)
+        Table(OtherRig(greeting=greeting)).session.connect(Hello(tick_ms * 1000, rule))
+
+    connect(rule)
+    connect(2 * rule)
+    for beyond in (rule - 1, 2 * rule + 1):
+        with pytest.raises(InputError, match=f"a watchdog of {beyond} ms, must be"):
+            connect(beyond)
+
+
 def test_a_rig_with_a_fault_is_not_armed():
     table = Table(ours())
     table.session.connect(HELLO)
