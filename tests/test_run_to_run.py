@@ -1,6 +1,7 @@
 """What runs scatter by: values of their own, and a zeta that they share."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,15 @@ def test_a_zeta_of_each_run_counts_in_nothing(runs):
         assert found.error < 0.1 * np.ptp(ZETAS)
     (floor,) = (each for each in apart.findings if each.startswith("repeated runs"))
     assert floor.endswith("beyond their own values: the noise floor")
+
+
+def test_a_zeta_that_no_run_tells_is_no_error():
+    run = recorded(setup_of())
+    z = np.array(run.measured.z)
+    z[z.size // 2 :] = 2e3
+    absurd = replace(run.measured, z=z)
+    (found,) = fit([coarse("absurd", replace(run, measured=absurd))], [shared("zeta")]).runs
+    assert found.status == "diverged"
 
 
 def test_chance_alone_is_told_as_scatter_in_one_of_twenty_cases():
