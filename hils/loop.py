@@ -11,6 +11,7 @@ from hils.clock import AbstractClock
 from hils.events import Event, TickFlag
 from hils.guard import REST, Demand, Reading, Verdict
 from hils.link import AbstractLink, Arrival
+from hils.rig_protocol import told
 from hils.row_stream import OnlineRow
 from hils.rows import Rows
 from hils.session import EMERGENCY
@@ -115,7 +116,7 @@ class TickLoop:
         rows: Takes what is recorded.
         stop: Looked at on each tick.
         zero: Counts at touch-down.
-        boot_id: Of the rig when the session was opened.
+        ack: What the rig said of itself when the session was opened.
         overruns: What follows a missed deadline.
         valid_ms: How long the rig may hold a command [ms].
     """
@@ -128,13 +129,13 @@ class TickLoop:
         rows: Rows,
         stop: StopRequest,
         zero: Zero,
-        boot_id: int,
+        ack: HelloAck,
         overruns: Overruns,
         valid_ms: int,
     ):
         self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
         self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
-        self._zero, self._boot_id = zero, boot_id
+        self._zero, self._ack = zero, ack
         self._channels = channels(zero.x_scale)
         self._policy, self._valid_ms = overruns, valid_ms
         # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
@@ -301,9 +302,9 @@ class TickLoop:
             self._event(Event.RIG_FAULT, measurement.fault)
             raise _Over(f"the rig reports fault {measurement.fault}")
         self._require_obeying(measurement.state)
-        told = arrival.frame.t_us
+        t_us = arrival.frame.t_us
         self._rig_us = (
-            told if self._rig_us is None else self._rig_us + (told - self._rig_us) % 2**32
+            t_us if self._rig_us is None else self._rig_us + (t_us - self._rig_us) % 2**32
         )
         # Two may arrive at one reading of a coarse clock; a run log's times increase.
         time = max(time, math.nextafter(self._reading_time, math.inf))
@@ -314,20 +315,23 @@ class TickLoop:
         if isinstance(message, EmergencyStop):
             self._link.send(message)
             self._event(Event.EMERGENCY_STOP, message.reason)
-            raise _Over(f"the rig made an emergency stop, reason {message.reason}")
+            why = told(self._ack.rig_id, message.reason)
+            raise _Over(f"the rig made an emergency stop, {why}")
         if isinstance(message, StateReport | HelloAck):
-            if message.boot_id != self._boot_id:
+            if message.boot_id != self._ack.boot_id:
                 self._reset(message.boot_id)
-            self._require_obeying(message.state)
+            reason = message.reason if isinstance(message, StateReport) else None
+            self._require_obeying(message.state, reason)
 
-    def _require_obeying(self, state: RigState) -> None:
+    def _require_obeying(self, state: RigState, reason: int | None = None) -> None:
         if state not in READY:
             self._event(Event.RIG_STATE, state)
-            raise _Over(f"the rig went {state.name}")
+            why = "" if reason is None else f", {told(self._ack.rig_id, reason)}"
+            raise _Over(f"the rig went {state.name}{why}")
 
     def _look_for_reset(self) -> None:
         stranger = self._link.quality().stranger
-        if stranger is not None and stranger.boot_id != self._boot_id:
+        if stranger is not None and stranger.boot_id != self._ack.boot_id:
             self._reset(stranger.boot_id)
 
     def _reset(self, boot_id: int) -> None:

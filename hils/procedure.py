@@ -313,9 +313,9 @@ def _loop(
     ack: HelloAck,
 ) -> LoopReport:
     valid_ms = watchdog_ms(round(conduct.loop.tick * 1e6))
-    return TickLoop(
-        conduct, link, clock, rows, stop, zero, ack.boot_id, procedure.overruns, valid_ms
-    ).run(state, began)
+    return TickLoop(conduct, link, clock, rows, stop, zero, ack, procedure.overruns, valid_ms).run(
+        state, began
+    )
 
 
 def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue) -> bool:

@@ -204,7 +204,7 @@ def test_asked_to_stop_before_the_start_nothing_turns():
 
 def test_rig_that_goes_safe_ends_the_run():
     made = make(cue=lambda stop, link: link.send(EmergencyStop(9)), at=2.0)
-    assert made.report.reason == "the rig went SAFE"
+    assert made.report.reason == "the rig went SAFE, reason 4 (stopped by the host)"
     assert not made.report.completed
     assert made.rows.end_reason == made.report.reason
     assert made.events(Event.RIG_STATE) == [RigState.SAFE]
@@ -225,7 +225,7 @@ def test_rigs_own_emergency_stop_is_answered_by_one():
             return found if pressed is None else [*found, Arrival(Frame(pressed, 1, 1, 0), now)]
 
     made = make(cue=press, at=2.0, link=Pressed)
-    assert made.report.reason == "the rig made an emergency stop, reason 12"
+    assert made.report.reason == "the rig made an emergency stop, reason 12 (unknown)"
     first = next(m for _, m in made.said if isinstance(m, EmergencyStop | Stop))
     assert first == EmergencyStop(12)
     assert made.report.rested
@@ -353,7 +353,8 @@ def test_policy_stop_ends_the_run_at_the_first_missed_deadline():
 
 def test_sleep_longer_than_the_watchdog_finds_the_rig_safe():
     made = make(at=2.0, late=0.2)
-    assert made.report.reason == "the rig went SAFE"
+    watchdog = "reason 1 (watchdog: no valid command in time)"
+    assert made.report.reason == f"the rig went SAFE, {watchdog}"
     assert not made.report.completed
     assert resting(made)
 
