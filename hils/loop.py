@@ -161,6 +161,8 @@ class TickLoop:
         """
         self._start = start
         self._seen = self._link.newest()
+        if self._seen is not None:
+            self._rig_us = self._seen.frame.t_us
         self._drops = self._link.quality().dropped
         self._command(0.0, REST)
         self._rows.event(0.0, Event.STARTED, state.packed[1])

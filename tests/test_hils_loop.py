@@ -106,6 +106,12 @@ def test_stop_and_farewell_end_the_session():
     assert made.soft.rig.state is RigState.IDLE
 
 
+def test_the_rigs_clock_goes_with_the_hosts_from_the_first_row_on():
+    apart = [row.rig_time - row.time for row in whole("step").rows.ticks]
+    # A reading is up to two ticks old, and the clocks drift apart by less.
+    assert np.ptp(apart) < 3 * TICK
+
+
 @pytest.mark.parametrize("tuner", ["step", "pi", "kalman"])
 def test_rows_replay_to_the_same_zeta_bit_for_bit(tuner):
     check_replay(whole(tuner).rows)
