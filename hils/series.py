@@ -249,6 +249,8 @@ def told(report: RunReport, path: Path) -> list[str]:
     )
     if path.exists():
         lines.append(f"Run log: {path}")
+    elif loop is not None and not loop.fresh:
+        lines.append("No run log: no reading came during the profile.")
     return lines
 
 

@@ -58,6 +58,16 @@ def test_stop_that_comes_while_the_file_is_closed_is_in_the_report(tmp_path):
     assert "No further run: asked to stop (SIGTERM)." in told(report, tmp_path / "run.h5")
 
 
+def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
+    report = make().report
+    assert report is not None
+    loop = report.loop
+    assert loop is not None
+    blind = dataclasses.replace(report, loop=loop._replace(fresh=0))
+    assert told(blind, tmp_path / "run.h5")[-1].startswith("No run log: no reading came")
+    assert told(report, tmp_path / "run.h5")[-1].startswith("Link: ")
+
+
 def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
     def fail(rows):
         raise InputError("run.h5: the recorder could not finish")
