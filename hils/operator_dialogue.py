@@ -72,15 +72,13 @@ class Terminal(AbstractDialogue):
                 return
             print(question, end="", flush=True)
             while not select.select([sys.stdin], [], [], LOOK)[0]:
-                try:
-                    meanwhile()
-                except BaseException:
-                    _say("")
-                    raise
+                meanwhile()
             if not sys.stdin.readline():
                 raise EOFError
-        except (EOFError, OSError):
+        except BaseException as error:
             _say("")  # the question has left the line open
+            if not isinstance(error, EOFError | OSError):
+                raise
             raise InputError(
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None

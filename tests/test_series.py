@@ -291,6 +291,16 @@ def test_what_is_met_meanwhile_ends_the_question(keyboard, capsys):
     assert capsys.readouterr().out.endswith(" \n")
 
 
+def test_an_interrupted_question_leaves_its_line_closed(keyboard, monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("select.select", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Terminal().confirm("Let the wheel down")
+    assert capsys.readouterr().out.endswith(" \n")
+
+
 def test_a_terminal_that_is_closed_answers_nothing(keyboard):
     os.write(keyboard, b"\x04")
     with pytest.raises(InputError, match="nobody is at the terminal"):
