@@ -118,9 +118,9 @@ def run(
     from hils.screen import viewable
     from hils.series import Series, file_names, make_series
 
-    numbers = _numbers(number or [])
     given = {"zeta_step": zeta_step, "tolerance": tolerance}
-    numbers |= {name: value for name, value in given.items() if value is not None}
+    named = [f"{name}={value}" for name, value in given.items() if value is not None]
+    numbers = _numbers([*named, *(number or [])])
     loop = LoopSetUp(
         setup=read_setup(profile),
         commands=CommandLimits(omega_max, vx_max),
@@ -153,8 +153,11 @@ def _numbers(given: list[str]) -> dict[str, float]:
     numbers = {}
     for each in given:
         name, _, value = each.partition("=")
+        name = name.strip().replace("-", "_")
+        if name in numbers:
+            raise InputError(f"the tuner's number {name!r} is given twice")
         try:
-            numbers[name.strip().replace("-", "_")] = float(value)
+            numbers[name] = float(value)
         except ValueError:
             raise InputError(f"--number is {each!r}, must be NAME=VALUE with a number") from None
     return numbers
