@@ -292,6 +292,15 @@ def test_stop_without_a_run_says_so(drft, base):
     assert "no run of this user's is under way" in drft("hils", "stop").refusal
 
 
+def test_stop_names_no_file_where_none_was_made(drft, base, monkeypatch):
+    monkeypatch.setattr("hils.under_way.tell", lambda run, kind: None)
+    monkeypatch.setattr("hils.under_way.ended", lambda run, within: True)
+    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+        assert drft("hils", "stop").out == "the run on /dev/ttyUSB0 has ended\n"
+        (base / "run.h5").touch()
+        assert f"has ended; its file is {base / 'run.h5'}" in drft("hils", "stop").out
+
+
 def test_stop_speaks_of_the_emergency_stop_while_the_file_is_closed_and_waits_on(
     drft, base, monkeypatch
 ):

@@ -1,5 +1,6 @@
 """`drft hils stop`: bring the rig to rest from another terminal."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -55,4 +56,6 @@ def stop(
                     f"the run on {run.port} (process {run.pid}) has not ended in "
                     f"{LONGEST_RAMP + CLOSE_LIMIT:g} s; use the rig's emergency stop"
                 )
-        typer.echo(f"the run on {run.port} has ended; its file is {run.output}")
+        # A run that is stopped before its first tick leaves none.
+        file = f"; its file is {run.output}" if Path(run.output).exists() else ""
+        typer.echo(f"the run on {run.port} has ended{file}")
