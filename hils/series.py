@@ -75,11 +75,11 @@ def file_names(output: Path, runs: int) -> list[Path]:
 
 
 def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue) -> int:
-    """Make the runs, one after the other; the first that does not complete ends them, and so does
-    whoever asks for an end, between two runs as well.
+    """Make the runs, one after the other; the first that does not complete, or after which the rig
+    is not seen to rest, ends them, and so does whoever asks for an end, between two runs as well.
 
     Returns:
-        The exit code: 0 where all were completed and nobody asked for an end.
+        The exit code: 0 where all were completed, the rig rests and nobody asked for an end.
 
     Raises:
         InputError: a run could not be begun, or its file not be finished.
@@ -102,7 +102,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
                 wish = report.wish or stop.wish
                 if wish is not None:
                     return _code(wish)
-                if not report.completed:
+                if not (report.completed and report.rested):
                     return ENDED_EARLY
                 stop.uncut = False
         except KeyboardInterrupt:

@@ -111,6 +111,11 @@ def test_series_ends_where_an_end_was_asked_for_though_the_run_was_completed(run
     assert runs(wish=wish) == (code, 1)
 
 
+def test_series_ends_where_the_rig_was_not_seen_to_rest(runs):
+    """What prepares the sand would meet a wheel that turns."""
+    assert runs(rested=False) == (ENDED_EARLY, 1)
+
+
 def test_file_that_could_not_be_finished_ends_the_series_with_its_sentence(runs):
     with pytest.raises(InputError, match="the disk is full"):
         runs(unfinished="the disk is full")
