@@ -9,10 +9,12 @@ carriage stands, and that it is not RUNNING.
 import math
 
 from hils.clock import AbstractClock
+from hils.events import Event
 from hils.link import AbstractLink
 from hils.loop import longest_silence
+from hils.rig_protocol import told
 from hils.session import EMERGENCY, NOT_RESTED, Session
-from hils.stop_request import StopRequest
+from hils.stop_request import StopRequest, Wish
 from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState
 
 # A wheel that turns slower rests [rad/s].
@@ -32,7 +34,7 @@ class Rest:
     Args:
         session, link, clock: The rig.
         ack: What it said of itself when the session was opened.
-        stop: Looked at all the while.
+        stop: Looked at all the while, and asked by the rig's own emergency stop.
         hold: The command to stand.
         tick: Time from one command to the next [s].
         ramp: Time in which the fastest wheel is ramped down [s]; one whose angular velocity is not
@@ -118,8 +120,15 @@ class Rest:
         stranger = self._link.quality().stranger
         if stranger is not None and stranger.boot_id != self._ack.boot_id:
             return True
-        reports = self._link.reports()
-        return any(isinstance(each.frame.message, EmergencyStop) for each in reports)
+        for each in self._link.reports():
+            message = each.frame.message
+            if isinstance(message, EmergencyStop):
+                # Whoever pressed the rig's button wants no further run either.
+                why = told(self._ack.rig_id, message.reason)
+                wish = Wish(f"the rig made an emergency stop, {why}", Event.EMERGENCY_STOP)
+                self._stop.ask(wish)
+                return True
+        return False
 
 
 class _Watch:

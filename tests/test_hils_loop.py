@@ -217,19 +217,33 @@ def test_rig_that_goes_safe_ends_the_run():
     assert resting(made)
 
 
+class Pressed(LoggedLink):
+    """The rig's own emergency stop is pressed."""
+
+    pressed = None
+
+    def reports(self):
+        pressed, self.pressed = self.pressed, None
+        found = super().reports()
+        now = self._clock.now()
+        return found if pressed is None else [*found, Arrival(Frame(pressed, 1, 1, 0), now)]
+
+
+def press(stop, link):
+    link.pressed = EmergencyStop(12)
+
+
+def test_rigs_own_emergency_stop_after_the_profile_asks_for_no_further_run():
+    made = make(cue=press, at=3.6, link=Pressed)
+    assert made.report.completed
+    assert made.report.wish is not None
+    assert made.report.wish.reason == "the rig made an emergency stop, reason 12 (unknown)"
+    assert any(isinstance(said, EmergencyStop) for _, said in made.said)
+    assert made.soft.rig.state is RigState.SAFE
+    assert resting(made)
+
+
 def test_rigs_own_emergency_stop_is_answered_by_one():
-    def press(stop, link):
-        link.pressed = EmergencyStop(12)
-
-    class Pressed(LoggedLink):
-        pressed = None
-
-        def reports(self):
-            pressed, self.pressed = self.pressed, None
-            found = super().reports()
-            now = self._clock.now()
-            return found if pressed is None else [*found, Arrival(Frame(pressed, 1, 1, 0), now)]
-
     made = make(cue=press, at=2.0, link=Pressed)
     assert made.report.reason == "the rig made an emergency stop, reason 12 (unknown)"
     first = next(m for _, m in made.said if isinstance(m, EmergencyStop | Stop))
