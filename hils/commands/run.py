@@ -25,10 +25,10 @@ Examples:
       -o bed.h5 --repeat 10
 
 The profile is a set-up file: what you believe of wheel, sand and rig, and omega(t). Nothing moves
-before all is checked and zeroed. Ctrl-C ramps the wheel down, a second Ctrl-C is an emergency stop,
-and so are drft hils stop and drft hils stop --now from another terminal. In the live view, S stops
-and E is an emergency stop; there is none with --no-ui, or where the output is no terminal. A
-picture of the run is drawn beside the run log.
+before all is checked and zeroed. Ctrl-C, or drft hils stop from another terminal, ramps the wheel
+down; a second Ctrl-C, or drft hils stop --now, is an emergency stop. In the live view, S stops and
+E is an emergency stop; there is no view with --no-ui, or where the output is no terminal. A picture
+of the run is drawn beside the run log.
 """
 
 
@@ -44,10 +44,15 @@ def run(
         typer.Option(help="How zeta is moved: eq. 7's fixed step, or one of docs/hils-tuners.md."),
     ] = "step",
     zeta_step: Annotated[
-        float | None, typer.Option(help="Of the tuner 'step': change of zeta on one tick.")
+        float | None,
+        typer.Option(help="Of the tuner 'step': change of zeta on one tick.", show_default="0.001"),
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(help="Sinkage error that is left alone [m].")
+        float | None,
+        typer.Option(
+            help="Of the tuners 'step' and 'pi': sinkage error that is left alone [m].",
+            show_default="step 0.0001, pi 0.00002",
+        ),
     ] = None,
     number: Annotated[
         list[str] | None,
