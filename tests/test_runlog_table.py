@@ -300,7 +300,7 @@ def test_the_import_command_writes_a_folder_of_good_run_logs(table, tmp_path):
     assert check_files(written) == [[], []]
     again = CliRunner().invoke(app, command)
     assert isinstance(again.exception, InputError)
-    assert "--force" in str(again.exception)
+    assert "and 1 more are already there; give --force" in str(again.exception)
     assert CliRunner().invoke(app, [*command, "--force"]).exit_code == 0
 
 

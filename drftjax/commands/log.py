@@ -132,7 +132,7 @@ def import_(
     targets = _targets(output, [each.name for each in imported])
     taken = [path for path in targets if path.exists()]
     if taken and not force:
-        more = f" and {len(taken) - 1} more" if len(taken) > 1 else ""
+        more = f" and {len(taken) - 1} more are" if len(taken) > 1 else " is"
         raise InputError(f"{taken[0]}{more} already there; give --force to replace")
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
