@@ -67,7 +67,7 @@ def main() -> None:
                 ),
             )
         )
-        print(rows[-1], flush=True)
+        print(f"{name}: RMSE of z {MM * first.rmse:.3f} mm", flush=True)
     head = ["the rig differs by", "ζ(0)", "RMSE of z, mm"]
     head += [f"{path}, {kind}" for kind in ("plane", "z", "x") for path in ("HILS-DRFT", "DRFT")]
     print(f"\n{table(head, rows)}")
