@@ -16,7 +16,7 @@ from drftjax.runlog.record import RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.effect_parameter import put_effects
-from identify.observation import ROUNDING, Observation, observe
+from identify.observation import ROUNDING, Observation, observe, without_refused
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
 FIT_METHOD = "held pace"
@@ -75,6 +75,7 @@ def candidate(
         InputError: where the run cannot be simulated or compared.
     """
     try:
+        run = without_refused(run)
         require_upright(run)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
         observation = observe(run, setup.wheel.radius, keep_rest=keep_rest)

@@ -10,6 +10,7 @@ from drftjax.runlog.guard import GuardedReader
 from drftjax.runlog.layout import run_from
 from drftjax.runlog.record import RunLog
 from identify.candidate import Candidate, candidate, names_of
+from identify.observation import refused_readings
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ def gather(
         given: Run logs, and folders of them; a file that repeats another is left out.
         ready: Makes a run ready, from its name and what was recorded.
         sinkage: Whether only runs with a sinkage can be used.
-        tell: Called with a sentence for every run that is left out, unless it is the only one.
+        tell: Called with a sentence for every run that is left out, unless it is the only one, and
+            for readings that are.
 
     Raises:
         InputError: where none can be used.
@@ -48,10 +50,13 @@ def gather(
     with GuardedReader() as reader:
         for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):
             try:
-                each = ready(name, run_from(*surveyed))
+                run = run_from(*surveyed)
+                each = ready(name, run)
                 if sinkage and "z" not in each.observation.channels:
                     raise InputError("has no /measured/z, so its sinkage is not known")
                 candidates.append(each)
+                if refused := int(refused_readings(run).sum()):
+                    tell(f"{name}: {refused} readings, which the loop refused, are not compared")
             except InputError as problem:
                 why = str(problem).removeprefix(f"{name}: ")
                 left_out[name] = why if str(path) in why else f"{path}: {why}"

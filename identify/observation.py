@@ -1,11 +1,12 @@
 """What a recorded run offers to a fit: its channels at the recorded times."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drftjax.errors import InputError
-from drftjax.runlog.record import CHANNELS, RunLog
+from drftjax.runlog.record import CHANNELS, Measured, RunLog
 from identify.pace import STANDS, pace
 
 FREE_CHANNELS = ("x", "z", "torque")
@@ -15,6 +16,9 @@ DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
 # A median absolute second difference of white noise is this many standard deviations.
 SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
+
+# Words of /online's flags: a tick had a reading of its own, and the loop refused it.
+FRESH, REFUSED = "fresh", "refused"
 
 # Two clocks that write the same time may differ by this [s].
 ROUNDING = 1e-9
@@ -63,6 +67,44 @@ def intervals_of(time: np.ndarray) -> np.ndarray:
     steps = np.diff(time)
     usual = np.median(steps) if len(steps) else 1.0
     return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
+
+
+def refused_readings(run: RunLog) -> NDArray[np.bool_]:
+    """Rows of /measured that the loop refused as jumps, or as no height a wheel can have.
+
+    Each tick with a fresh reading has the next row. Where there are not as many of both, as in a
+    run that was cut off, the log does not tell which rows they are.
+
+    Args:
+        run: Made in the loop or not.
+
+    Returns:
+        True for each such row, shape (samples,).
+    """
+    none = np.zeros(len(run.measured.time), bool)
+    if run.online is None:
+        return none
+    bits = {word: bit for bit, word in run.online.meanings.items()}
+    if not {FRESH, REFUSED} <= set(bits):
+        return none
+    fresh, refused = ((run.online.flags & bits[word]) != 0 for word in (FRESH, REFUSED))
+    return refused[fresh] if fresh.sum() == len(none) else none
+
+
+def without_refused(run: RunLog) -> RunLog:
+    """The run without the readings that the loop refused.
+
+    Raises:
+        InputError: where it refused them all.
+    """
+    kept = ~refused_readings(run)
+    if kept.all():
+        return run
+    if not kept.any():
+        raise InputError("the loop refused all its readings; at least one must be sound")
+    measured = run.measured
+    channels = {name: values[kept] for name, values in measured.channels().items()}
+    return replace(run, measured=Measured(time=measured.time[kept], **channels))
 
 
 def comparable(driven: bool) -> tuple[str, ...]:
