@@ -17,7 +17,7 @@ from diagnose.chance import chance
 from diagnose.cut import Share
 from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
-from diagnose.hypothesis import Hypothesis, foremost, left_of
+from diagnose.hypothesis import Hypothesis, beliefs, foremost, left_of
 from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
@@ -284,18 +284,21 @@ def _weights(
 
 
 def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]]:
-    """The chosen effects' numbers with standard errors, by their own columns."""
+    """The chosen effects' numbers with standard errors, by their own columns.
+
+    What is believed of a number before any run bounds the error of one that the runs do not tell.
+    """
     products = bench.products_of(chosen.columns, chosen.residual, chosen.log_zeta)
     worth = np.array([1.0 if kind == "slow" else 0.1 for _, kind in products.blocks])
     floor = np.array([FLOOR[block] for block in products.blocks]) ** 2
     weight = worth / (chosen.line.left + floor)
     gram = np.einsum("b,rbij->rij", weight, products.gram[:, :, :-1, :-1])
-    count = len(chosen.coordinates)
-    information = np.zeros((count, count))
+    width, _ = beliefs(chosen.model)
+    information = np.diag(1 / width**2)
     for run in gram:
         own = max(run[0, 0], 1e-300)
         information += run[1:, 1:] - np.outer(run[1:, 0], run[0, 1:]) / own
-    error = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0))
+    error = np.sqrt(np.diag(np.linalg.inv(information)))
     found: dict[str, dict[str, Number]] = {}
     for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
         effect = chosen.model.effects[free.index]

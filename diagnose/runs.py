@@ -141,7 +141,7 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
             given, the start nearest to zero, or zero where that is as good as there.
     """
     known = any(each.setup.effects for each in candidates)
-    starts = [each.setup.start.x for each in candidates if "x" in each.observation.channels]
+    starts = [each.setup.start.x for each in candidates if _has_x(each)]
     if known or not starts:
         return list(candidates)
     if origin is None:
@@ -153,17 +153,23 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
 def _counted_from(each: Candidate, origin: float) -> Candidate:
     setup, observation = copy.deepcopy(each.setup), each.observation
     setup.start.origin = origin
-    if origin == 0.0 or "x" not in observation.channels:
+    if origin == 0.0 or not _has_x(each):
         return dataclasses.replace(each, setup=setup)
     setup.start.x -= origin
     values = observation.values.copy()
-    values[observation.channels.index("x")] -= origin
+    if "x" in observation.channels:
+        values[observation.channels.index("x")] -= origin
     return dataclasses.replace(
         each,
         setup=setup,
         trial=setup.trial(STEPS_A_ROW * setup.integrator.step),
         observation=dataclasses.replace(observation, values=values),
     )
+
+
+def _has_x(each: Candidate) -> bool:
+    """Whether its x was recorded; that of a driven carriage is not compared."""
+    return "x" in (*each.observation.channels, *each.observation.unused)
 
 
 def _kind(each: Candidate) -> str:

@@ -50,7 +50,8 @@ def read_document(path: Path) -> dict[str, Any]:
         why = f"is not text; must be {kind}"
         if problem.object.startswith(HDF5):
             why = (
-                f"is an HDF5 file, must be {kind}; commands that take a run log have --like for it"
+                f"is an HDF5 file, must be {kind}; commands that take a run log in its place, such "
+                "as simulate, have --like for it"
             )
         raise InputError(f"{path}: {why}") from None
     try:

@@ -96,7 +96,7 @@ def candidate(
             early = observation.time == first
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
-        if run.measured.x is not None and run.command.vx is None and told:
+        if run.measured.x is not None and told:
             setup.start.x = float(run.measured.x[early].mean())
         if zeta is not None:
             setup.terrain.zeta = zeta

@@ -12,7 +12,7 @@ from diagnose.model_file import read_model_file
 from drftjax.runlog.record import RunLog
 from drftjax.setup_toml import setup_toml
 from identify.candidate import candidate
-from tests.virtual_runs import recorded, setup_of
+from tests.virtual_runs import SLOW, recorded, setup_of
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +36,18 @@ def test_runs_that_start_elsewhere_count_from_there_and_keep_their_places(run):
         difference = other.observation.values[0] + moved - one.observation.values[0]
         np.testing.assert_allclose(difference, 0, rtol=0, atol=1e-12)
         assert other.trial.start.position[0] == pytest.approx(other.setup.start.x, abs=1e-12)
+
+
+def test_a_driven_carriage_starts_where_its_x_was_recorded():
+    """Though x is given there and not compared: a patch of the bed lies at one place."""
+    setup = setup_of(SLOW, vx=[0.0, 0.0, 0.06, 0.06])
+    one, other = (recorded(setup, channels=("x", "z"), seed=seed) for seed in (0, 1))
+    found = gathered_from({"a": from_x(one, 2.0), "b": from_x(other, 2.3)}).candidates
+    assert "x" not in found[0].observation.channels
+    starts = [each.trial.start.position[0] for each in found]
+    assert starts == pytest.approx([0.0, 0.3], abs=1e-4)
+    assert found[1].setup.start.origin == found[0].setup.start.origin
+    assert found[0].setup.start.origin == pytest.approx(2.0, abs=1e-4)
 
 
 def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
