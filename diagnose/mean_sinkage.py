@@ -13,7 +13,7 @@ from diagnose.response import Model
 
 # It is found by so many secant steps.
 MOST_TURNS = 8
-CLOSE_ENOUGH = 1e-4
+CLOSE_ENOUGH = 2e-5
 # A mean sinkage is met within this [m], half the noise of a good scale, or where steps end.
 MET = 1e-5
 

@@ -11,8 +11,8 @@ from diagnose.mean_sinkage import followed
 from diagnose.response import Model
 from tests.virtual_cases import case_with
 
-# Secant steps end where a ten-thousandth of zeta is left: about 2 um of half a millimetre.
-AGREE = 5e-3
+# Secant steps end where 2e-5 of zeta is left: about half a micrometre of half a millimetre.
+AGREE = 2e-3
 
 
 @pytest.fixture(scope="module")
