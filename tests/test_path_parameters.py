@@ -126,14 +126,6 @@ def test_a_prior_holds_what_the_runs_do_not_tell():
     assert abs(value.value - 1.4) < 0.05
 
 
-def test_a_value_at_its_bound_is_said_to_be():
-    bounded = own("drawbar.force", bounds=(-1.0, 2.0), start=1.0)
-    result = fit_paths([pulled(1, DRAWBAR[1])], SPACING, [bounded])
-    assert result.runs[0].values["drawbar.force"].value == pytest.approx(2.0, abs=0.01)
-    assert result.runs[0].status == "at a bound"
-    assert "drawbar.force has run into its bound" in result.findings
-
-
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -147,10 +139,16 @@ def test_what_a_path_finds_itself_is_refused(runs, name, said):
         fit_paths(runs, SPACING, [own(name)])
 
 
-def test_a_run_outside_the_bounds_is_left_out(runs):
-    bounded = shared("lambda", bounds=(0.5, 2.0))
-    set_up = shared("lambda").quantity.write(runs[1].trial, jnp.asarray(3.0))
-    beyond = dataclasses.replace(runs[1], trial=set_up)
-    result = fit_paths([runs[0], beyond], SPACING, [bounded])
+def test_a_value_at_its_bound_is_said_to_be_and_a_run_outside_is_left_out(runs):
+    write = shared("lambda").quantity.write
+    within, beyond = (
+        dataclasses.replace(each, trial=write(each.trial, jnp.asarray(value)))
+        for each, value in zip(runs, (0.4, 3.0), strict=True)
+    )
+    bounded = own("lambda", bounds=(0.2, 0.6))
+    result = fit_paths([within, beyond], SPACING, [bounded])
     assert [each.name for each in result.runs] == ["run 0"]
-    assert "outside the bounds 0.5 to 2" in result.failures["run 1"]
+    assert "outside the bounds 0.2 to 0.6" in result.failures["run 1"]
+    assert result.runs[0].values[LAMBDA].value == pytest.approx(0.6, abs=0.004)
+    assert result.runs[0].status == "at a bound"
+    assert "lambda has run into its bound" in result.findings
