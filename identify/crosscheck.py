@@ -50,7 +50,8 @@ class RunCheck:
         error: Recorded minus simulated sinkage on each tick [m].
         moving: Ticks on which the wheel is asked to move.
         tuner: The tuner's comparison.
-        rmse: Simulated minus recorded over the moving part, by "tuner", "offline" and channel [m].
+        rmse: Simulated minus recorded up to where the command last moves, by "tuner", "offline" and
+            channel [m].
         sweep: Other settings of the tuner.
         online: The comparison of the zeta that the run itself logged, where it did.
         online_time, online_zeta: That zeta.
