@@ -3,12 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from diagnose.case import Case
-from diagnose.diagnosis import diagnose
+from diagnose.interface import diagnose
 from diagnose.promise import measured_on
-from diagnose.runs import from_one_start
-from drftjax.effects.catalogue import catalogue
-from identify.candidate import candidates_of
 
 
 def answer_set(paths: Sequence[Path]) -> dict:
@@ -20,8 +16,7 @@ def answer_set(paths: Sequence[Path]) -> dict:
     Args:
         paths: The runs of the set.
     """
-    case = Case.of(from_one_start(candidates_of(list(paths))))
-    found = diagnose(case, tuple(catalogue().values()))
+    found = diagnose(paths)
     fresh = sorted((Path(paths[0]).parent / "fresh").glob("*.h5"))
     answer = found.document()
     if fresh and found.added.effects:

@@ -6,14 +6,18 @@ from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from diagnose.blocks import Splitter
 from diagnose.case import Case, with_zeta
+from diagnose.curves import program_of
 from diagnose.evidence import Products, block_names
-from diagnose.kick import READINGS, grid, kick, respond_to, zeta_kick
+from diagnose.kick import READINGS, Kick, grid, kick, respond_to, zeta_kick
+from diagnose.path import Trace
 from diagnose.response import Model
 from drftjax.effects.catalogue import numbers, shapes, strengths
 from drftjax.effects.stage import AbstractEffect
+from drftjax.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,11 @@ class Bench:
             path = case.trace(run, log_zeta[run])
             trial = with_zeta(case.trials[run], log_zeta[run])
             node = jnp.asarray(case.node(run))
-            found = [respond_to(path, zeta_kick(path))]
-            found += [
-                respond_to(path, kick(each, trial, path, node, grid(each))) for each in effects
-            ]
-            at_nodes = np.concatenate([np.asarray(each) for each in found], axis=-1)[:, picked]
+            found = [np.asarray(respond_to(path, zeta_kick(path)))]
+            for each in effects:
+                by_program = respond_to(path, _kick(each, trial, path, node))
+                found.append(_of_effect(np.asarray(by_program), each))
+            at_nodes = np.concatenate(found, axis=-1)[:, picked]
             at_nodes[:, :, 1:] *= scale
             nodes = int(path.nodes)
             columns = _at(case.time(run), np.asarray(path.time)[: nodes + 1], at_nodes)
@@ -80,11 +84,8 @@ class Bench:
         # Compiled once, side by side, before every thread needs all of them.
         first = case.trace(0, log_zeta[0])
         node = jnp.asarray(case.node(0))
-        list(
-            case.threads.map(
-                lambda each: kick(each, case.trials[0], first, node, grid(each)), effects
-            )
-        )
+        one_of_each = {program_of(each).effect: each for each in effects}.values()
+        list(case.threads.map(lambda each: _kick(each, case.trials[0], first, node), one_of_each))
         both = case.each_run(of)
         splitters = [Splitter.of(case.time(run)) for run in range(len(case.candidates))]
         return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)
@@ -142,6 +143,19 @@ class Bench:
             np.array([count for _, count in found]),
             log_zeta + self.reference,
         )
+
+
+def _kick(effect: type[AbstractEffect], trial: Trial, path: Trace, node: Array) -> Kick:
+    program = program_of(effect)
+    return kick(program.effect, trial, path, node, grid(effect), program.held)
+
+
+def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
+    """Columns by an effect's own strengths, variant by variant, from those of its program."""
+    mix = program_of(effect).mix
+    return (columns.reshape(*columns.shape[:-1], -1, len(mix)) @ mix).reshape(
+        *columns.shape[:-1], -1
+    )
 
 
 def _variants(effects: Sequence[type[AbstractEffect]]) -> tuple[tuple[Variant, ...], np.ndarray]:

@@ -122,10 +122,10 @@ class Case:
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
         def of(model: Model) -> None:
-            at = jnp.asarray(model.null(), float)
-            program(model, self.channels, self.trials[0], nothing, as_real(0.0), at)
+            program(model, self.channels, self.trials[0], nothing, as_real(0.0), model.null())
 
-        list(self.threads.map(of, models))
+        # One of each program, or threads would compile the same side by side.
+        list(self.threads.map(of, {each.program[0]: each for each in models}.values()))
 
     def counts(self, run: int) -> np.ndarray:
         """Which of a run's recorded samples are compared."""
@@ -158,7 +158,7 @@ class Case:
             self.trials[run],
             self.observed[run],
             as_real(log_zeta),
-            jnp.asarray(coordinates, float),
+            coordinates,
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 

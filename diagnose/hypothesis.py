@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from diagnose.bench import Bench, Variant
@@ -215,10 +214,10 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
             case.trials[run],
             case.observed[run],
             as_real(here.log_zeta[run]),
-            jnp.asarray(here.coordinates, float),
+            here.coordinates,
         )
         counts = case.counts(run)
-        return np.asarray(slope)[:, : len(counts)][:, counts]
+        return slope[:, : len(counts)][:, counts]
 
     return replace(here, columns=case.each_run(of))
 

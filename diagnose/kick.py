@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diagnose.curves import Held
 from diagnose.latent import INPUTS
 from diagnose.path import FORCES, MOTION, Trace, command_at_time, motion_of, state_of
 from drftjax.effects.catalogue import numbers, shapes, strengths
@@ -64,6 +65,7 @@ def kick(
     path: Trace,
     node: Float[Array, ""],
     variants: Variants,
+    held: Held,
 ) -> Kick:
     """Derivatives along one run by an effect's strengths, for every variant of its shapes.
 
@@ -73,6 +75,7 @@ def kick(
         path: Its trace.
         node: Length of a node [s].
         variants: Values of the effect's shapes; may be empty.
+        held: Numbers of the effect that no fit changes, by field.
 
     Returns:
         Columns go by variant, then by strength.
@@ -82,11 +85,12 @@ def kick(
 
     def of(values: Variants):
         def along(strengths_: Array):
-            built = effect(**dict(zip(names, strengths_, strict=True)), **values)
+            built = effect(**dict(zip(names, strengths_, strict=True)), **values, **held)
             return _along(built, trial, path, node)
 
-        columns = [jax.jvp(along, (at_null,), (d,))[1] for d in jnp.eye(len(names))]
-        return jax.tree.map(lambda *each: jnp.stack(each, axis=-1), *columns)
+        return jax.vmap(lambda d: jax.jvp(along, (at_null,), (d,))[1], out_axes=-1)(
+            jnp.eye(len(names))
+        )
 
     if not variants:
         return of({})

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diagnose.curves import Held, program_of
 from drftjax.effects.catalogue import numbers, shapes, strengths
 from drftjax.effects.stage import AbstractEffect
 from drftjax.trial import Trial
@@ -77,10 +78,29 @@ class Model:
             [0.0 if f.scale is not None else f.coordinate(self._default(f)) for f in self.free]
         )
 
+    @cached_property
+    def program(self) -> tuple["Model", tuple[Held, ...], np.ndarray]:
+        """What is compiled: a model, its numbers that no fit changes, its coordinates by these."""
+        programs = [program_of(each) for each in self.effects]
+        general = Model(tuple(each.effect for each in programs), self.shaped)
+        mix = np.zeros((len(general.free), len(self.free)))
+        for column, own in enumerate(self.free):
+            names = strengths(self.effects[own.index])
+            for row, free in enumerate(general.free):
+                if free.index != own.index:
+                    continue
+                if own.scale is None:
+                    mix[row, column] = free.field == own.field
+                elif free.scale is not None:
+                    part = programs[own.index].mix
+                    place = strengths(programs[own.index].effect).index(free.field)
+                    mix[row, column] = part[place, names.index(own.field)] * own.scale / free.scale
+        return general, tuple(each.held for each in programs), mix
+
     def _default(self, free: Free) -> float:
         return float(getattr(self.effects[free.index](), free.field))
 
-    def build(self, coordinates, held: Sequence[dict] = ()) -> tuple[AbstractEffect, ...]:
+    def build(self, coordinates, held: Sequence[Held] = ()) -> tuple[AbstractEffect, ...]:
         """The effects with these coordinates; `held` gives numbers that are not free."""
         values: list[dict] = [dict(each) for each in held] or [{} for _ in self.effects]
         for free, coordinate in zip(self.free, coordinates, strict=True):
@@ -96,6 +116,7 @@ def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
 
 def _predicted(
     model: Model,
+    held: Sequence[Held],
     channels: tuple[str, ...],
     trial: Trial,
     observed: Observed,
@@ -104,18 +125,20 @@ def _predicted(
 ) -> Array:
     zeta = trial.simulator.terrain.zeta.value * jnp.exp(log_zeta)  # pyright: ignore
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
-    trial = with_effects(trial, model.build(at))
+    trial = with_effects(trial, model.build(at, held))
     return between_rows(trial.run_to(observed.compared_rows, channels), observed)
 
 
-@eqx.filter_jit
+_predict = eqx.filter_jit(_predicted)
+
+
 def predict(
     model: Model,
     channels: tuple[str, ...],
     trial: Trial,
     observed: Observed,
     log_zeta: Float[Array, ""],
-    coordinates: Float[Array, " free"],
+    coordinates: np.ndarray,
 ) -> Float[Array, "channels samples"]:
     """One run's channels at its recorded times, with effects.
 
@@ -124,27 +147,44 @@ def predict(
         channels: Which channels (static).
         trial, observed: The run, padded like the others of its set.
         log_zeta: Logarithm of its zeta over its set-up's.
-        coordinates: Free numbers of the effects.
+        coordinates: Free numbers of the effects, shape (free,).
 
     Returns:
         Simulated channels [m, N, N m].
     """
-    return _predicted(model, channels, trial, observed, log_zeta, coordinates)
+    program, held, mix = model.program
+    at = jnp.asarray(mix @ coordinates, float)
+    return _predict(program, held, channels, trial, observed, log_zeta, at)
 
 
-@eqx.filter_jit
 def respond(
     model: Model,
     channels: tuple[str, ...],
     trial: Trial,
     observed: Observed,
     log_zeta: Float[Array, ""],
+    coordinates: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `predict`, with the exact derivative by log zeta and the coordinates, last."""
+    program, held, mix = model.program
+    at = jnp.asarray(mix @ coordinates, float)
+    value, slope = _respond(program, held, channels, trial, observed, log_zeta, at)
+    by_zeta, by_rest = np.split(np.asarray(slope), [1], axis=-1)
+    return np.asarray(value), np.concatenate([by_zeta, by_rest @ mix], axis=-1)
+
+
+@eqx.filter_jit
+def _respond(
+    model: Model,
+    held: Sequence[Held],
+    channels: tuple[str, ...],
+    trial: Trial,
+    observed: Observed,
+    log_zeta: Float[Array, ""],
     coordinates: Float[Array, " free"],
 ) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples all"]]:
-    """As `predict`, with the exact derivative by log zeta and the coordinates."""
-
     def values(both: Array) -> tuple[Array, Array]:
-        found = _predicted(model, channels, trial, observed, both[0], both[1:])
+        found = _predicted(model, held, channels, trial, observed, both[0], both[1:])
         return found, found
 
     both = jnp.concatenate([log_zeta[None], coordinates])

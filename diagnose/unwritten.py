@@ -15,6 +15,7 @@ import numpy as np
 from diagnose.added import Added, effects_of
 from diagnose.bench import Bench, Variant
 from diagnose.case import Case
+from diagnose.curves import in_modes
 from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
@@ -27,7 +28,6 @@ from drftjax.effects.correction import (
     STAGES,
     Curve,
     entry_of,
-    in_modes,
     known_to,
     with_values,
 )

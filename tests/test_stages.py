@@ -182,7 +182,8 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
     moved = with_(kind, at_1=small)[0]
     trial = with_zeta(case().trials[0], float(log_zeta()[0]))
     path = case().trace(0, float(log_zeta()[0]))
-    slope = np.asarray(respond_to(path, kick(kind, trial, path, jnp.asarray(case().node(0)), {})))
+    of = kick(kind, trial, path, jnp.asarray(case().node(0)), {}, {})
+    slope = np.asarray(respond_to(path, of))
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     z = slope[: len(nodes), READINGS.index("z"), 1]
     line = small * np.interp(case().time(0), nodes, z)
@@ -211,7 +212,7 @@ def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
     trial = with_zeta(case().trials[0], float(log_zeta()[0]))
     path = case().trace(0, float(log_zeta()[0]))
     slope = np.asarray(
-        respond_to(path, kick(LooserAndLower, trial, path, jnp.asarray(case().node(0)), {}))
+        respond_to(path, kick(LooserAndLower, trial, path, jnp.asarray(case().node(0)), {}, {}))
     )
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     column = slope[: len(nodes), READINGS.index("z"), ("loss", "lower").index(field)]
@@ -245,7 +246,7 @@ def test_an_effect_on_plates_and_on_a_scale_is_read_once():
     trial = with_zeta(driven.trials[0], float(at))
     path = driven.trace(0, float(at))
     node = jnp.asarray(driven.node(0))
-    slope = np.asarray(respond_to(path, kick(StrongerAndReadSo, trial, path, node, {})))
+    slope = np.asarray(respond_to(path, kick(StrongerAndReadSo, trial, path, node, {}, {})))
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     fz = slope[: len(nodes), READINGS.index("fz"), 0]
     line = more * np.interp(driven.time(0), nodes, fz)

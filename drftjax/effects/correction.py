@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.effects.load import along_x, along_z
@@ -80,6 +79,10 @@ class Gone(eqx.Module):
         nought = jnp.zeros(())
         return cls(nought, nought, nought)
 
+    def known(self) -> dict[str, Number]:
+        """By the names of `VARIABLES`."""
+        return {"travel": self.travel, "turning": self.turning, "time": self.time}
+
 
 class Curve(AbstractEffect):
     """Values at knots over a variable. The knots and the variable belong to the class."""
@@ -99,22 +102,21 @@ class Curve(AbstractEffect):
             return jnp.interp(jnp.mod(variable, TURN), knots, values, period=TURN)
         return jnp.interp(variable, knots, values)
 
+    def along(self, known: Mapping[str, Number]) -> Number:
+        """The curve's height, of all variables that its stage knows."""
+        return self.at(known[self.variable])
+
     def in_moment(self, moment: Moment, memory: Gone) -> Number:
         """The curve's height in a step."""
-        match self.variable:
-            case "angular velocity":
-                return self.at(moment.omega)
-            case "slip speed":
-                return self.at(moment.rim_slip())
-            case "sinkage":
-                return self.at(-moment.position[1])
-            case "wheel angle":
-                return self.at(moment.angle)
-            case "vx":
-                return self.at(moment.velocity[0])
-            case "vz":
-                return self.at(moment.velocity[1])
-        return self.at(getattr(memory, self.variable))
+        known = {
+            "angular velocity": moment.omega,
+            "slip speed": moment.rim_slip(),
+            "sinkage": -moment.position[1],
+            "wheel angle": moment.angle,
+            "vx": moment.velocity[0],
+            "vz": moment.velocity[1],
+        }
+        return self.along({**known, **memory.known()})
 
 
 def _gone_on(memory: Gone, moment: Moment) -> Gone:
@@ -188,7 +190,7 @@ class SpeedCorrection(Curve, AbstractDrive):
             "time": gone.time,
             "wheel angle": angle + dt * omega,
         }
-        return omega + self.at(known[self.variable]), gone
+        return omega + self.along(known), gone
 
 
 class HeightCorrection(Curve, AbstractPlane):
@@ -203,7 +205,7 @@ class HeightCorrection(Curve, AbstractPlane):
         return _gone_on(memory, moment)
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
-        return self.at(getattr(memory, self.variable)), jnp.zeros_like(axle)
+        return self.along(memory.known()), jnp.zeros_like(axle)
 
 
 class ReadingCorrection(Curve, AbstractSensor):
@@ -223,12 +225,10 @@ class ReadingCorrection(Curve, AbstractSensor):
             "wheel angle": output.angle,
             "vx": output.vx,
             "vz": output.vz,
-            "travel": gone.travel,
-            "turning": gone.turning,
-            "time": gone.time,
+            **gone.known(),
         }
         channel = self.stage.removeprefix(READING)
-        changed = {channel: getattr(output, channel) + self.at(known[self.variable])}
+        changed = {channel: getattr(output, channel) + self.along(known)}
         if channel == "z":
             changed["sinkage"] = -changed["z"]
         return replace(output, **changed), (first, gone, output.angle)
@@ -293,31 +293,21 @@ def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Cur
     _, unit, typical = STAGES[stage]
     at = [f"at {variable} = {knot:.4g} {VARIABLES[variable]}" for knot in knots]
     strengths = [strength(unit, typical, text) for text in at]
-    return _class(stage, variable, knots, dict(zip(fields(len(knots)), strengths, strict=True)))
+    members = dict(zip(fields(len(knots)), strengths, strict=True))
+    return curve_class(stage, variable, knots, members)
 
 
-def in_modes(
-    kind: type[Curve], modes: Float[np.ndarray, "knots modes"], typical: float
-) -> type[Curve]:
-    """Class of the same correction as a sum of curves, with their amplitudes as strengths.
-
-    Args:
-        kind: By `correction`.
-        modes: The curves, one a column, by their values at its knots.
-        typical: Size that the amplitudes may well have.
-    """
-    names = [f"mode_{k}" for k in range(modes.shape[1])]
-
-    def values(self) -> Float[Array, " knots"]:
-        return jnp.asarray(modes) @ jnp.stack([getattr(self, name) for name in names])
-
-    strengths = {name: strength("-", typical, "amplitude of a curve") for name in names}
-    return _class(kind.stage, kind.variable, kind.knots, {**strengths, "values": values})
-
-
-def _class(
+def curve_class(
     stage: str, variable: str, knots: tuple[float, ...], members: Mapping[str, Any]
 ) -> type[Curve]:
+    """Class of a correction with fields and methods of its own.
+
+    Args:
+        stage: Of `STAGES`.
+        variable: What its curve stands on.
+        knots: Where, ascending, in the variable's unit.
+        members: Fields and methods by name; a method takes the place of the class's own.
+    """
     base, _, _ = STAGES[stage]
     formula = base.about.formula.replace("reading", stage.removeprefix(READING))
     made: Any = type(base)
@@ -325,7 +315,7 @@ def _class(
         base.__name__,
         (base,),
         {
-            "__annotations__": {name: Number for name in members if name != "values"},
+            "__annotations__": {n: Array for n, each in members.items() if not callable(each)},
             "__module__": __name__,
             "__doc__": base.__doc__,
             "about": replace(base.about, formula=f"{formula} over {variable}"),
