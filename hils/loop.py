@@ -88,6 +88,7 @@ class LoopReport(NamedTuple):
         busy: From waking to the command being away, each tick [s].
         woken: From the due time of the tick, or of the first one skipped before it, to waking [s].
         last: The simulation at the end.
+        ends: What asked for its end or was it, each an event of the log and its number.
     """
 
     reason: str
@@ -101,6 +102,7 @@ class LoopReport(NamedTuple):
     busy: NDArray[np.float64]
     woken: NDArray[np.float64]
     last: LoopState
+    ends: frozenset[tuple[int, float]] = frozenset()
 
 
 class _Over(Exception):
@@ -145,6 +147,7 @@ class TickLoop:
         self._ticks = self._fresh = self._refused = self._missed = self._skipped = 0
         self._compared = 0
         self._wish: Wish | None = None
+        self._ends: set[tuple[int, float]] = set()
         self._ramping_since: int | None = None
         self._seen: Arrival | None = None
         self._reading_time = 0.0
@@ -301,7 +304,7 @@ class TickLoop:
         measurement = arrival.frame.message
         assert isinstance(measurement, Measurement)
         if measurement.fault:
-            self._event(Event.RIG_FAULT, measurement.fault)
+            self._ended(Event.RIG_FAULT, measurement.fault)
             raise _Over(f"the rig reports fault {measurement.fault}")
         self._require_obeying(measurement.state)
         t_us = arrival.frame.t_us
@@ -316,7 +319,7 @@ class TickLoop:
         message = report.frame.message
         if isinstance(message, EmergencyStop):
             self._link.send(message)
-            self._event(Event.EMERGENCY_STOP, message.reason)
+            self._ended(Event.EMERGENCY_STOP, message.reason)
             why = told(self._ack.rig_id, message.reason)
             raise _Over(f"the rig made an emergency stop, {why}")
         if isinstance(message, StateReport | HelloAck):
@@ -327,7 +330,7 @@ class TickLoop:
 
     def _require_obeying(self, state: RigState, reason: int | None = None) -> None:
         if state not in READY:
-            self._event(Event.RIG_STATE, state)
+            self._ended(Event.RIG_STATE, state)
             why = "" if reason is None else f", {told(self._ack.rig_id, reason)}"
             raise _Over(f"the rig went {state.name}{why}")
 
@@ -337,7 +340,7 @@ class TickLoop:
             self._reset(stranger.boot_id)
 
     def _reset(self, boot_id: int) -> None:
-        self._event(Event.RIG_RESET, boot_id)
+        self._ended(Event.RIG_RESET, boot_id)
         raise _Over("the rig was reset")
 
     def _look_at_readings(self, state: LoopState, said: Reaction, reading: Reading | None) -> None:
@@ -365,7 +368,7 @@ class TickLoop:
         if self._stop.emergency:
             self._link.send(EmergencyStop(EMERGENCY))
             wish = self._stop.wish
-            self._event(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
+            self._ended(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
             raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
         if self._wish is not None:
             return
@@ -377,7 +380,7 @@ class TickLoop:
     def _end(self, wish: Wish) -> None:
         """From the next tick on, ramp down."""
         self._wish = wish
-        self._event(wish.event, wish.arg)
+        self._ended(wish.event, wish.arg)
 
     def _ramps(self, number: int) -> bool:
         if self._ramping_since is None and (
@@ -406,6 +409,11 @@ class TickLoop:
         if self._policy is Overruns.STOP and self._wish is None:
             self._end(Wish(f"a deadline was missed by {late * 1e3:.3g} ms", Event.FAILED, late))
 
+    def _ended(self, code: int, arg: float) -> None:
+        """An event that is this loop's end, or asks for it."""
+        self._ends.add((code, arg))
+        self._event(code, arg)
+
     def _event(self, code: int, arg: float = 0.0) -> None:
         self._rows.event(max(0.0, self._clock.now() - self._start), code, arg)
 
@@ -426,4 +434,5 @@ class TickLoop:
             self._busy[:ticks].copy(),
             self._woken[:ticks].copy(),
             state,
+            frozenset(self._ends),
         )

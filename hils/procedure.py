@@ -131,10 +131,10 @@ class _Log:
 
     def __init__(self, rows: Rows, clock: AbstractClock):
         self._rows, self._clock = rows, clock
-        self._early: list[tuple[float, Event, float]] = []
+        self._early: list[tuple[float, int, float]] = []
         self._start: float | None = None
 
-    def event(self, code: Event, arg: float = 0.0) -> None:
+    def event(self, code: int, arg: float = 0.0) -> None:
         now = self._clock.now()
         if self._start is None:
             self._early.append((now, code, arg))
@@ -286,9 +286,9 @@ def _run(
         reason = str(ended)
     except LinkLost as lost:
         reason = f"link lost: {lost}"
-        log.event(Event.LINK_LOST)
     finally:
-        rested = _to_rest(session, rest, log, dialogue)
+        ends = frozenset() if looped is None else looped.ends
+        rested = _to_rest(session, rest, ends, log, dialogue)
     return RunReport(
         reason,
         looped is not None and looped.completed,
@@ -318,7 +318,13 @@ def _loop(
     )
 
 
-def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue) -> bool:
+def _to_rest(
+    session: Session,
+    rest: Rest,
+    ends: frozenset[tuple[int, float]],
+    log: _Log,
+    dialogue: AbstractDialogue,
+) -> bool:
     """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
         try:
@@ -326,8 +332,9 @@ def _to_rest(session: Session, rest: Rest, log: _Log, dialogue: AbstractDialogue
             log.event(Event.STOP_SENT)
             dialogue.enter(Phase.STOPPING)
         finally:
-            rested = rest.bring()
+            rested = rest.bring(log.event, ends)
     except LinkLost:
+        log.event(Event.LINK_LOST)
         dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
         return False
     log.event(Event.DISCONNECTED)

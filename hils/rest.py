@@ -3,19 +3,20 @@
     STOP, with commands at rest while the wheel still turns -> seen to rest, or else ESTOP -> BYE
 
 A rig rests where newer measurements than the order say that the wheel turns no more, that the
-carriage stands, and that it is not RUNNING.
+carriage stands, and that it is not RUNNING. What it does by itself meanwhile is in the log.
 """
 
 import math
+from collections.abc import Callable, Set
 
 from hils.clock import AbstractClock
 from hils.events import Event
 from hils.link import AbstractLink
 from hils.loop import longest_silence
 from hils.rig_protocol import told
-from hils.session import EMERGENCY, NOT_RESTED, Session
+from hils.session import EMERGENCY, NOT_RESTED, STOPPED, Session
 from hils.stop_request import StopRequest, Wish
-from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState
+from hils.wire import Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
 
 # A wheel that turns slower rests [rad/s].
 RESTING = 0.02
@@ -26,6 +27,10 @@ STANDING, STANDING_TIME = 1e-3, 0.2
 LONGEST_STOP, LONGEST_EMERGENCY_STOP = 5.0, 1.0
 # STOP is not answered by every rig, so it is said again until the wheel rests, so far apart [s].
 STOP_INTERVAL = 0.05
+
+
+def _unlogged(code: int, arg: float) -> None:
+    pass
 
 
 class Rest:
@@ -54,9 +59,20 @@ class Rest:
     ):
         self._session, self._link, self._clock, self._stop = session, link, clock, stop
         self._ack, self._hold, self._tick, self._ramp = ack, hold, tick, ramp
+        self._log: Callable[[int, float], None] = _unlogged
+        self._known: set[tuple[int, float]] = set()
+        self._said: int | None = None
 
-    def bring(self) -> bool:
+    def bring(
+        self,
+        log: Callable[[int, float], None] = _unlogged,
+        known: Set[tuple[int, float]] = frozenset(),
+    ) -> bool:
         """STOP; where the rig is not seen to rest, or its stop is urgent, ESTOP; BYE in any case.
+
+        Args:
+            log: Takes an event of the log and its number.
+            known: Those that have told it before why the run ends.
 
         Returns:
             Whether it was seen to rest.
@@ -64,6 +80,7 @@ class Rest:
         Raises:
             LinkLost: it can no longer be reached; its watchdog brings it to rest.
         """
+        self._log, self._known = log, set(known)
         rested = False
         try:
             rested = self._by_stop()
@@ -72,7 +89,7 @@ class Rest:
                 if self._stop.emergency or not rested:
                     rested = self._by_emergency_stop()
             finally:
-                self._session.bye()
+                self._say_goodbye()
         return rested
 
     def _by_stop(self) -> bool:
@@ -90,6 +107,7 @@ class Rest:
                     self._link.send(self._hold)
                 command_at = now + self._tick
             self._link.wait(min(deadline, stop_at, command_at))
+            self._note_wish()
             if self._stopped_by_itself():
                 return False
             if watch.rests():
@@ -99,7 +117,9 @@ class Rest:
     def _by_emergency_stop(self) -> bool:
         began = self._clock.now()
         watch = self._watch_from(began)
-        if not self._session.emergency_stop(EMERGENCY if self._stop.emergency else NOT_RESTED):
+        self._note_wish()
+        self._said = EMERGENCY if self._stop.emergency else NOT_RESTED
+        if not self._session.emergency_stop(self._said):
             return False
         deadline = began + self._ramp + LONGEST_EMERGENCY_STOP
         while self._clock.now() < deadline:
@@ -108,6 +128,16 @@ class Rest:
             self._link.wait(deadline)
         return False
 
+    def _say_goodbye(self) -> None:
+        self._session.bye()
+        self._note_wish()
+        halted = self._session.halted
+        # One of the same reason is the rig's answer.
+        if halted is None or halted.reason == self._said or self._is_known(halted):
+            return
+        self._halt(halted)
+        self._link.send(halted)
+
     def _watch_from(self, began: float) -> "_Watch":
         return _Watch(self._link, began, self._ramp, abs(self._ack.x_scale))
 
@@ -115,20 +145,70 @@ class Rest:
         arrival = self._link.newest()
         return arrival is not None and now - arrival.time < longest_silence(self._tick)
 
+    # What happens meanwhile -----------------------------------------------------------------------
+
     def _stopped_by_itself(self) -> bool:
         """Whether it was reset, so that it answers no STOP, or wants its own ESTOP answered."""
         stranger = self._link.quality().stranger
-        if stranger is not None and stranger.boot_id != self._ack.boot_id:
+        if stranger is not None and self._was_reset(stranger):
             return True
         for each in self._link.reports():
             message = each.frame.message
             if isinstance(message, EmergencyStop):
-                # Whoever pressed the rig's button wants no further run either.
-                why = told(self._ack.rig_id, message.reason)
-                wish = Wish(f"the rig made an emergency stop, {why}", Event.EMERGENCY_STOP)
-                self._stop.ask(wish)
+                self._halt(message)
                 return True
+            if isinstance(message, StateReport | HelloAck):
+                if self._was_reset(message):
+                    return True
+                self._heed(message.state)
+        newest = self._link.newest()
+        if newest is not None:
+            measurement = newest.frame.message
+            assert isinstance(measurement, Measurement)
+            self._heed(measurement.state, measurement.fault)
         return False
+
+    def _was_reset(self, said: StateReport | HelloAck) -> bool:
+        if said.boot_id == self._ack.boot_id:
+            return False
+        self._note(Event.RIG_RESET, said.boot_id)
+        return True
+
+    def _halt(self, message: EmergencyStop) -> None:
+        """Whoever pressed the rig's button wants no further run either."""
+        self._note(Event.EMERGENCY_STOP, message.reason)
+        why = f"the rig made an emergency stop, {told(self._ack.rig_id, message.reason)}"
+        self._stop.ask(Wish(why, Event.EMERGENCY_STOP, message.reason))
+
+    def _heed(self, state: RigState, fault: int = 0) -> None:
+        if state in STOPPED and not self._emergency_known():
+            self._note(Event.RIG_STATE, state)
+        if fault:
+            self._note(Event.RIG_FAULT, fault)
+        if self._stop.wish is None and (fault or state is RigState.FAULT):
+            why = f"the rig reports fault {fault}" if fault else "the rig went FAULT"
+            event, arg = (Event.RIG_FAULT, fault) if fault else (Event.RIG_STATE, state)
+            self._stop.ask(Wish(why, event, arg))
+
+    def _note_wish(self) -> None:
+        wish = self._stop.wish
+        if wish is None:
+            return
+        self._note(wish.event, wish.arg)
+        if self._stop.emergency and not self._emergency_known():
+            self._note(Event.EMERGENCY_STOP, wish.arg)
+
+    def _emergency_known(self) -> bool:
+        return any(code == Event.EMERGENCY_STOP for code, _ in self._known)
+
+    def _is_known(self, halted: EmergencyStop) -> bool:
+        return (Event.EMERGENCY_STOP, halted.reason) in self._known
+
+    def _note(self, code: int, arg: float) -> None:
+        """Into the log, once."""
+        if (code, arg) not in self._known:
+            self._known.add((code, arg))
+            self._log(code, arg)
 
 
 class _Watch:

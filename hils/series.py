@@ -15,6 +15,7 @@ from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.recording_lock import require_free
 from drftjax.runlog.replace import require_folder
 from hils.clock import MonotonicClock
+from hils.events import Event
 from hils.operator_dialogue import AbstractDialogue
 from hils.port import open_port
 from hils.port_link import PortLink
@@ -114,7 +115,8 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
 
 
 def _code(wish: Wish) -> int:
-    return INTERRUPTED if wish.arg == signal.SIGINT else ENDED_EARLY
+    interrupted = wish.event is Event.INTERRUPTED and wish.arg == signal.SIGINT
+    return INTERRUPTED if interrupted else ENDED_EARLY
 
 
 def one_run(

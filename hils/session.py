@@ -140,6 +140,11 @@ class Session:
             f"{told(ack.rig_id, halted.reason)}: release it and start again"
         )
 
+    @property
+    def halted(self) -> EmergencyStop | None:
+        """The last emergency stop that came while this waited for an answer, since HELLO."""
+        return self._halted
+
     def check(self) -> list[Arrival]:
         """What the rig reported since the last call; once armed, refuse if it is no longer.
 

@@ -12,6 +12,7 @@ from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.head import Head
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
+from hils.faults import Disconnect, DriveFault, Fault, FaultScript, Reset, Window
 from hils.guard import CommandLimits
 from hils.instruments import Instruments
 from hils.link import Arrival, SoftLink
@@ -38,6 +39,7 @@ from tests.hils_runs import (
     TICK,
     TICKS,
     LoggedLink,
+    Made,
     loop_setup,
     make,
     resting,
@@ -240,7 +242,55 @@ def test_rigs_own_emergency_stop_after_the_profile_asks_for_no_further_run():
     assert made.report.wish.reason == "the rig made an emergency stop, reason 12 (unknown)"
     assert any(isinstance(said, EmergencyStop) for _, said in made.said)
     assert made.soft.rig.state is RigState.SAFE
+    assert_told_after_the_profile(made, Event.EMERGENCY_STOP, 12)
     assert resting(made)
+
+
+def assert_told_after_the_profile(made, event, arg):
+    kinds = made.kinds()
+    assert made.events(event) == [arg]
+    assert kinds.index(Event.PROFILE_ENDED) < kinds.index(event) < kinds.index(Event.DISCONNECTED)
+
+
+@pytest.mark.parametrize(
+    ("fault", "event", "arg", "reason"),
+    [
+        (
+            DriveFault(7),
+            Event.EMERGENCY_STOP,
+            10,
+            "the rig made an emergency stop, reason 10 (the drive failed)",
+        ),
+        (Reset(), Event.RIG_RESET, None, None),
+        (Disconnect(), Event.LINK_LOST, 0.0, None),
+    ],
+)
+def test_what_happens_to_the_rig_after_the_profile_is_in_the_log(fault, event, arg, reason):
+    script = FaultScript((Fault(fault, Window("stop", 0.0, 0.02)),))
+    soft, rows = soft_rig(script=script), KeptRows()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    report = run(given, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
+    assert report.completed
+    assert (report.wish and report.wish.reason) == reason
+    made = Made(report, rows, soft, [])
+    found = made.events(event)
+    assert len(found) == 1
+    assert arg is None or found == [arg]
+    assert made.kinds().index(Event.PROFILE_ENDED) < made.kinds().index(event)
+
+
+def test_stop_that_is_asked_for_after_the_profile_is_in_the_log():
+    made = make(cue=ask(), at=3.6)
+    assert made.report.completed
+    assert_told_after_the_profile(made, Event.STOP_ASKED, 0.0)
+
+
+def test_what_ended_the_loop_is_in_the_log_once():
+    for cue in (press, ask(), ask(emergency=True), lambda _, link: link.send(EmergencyStop(9))):
+        made = make(cue=cue, at=2.0, link=Pressed)
+        kinds = made.kinds()
+        for each in (Event.EMERGENCY_STOP, Event.STOP_ASKED, Event.RIG_STATE):
+            assert kinds.count(each) <= 1
 
 
 def test_rigs_own_emergency_stop_is_answered_by_one():

@@ -52,9 +52,11 @@ class Resting(Table):
         self.said, send = [], self.link.send
         self.link.send = lambda message: (self.said.append(message), send(message))[1]
 
-    def bring(self) -> bool:
+    def bring(self, known=frozenset()) -> bool:
         given = self.session, self.link, self.clock, self.ack, self.stop
-        return Rest(*given, HOLD, 0.01, RAMP).bring()
+        self.logged = []
+        rest = Rest(*given, HOLD, 0.01, RAMP)
+        return rest.bring(lambda *event: self.logged.append(event), known)
 
 
 def test_commands_at_rest_keep_the_watchdog_quiet_while_the_wheel_ramps_down():
@@ -114,3 +116,83 @@ def test_an_emergency_stop_asked_for_meanwhile_goes_out_at_once():
     table.stop.ask(Wish("asked", Event.STOP_ASKED), emergency=True)
     table.bring()
     assert table.said[0] == EmergencyStop(1)
+
+
+# What the rig does by itself meanwhile ------------------------------------------------------------
+
+
+class Failing(OtherRig):
+    """Its drive fails at the first STOP, and it says so in each measurement."""
+
+    fault = 0
+
+    def hear(self, content: bytes, now: float) -> None:
+        super().hear(content, now)
+        if content[1] == 6:
+            self.state, self.fault = 4, 7
+
+    def measure(self, now: float, seq: int) -> None:
+        self.told = now
+        payload = struct.pack("<IiifHH", seq, -1760, 0, self.omega, self.state, self.fault)
+        self.say(5, payload)
+
+
+def test_a_fault_that_the_rig_reports_is_logged_once_and_asks_for_no_further_run():
+    table = Resting(Failing())
+    assert table.bring()
+    assert table.logged == [(Event.RIG_STATE, RigState.FAULT), (Event.RIG_FAULT, 7)]
+    assert table.stop.wish.reason == "the rig reports fault 7"
+    assert not table.stop.emergency
+
+
+def test_a_rig_that_goes_safe_is_logged_and_may_run_again():
+    class Safe(Failing):
+        def measure(self, now, seq):
+            self.state, self.fault = 3 if self.fault else self.state, 0
+            super().measure(now, seq)
+
+    table = Resting(Safe())
+    assert table.bring()
+    assert table.logged == [(Event.RIG_STATE, RigState.SAFE)]
+    assert table.stop.wish is None
+
+
+def test_what_ended_the_run_is_not_logged_again():
+    table = Resting(Failing())
+    known = {(Event.RIG_STATE, RigState.FAULT), (Event.RIG_FAULT, 7)}
+    assert table.bring(known)
+    assert table.logged == []
+
+
+class Parting(OtherRig):
+    """It makes an emergency stop of its own while it takes leave, or answers one by one."""
+
+    at, reason = 9, 12
+
+    def hear(self, content: bytes, now: float) -> None:
+        if content[1] == self.at:
+            self.say(7, struct.pack("<H", self.reason))
+        super().hear(content, now)
+
+
+def test_an_emergency_stop_at_the_farewell_is_answered_logged_and_asks_for_no_further_run():
+    table = Resting(Parting())
+    assert table.bring()
+    assert table.logged == [(Event.EMERGENCY_STOP, 12)]
+    assert table.stop.wish.reason.startswith("the rig made an emergency stop, reason 12")
+    assert table.said[-2:] == [Bye(), EmergencyStop(12)]
+
+
+def test_an_emergency_stop_that_answers_the_hosts_is_not_the_rigs_own():
+    table = Resting(Parting(at=7, reason=1))
+    table.stop.ask(Wish("asked", Event.EMERGENCY_STOP, 10.0), emergency=True)
+    table.bring()
+    assert table.logged == [(Event.EMERGENCY_STOP, 10.0)]
+
+
+def test_a_second_wish_is_logged_as_the_emergency_stop_that_it_is():
+    table = Resting(OtherRig(omega=0.5))
+    table.stop.ask(Wish("asked", Event.STOP_ASKED, 12.0))
+    table.stop.ask(Wish("asked", Event.STOP_ASKED, 12.0))
+    table.bring()
+    assert table.logged == [(Event.STOP_ASKED, 12.0), (Event.EMERGENCY_STOP, 12.0)]
