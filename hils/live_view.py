@@ -11,11 +11,11 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
-from pathlib import Path
 from typing import Final
 
 import msgspec
 
+from drftjax.child import program
 from hils.scene import Scene
 from hils.screen import LEAVE, Keyboard, write
 from hils.under_way import UnderWay
@@ -23,10 +23,7 @@ from hils.under_way import UnderWay
 PATIENCE: Final = 3.0
 """Time in which the view must have given the terminal back before it is killed [s]."""
 
-_ROOT: Final = str(Path(__file__).resolve().parents[1])
-_START: Final = (
-    f"import sys; sys.path.append({_ROOT!r}); from hils.view_process import main; main()"
-)
+_START: Final = program("hils.view_process", "main")
 _INPUT, _OUTPUT = 0, 1
 
 

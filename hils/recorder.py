@@ -23,6 +23,7 @@ from typing import Final
 
 import msgspec
 
+from drftjax.child import program
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
 from drftjax.runlog.recording_lock import part_path, require_free
@@ -43,10 +44,7 @@ START_LIMIT: Final = 30.0
 CLOSE_LIMIT: Final = 120.0
 """Time in which the recorder must have closed it [s]."""
 
-_ROOT: Final = str(Path(__file__).resolve().parents[1])
-_START: Final = (
-    f"import sys; sys.path.append({_ROOT!r}); from hils.recorder_process import main; main()"
-)
+_START: Final = program("hils.recorder_process", "main")
 _UNASKED: Final = "ended unasked"
 
 

@@ -19,6 +19,7 @@ from typing import Any, Final, Self
 import msgspec
 import numpy as np
 
+from drftjax.child import program
 from drftjax.runlog.content import Content, Dataset, Group, Level, Violation
 
 TIME_LIMIT: Final = 20.0
@@ -26,10 +27,7 @@ TIME_LIMIT: Final = 20.0
 MEMORY_LIMIT: Final = 4 * 2**30
 """Address space of the child [bytes], where the system can limit it."""
 
-_ROOT: Final = str(Path(__file__).resolve().parents[2])
-_START: Final = (
-    f"import sys; sys.path.append({_ROOT!r}); from drftjax.runlog.guard import serve; serve()"
-)
+_START: Final = program("drftjax.runlog.guard", "serve")
 
 Surveyed = tuple[Content | None, list[Violation]]
 
