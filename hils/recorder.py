@@ -220,7 +220,7 @@ class Recorder:
             self._lost = _UNASKED
             while (said := self._answer(0.0)) is not None:  # what it has said already
                 if said[0] == "failed":
-                    self._lost = said[1]
+                    self._fail(said[1])
 
     def _look(self) -> None:
         """Whether the recorder still takes what it is given."""
@@ -231,6 +231,10 @@ class Recorder:
         if self._looks >= MOST_LOOKS:
             self._hangs = True
             self._lost = f"took no rows for {MOST_LOOKS * LOOK_EVERY:g} s"
+
+    def _fail(self, reason: str) -> None:
+        known = self._lost not in (None, _UNASKED)
+        self._lost = f"{self._lost}; {reason}" if known else reason
 
     def _deliver(self, data: bytes, deadline: float) -> None:
         """Write all of it, waiting for room; a pipe without a reader is left to `_await`."""
@@ -249,8 +253,11 @@ class Recorder:
         deadline = time.monotonic() + limit
         while (said := self._answer(deadline)) is not None:
             if said[0] == "failed":
-                self._answer(deadline)  # until it has ended, and with it what it can still write
-                raise self._failure(said[1])
+                # Until it has ended, and with it what it can still write.
+                while said is not None:
+                    self._fail(said[1])
+                    said = self._answer(deadline)
+                raise self._failure(self._lost or _UNASKED)
             if said[0] == word:
                 return
         if self._lost in (None, _UNASKED):

@@ -60,8 +60,11 @@ class RecorderProcess:
             reason = f"stopped: {_sentence(error)}"
             self._say("failed", reason)
             os.close(self._rows)
-            with contextlib.suppress(InputError, OSError):
+            try:
                 self._finish(reason)
+            except Exception as after:
+                if _sentence(after) not in reason:
+                    self._say("failed", f"could not finish: {_sentence(after)}")
             return
         try:
             kept = self._finish(reason)

@@ -257,6 +257,75 @@ def test_a_disk_that_fails_behind_the_recorder_stops_the_recording(path, monkeyp
     assert wrong_rows(read_run(path)) == 0
 
 
+# Folders -----------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_is_moved_takes_the_whole_run_log_with_it(tmp_path):
+    day, archive = tmp_path / "day", tmp_path / "archive"
+    day.mkdir()
+    recorder = recorded(day / "run.h5", 50)
+    await_outcome(lambda: committed(day / "run.h5.part") == 50)
+    day.rename(archive)
+    for number in range(50, 80):
+        hand_over(recorder, number)
+    said = (
+        f"{day}/run.h5: the recorder could not finish: {day}/run.h5.part was moved while it was "
+        f"recorded; the run log is {archive}/run.h5"
+    )
+    with pytest.raises(InputError, match=f"^{said}$"):
+        recorder.close("completed")
+    run = read_run(archive / "run.h5")
+    assert run.online.time.size == 80
+    assert run.end_reason == "completed"
+    assert wrong_rows(run) == 0
+    assert [each.name for each in archive.iterdir()] == ["run.h5"]
+
+
+def test_a_recording_moved_to_where_its_name_is_taken_is_kept_there(tmp_path):
+    day, archive = tmp_path / "day", tmp_path / "archive"
+    day.mkdir()
+    recorder = recorded(day / "run.h5", 50)
+    await_outcome(lambda: committed(day / "run.h5.part") == 50)
+    day.rename(archive)
+    (archive / "run.h5").write_bytes(b"another run")
+    said = f"archive/run.h5 .*its rows are kept: drft log repair {archive}/run.h5.part$"
+    with pytest.raises(InputError, match=said):
+        recorder.close("completed")
+    assert (archive / "run.h5").read_bytes() == b"another run"
+    _, run = repair(archive / "run.h5.part", tmp_path / "kept.h5")
+    assert run.online.time.size == 50
+
+
+def test_a_folder_that_is_removed_stops_the_recording_and_nothing_is_said_to_be_left(tmp_path):
+    day = tmp_path / "day"
+    day.mkdir()
+    recorder = recorded(day / "run.h5", 50)
+    await_outcome(lambda: committed(day / "run.h5.part") == 50)
+    shutil.rmtree(day)
+    fill(recorder)
+    said = f"stopped: {day}/run.h5.part was removed while it was recorded; nothing is left of it"
+    assert recorder.reason == said
+    with pytest.raises(InputError, match=f"^{day}/run.h5: the recorder {said}$"):
+        recorder.close("stopped")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("mishap", ["moved", "removed"])
+def test_a_folder_that_goes_before_the_first_row_is_told(tmp_path, mishap):
+    day = tmp_path / "day"
+    day.mkdir()
+    recorder = Recorder(day / "run.h5")
+    if mishap == "moved":
+        day.rename(tmp_path / "archive")
+    else:
+        shutil.rmtree(day)
+    recorder.begin(example_head())
+    fill(recorder)
+    with pytest.raises(InputError, match=r"was moved or removed before the first row$"):
+        recorder.close("stopped")
+    assert list(tmp_path.rglob("*.h5*")) == []
+
+
 # Repair ------------------------------------------------------------------------------------------
 
 

@@ -65,7 +65,10 @@ def claim(path: Path) -> int:
 
 def give_up(handle: int, path: Path) -> None:
     """Let go of a name that was claimed, and remove its recording."""
-    part_path(path).unlink(missing_ok=True)
+    with suppress(InputError):
+        place = place_of(handle, part_path(path))
+        if place is not None:
+            place.unlink(missing_ok=True)
     os.close(handle)
 
 
@@ -82,6 +85,33 @@ def hold(handle: int, part: Path) -> None:
     except OSError as error:  # some network drives have no locks
         if error.errno in (errno.EACCES, errno.EAGAIN):
             raise _taken(part) from None
+
+
+def place_of(handle: int, part: Path) -> Path | None:
+    """Where the file of a recording is now: its folder may have been moved.
+
+    Args:
+        handle: The descriptor that it was claimed by.
+        part: Where it was made.
+
+    Returns:
+        None where it was removed.
+
+    Raises:
+        InputError: it was moved, and the system does not tell where to.
+    """
+    if not os.fstat(handle).st_nlink:
+        return None
+    if _is_file(handle, part):
+        return part
+    with suppress(OSError):
+        place = Path(f"/proc/self/fd/{handle}").readlink()
+        if _is_file(handle, place):
+            return place
+    raise InputError(
+        f"{part} was moved while it was recorded, nobody can tell where to; drft log repair mends "
+        "it there"
+    )
 
 
 def is_held(path: Path) -> bool:

@@ -64,13 +64,17 @@ class Recording:
             head: Everything but the rows.
 
         Raises:
-            InputError: There is no room for it.
+            InputError: There is no room for it, or the claimed file is no longer there.
             OSError: It cannot be made.
         """
         self.part = part
+        # HDF5 keeps a descriptor of its own; this one is for the lock, and to sync by.
+        self._handle = claimed
         self.rows = dict.fromkeys(_groups(head), 0)
         self._waiting: dict[str, list[NDArray[np.float64]]] = {each: [] for each in self.rows}
         self._waiting_bytes = self._written_bytes = 0
+        if recording_lock.place_of(claimed, part) != part:
+            raise InputError(f"{part} was moved or removed before the first row")
         self._require_room_for_rows()
         self._file = h5py.File(part, "w", libver=("v110", "v110"))
         self._columns = {each: _make_group(self._file, each, head) for each in self.rows}
@@ -82,10 +86,7 @@ class Recording:
         put_attributes(self._file, _root_attributes(head))
         self._file.swmr_mode = True
         self._write_committed()
-        # HDF5 keeps its own descriptor; this one is for the lock, which HDF5 let go of when it
-        # opened the file, and to sync by.
-        self._handle = claimed
-        recording_lock.hold(claimed, part)
+        recording_lock.hold(claimed, part)  # HDF5 let go of it when it opened the file
 
     def append(self, title: str, rows: NDArray[np.float64]) -> None:
         """Take rows of one group, shape (rows, columns), in the format's order of its columns."""
@@ -96,10 +97,12 @@ class Recording:
         """Write the rows that wait: after a kill of this process they are there.
 
         Raises:
-            InputError: There is no room for them; nothing was written.
+            InputError: There is no room for them, or the file was removed; nothing was written.
         """
         if not self._waiting_bytes:
             return
+        if not os.fstat(self._handle).st_nlink:
+            raise _removed(self.part)
         self._require_room_for_rows()
         for title, blocks in self._waiting.items():
             if blocks:
@@ -123,22 +126,41 @@ class Recording:
 
         Raises:
             InputError: The rows are no run log, or cannot be written, or something stands there;
-                the recording is kept.
+                the recording is kept. Or it was moved: the run log is beside where it was then,
+                as the sentence says. Or it was removed.
         """
-        self._file.close()
-        os.close(self._handle)
-        content, violations = survey_recording(self.part)
+        place = self._close()
+        if place is None:
+            raise _removed(self.part)
+        moved = place != self.part
+        content, violations = survey_recording(place)
         content = layout.accepted(content, violations)
         attributes = {**content.attributes, "complete": 1, "end_reason": end_reason}
-        whole = replace(content, attributes=attributes)
-        put_new_file(path, sealed(image(whole, layout.AXES)))
-        self.part.unlink()
+        whole = sealed(image(replace(content, attributes=attributes), layout.AXES))
+        final = place.with_name(path.name) if moved else path
+        try:
+            put_new_file(final, whole)
+        except InputError as error:
+            if moved:
+                raise InputError(f"{error}; its rows are kept: drft log repair {place}") from error
+            raise
+        place.unlink()
+        if moved:
+            raise InputError(f"{self.part} was moved while it was recorded; the run log is {final}")
 
     def drop(self) -> None:
         """Close and remove the file."""
+        place = self._close()
+        if place is not None:
+            place.unlink()
+
+    def _close(self) -> Path | None:
+        """Let go of the file; where it is now."""
         self._file.close()
-        os.close(self._handle)
-        self.part.unlink()
+        try:
+            return recording_lock.place_of(self._handle, self.part)
+        finally:
+            os.close(self._handle)
 
     def _write(self, title: str, rows: NDArray[np.float64]) -> None:
         start = self.rows[title]
@@ -156,15 +178,19 @@ class Recording:
         """The rows that wait, and the finished file beside them, must fit."""
         new = 2 * self._waiting_bytes + RESERVE
         written = self._written_bytes + self._waiting_bytes
-        _require_room(self.part, new + written)
+        _require_room(self._handle, new + written)
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-        if limit != resource.RLIM_INFINITY and limit < self.part.stat().st_size + new:
+        if limit != resource.RLIM_INFINITY and limit < os.fstat(self._handle).st_size + new:
             raise InputError(f"a file may not grow past {limit / 2**20:.1f} MiB here")
         if written > SIZE_LIMIT:
             raise InputError(f"the run log has {SIZE_LIMIT / 2**20:.0f} MiB, the most it may have")
 
 
-def _require_room(place: Path, wanted: int) -> None:
+def _removed(part: Path) -> InputError:
+    return InputError(f"{part} was removed while it was recorded; nothing is left of it")
+
+
+def _require_room(place: Path | int, wanted: int) -> None:
     facts = os.statvfs(place)
     free = facts.f_bavail * facts.f_frsize
     if free < wanted:
