@@ -8,21 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hils.clock import AbstractClock
+from hils.event_log import EventLog
 from hils.events import Event, TickFlag
 from hils.guard import REST, Demand, Reading, Verdict
 from hils.link import AbstractLink, Arrival
-from hils.rig_protocol import told
+from hils.listener import Listener, Over
 from hils.row_stream import OnlineRow
 from hils.rows import Rows
 from hils.session import EMERGENCY
 from hils.stop_request import StopRequest, Wish
 from hils.tick import AbstractTick, Given, LoopState, Reaction
-from hils.wire import READY, Drive, EmergencyStop, HelloAck, Measurement, RigState, StateReport
+from hils.wire import Drive, EmergencyStop, HelloAck
+from hils.zero import Zero, channels
 
-# A rig that says nothing for so long [s], and for so many ticks, is not followed any further.
-SILENCE, SILENT_TICKS = 0.25, 5
-# A reading older than so many ticks, and than so long [s], is worth an event.
-STALE_TICKS, STALE_TIME = 5, 0.03
 # A ramp is over where the wheel is commanded to rest and the carriage all but stands [m/s], or
 # after so much longer than the wheel takes [s].
 STANDING, LONGEST_REST = 2e-3, 2.0
@@ -40,39 +38,6 @@ class Overruns(enum.Enum):
     STOP = "stop"
 
 
-class Zero(NamedTuple):
-    """Counts at touch-down, and what a count is worth.
-
-    Attributes:
-        x, z: Counts where the wheel touches the sand.
-        x_scale, z_scale: Metres a count; x is not measured where its scale is 0.
-    """
-
-    x: float
-    z: float
-    x_scale: float
-    z_scale: float
-
-    def reading(self, measurement: Measurement, time: float) -> Reading:
-        """The measurement in metres, arrived at this time of the run [s]."""
-        return Reading(
-            time,
-            (measurement.x - self.x) * self.x_scale,
-            (measurement.z - self.z) * self.z_scale,
-            measurement.omega,
-        )
-
-
-def channels(x_scale: float) -> tuple[str, ...]:
-    """What of /measured a rig with this scale of x gives."""
-    return ("x", "z") if x_scale else ("z",)
-
-
-def longest_silence(tick: float) -> float:
-    """Time [s] without a measurement after which a run is ended."""
-    return max(SILENCE, SILENT_TICKS * tick)
-
-
 class LoopReport(NamedTuple):
     """How the loop went.
 
@@ -88,7 +53,6 @@ class LoopReport(NamedTuple):
         busy: From waking to the command being away, each tick [s].
         woken: From the due time of the tick, or of the first one skipped before it, to waking [s].
         last: The simulation at the end.
-        ends: What asked for its end or was it, each an event of the log and its number.
     """
 
     reason: str
@@ -102,11 +66,6 @@ class LoopReport(NamedTuple):
     busy: NDArray[np.float64]
     woken: NDArray[np.float64]
     last: LoopState
-    ends: frozenset[tuple[int, float]] = frozenset()
-
-
-class _Over(Exception):
-    """The rig no longer follows: nothing is left to ramp."""
 
 
 class TickLoop:
@@ -116,6 +75,7 @@ class TickLoop:
         conduct: What is done on each tick.
         link, clock: The rig, and the time that the link's arrivals are told in.
         rows: Takes what is recorded.
+        log: Takes events; the run's start is known to it.
         stop: Looked at on each tick.
         zero: Counts at touch-down.
         ack: What the rig said of itself when the session was opened.
@@ -129,6 +89,7 @@ class TickLoop:
         link: AbstractLink,
         clock: AbstractClock,
         rows: Rows,
+        log: EventLog,
         stop: StopRequest,
         zero: Zero,
         ack: HelloAck,
@@ -137,7 +98,7 @@ class TickLoop:
     ):
         self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
         self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
-        self._zero, self._ack = zero, ack
+        self._log, self._listener = log, Listener(link, log, zero, ack, self._tick)
         self._channels = channels(zero.x_scale)
         self._policy, self._valid_ms = overruns, valid_ms
         # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
@@ -147,13 +108,9 @@ class TickLoop:
         self._ticks = self._fresh = self._refused = self._missed = self._skipped = 0
         self._compared = 0
         self._wish: Wish | None = None
-        self._ends: set[tuple[int, float]] = set()
         self._ramping_since: int | None = None
-        self._seen: Arrival | None = None
-        self._reading_time = 0.0
-        self._rig_us: int | None = None
         self._drops = 0
-        self._stale = self._stuck = self._drive_off = False
+        self._stuck = self._drive_off = False
         self._start = 0.0
 
     def run(self, state: LoopState, start: float) -> LoopReport:
@@ -163,20 +120,18 @@ class TickLoop:
             LinkLost: the rig can no longer be reached.
         """
         self._start = start
-        self._seen = self._link.newest()
-        if self._seen is not None:
-            self._rig_us = self._seen.frame.t_us
+        self._listener.begin(start)
         self._drops = self._link.quality().dropped
         self._command(0.0, REST)
         self._rows.event(0.0, Event.STARTED, state.packed[1])
         try:
             while not self._finished(state):
                 state = self._one(state)
-        except _Over as over:
+        except Over as over:
             return self._report(state, str(over), False)
         self._clock.sleep_until(start + state.number * self._tick)
         reason = "completed" if self._wish is None else self._wish.reason
-        self._event(Event.PROFILE_ENDED if self._wish is None else Event.RAMPED_DOWN)
+        self._log.event(Event.PROFILE_ENDED if self._wish is None else Event.RAMPED_DOWN)
         return self._report(state, reason, self._wish is None)
 
     # One tick -----------------------------------------------------------------------------------
@@ -193,14 +148,14 @@ class TickLoop:
         if skipped:
             self._overrun(woken - (due + tick), skipped)
         self._look_at_requests()
-        arrival, reading = self._look_at_rig(woken)
+        arrival, reading = self._listener.hear(woken)
         ramping = self._ramps(number)
 
         state, said = self._conduct.react(state, Given(reading, skipped, ramping))
         if said.demand is None:
-            self._event(Event.DIVERGED, said.after.z)
+            self._log.event(Event.DIVERGED, said.after.z)
             asked = f"{said.asked.omega:.4g} rad/s and {said.asked.vx:.4g} m/s"
-            raise _Over(f"the simulation asks for {asked}, which the limits refuse")
+            raise Over(f"the simulation asks for {asked}, which the limits refuse")
         seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
         sent = clock.now()
         over = sent - (start + (number + 1) * tick)
@@ -235,7 +190,6 @@ class TickLoop:
         self._command((said.number + 1) * tick, said.demand)
         if reading is not None:
             rows.measured(reading.time, *(getattr(reading, name) for name in self._channels))
-            self._reading_time = reading.time
             self._fresh += 1
         if said.limited:
             rows.event(time, Event.COMMAND_LIMITED, said.asked.vx)
@@ -254,7 +208,7 @@ class TickLoop:
                 before.fz,
                 int(said.tuned),
                 late,
-                max(0.0, woken - self._start - self._reading_time),
+                max(0.0, woken - self._start - self._listener.reading_time),
                 FRESH * (reading is not None)
                 | REFUSED * refused
                 | STUCK * self._stuck
@@ -265,7 +219,7 @@ class TickLoop:
                 | DRIVE_OFF * self._drive_off,
                 seq,
                 0 if arrival is None else arrival.frame.seq,
-                (self._rig_us or 0) * 1e-6,
+                (self._listener.rig_us or 0) * 1e-6,
             )
         )
         if not math.isnan(said.after.error) and self._compared < len(self._error):
@@ -278,76 +232,11 @@ class TickLoop:
         else:
             self._rows.command(time, demand.omega)
 
-    # What the rig says --------------------------------------------------------------------------
-
-    def _look_at_rig(self, now: float) -> tuple[Arrival | None, Reading | None]:
-        """The newest arrival, and its reading where it was not seen before."""
-        for report in self._link.reports():
-            self._heed(report)
-        arrival = self._link.newest()
-        seen, self._seen = self._seen, arrival
-        silent = now - (self._start if arrival is None else max(arrival.time, self._start))
-        if silent > max(STALE_TICKS * self._tick, STALE_TIME):
-            self._look_for_reset()
-            if not self._stale:
-                self._event(Event.READINGS_STALE, silent)
-            self._stale = True
-            if silent > longest_silence(self._tick):
-                raise _Over(f"the rig has sent no measurement for {silent:.2f} s")
-        else:
-            self._stale = False
-        if arrival is None:
-            return None, None
-        time = arrival.time - self._start
-        if (seen is not None and arrival.frame.seq == seen.frame.seq) or time <= 0:
-            return arrival, None
-        measurement = arrival.frame.message
-        assert isinstance(measurement, Measurement)
-        if measurement.fault:
-            self._ended(Event.RIG_FAULT, measurement.fault)
-            raise _Over(f"the rig reports fault {measurement.fault}")
-        self._require_obeying(measurement.state)
-        t_us = arrival.frame.t_us
-        self._rig_us = (
-            t_us if self._rig_us is None else self._rig_us + (t_us - self._rig_us) % 2**32
-        )
-        # Two may arrive at one reading of a coarse clock; a run log's times increase.
-        time = max(time, math.nextafter(self._reading_time, math.inf))
-        return arrival, self._zero.reading(measurement, time)
-
-    def _heed(self, report: Arrival) -> None:
-        message = report.frame.message
-        if isinstance(message, EmergencyStop):
-            self._link.send(message)
-            self._ended(Event.EMERGENCY_STOP, message.reason)
-            why = told(self._ack.rig_id, message.reason)
-            raise _Over(f"the rig made an emergency stop, {why}")
-        if isinstance(message, StateReport | HelloAck):
-            if message.boot_id != self._ack.boot_id:
-                self._reset(message.boot_id)
-            reason = message.reason if isinstance(message, StateReport) else None
-            self._require_obeying(message.state, reason)
-
-    def _require_obeying(self, state: RigState, reason: int | None = None) -> None:
-        if state not in READY:
-            self._ended(Event.RIG_STATE, state)
-            why = "" if reason is None else f", {told(self._ack.rig_id, reason)}"
-            raise _Over(f"the rig went {state.name}{why}")
-
-    def _look_for_reset(self) -> None:
-        stranger = self._link.quality().stranger
-        if stranger is not None and stranger.boot_id != self._ack.boot_id:
-            self._reset(stranger.boot_id)
-
-    def _reset(self, boot_id: int) -> None:
-        self._ended(Event.RIG_RESET, boot_id)
-        raise _Over("the rig was reset")
-
     def _look_at_readings(self, state: LoopState, said: Reaction, reading: Reading | None) -> None:
         """Events and ends that follow from what the guard found."""
         if reading is not None and said.verdict is not Verdict.USED:
             self._refused += 1
-            self._event(Event.READING_REFUSED, reading.z)
+            self._log.event(Event.READING_REFUSED, reading.z)
             most = self._loop.readings.in_a_row
             if state.watch.refused >= most and self._wish is None:
                 why = "" if said.verdict is None else f", the last as {said.verdict.value}"
@@ -356,11 +245,11 @@ class TickLoop:
         if state.watch.stuck != self._stuck:
             self._stuck = state.watch.stuck
             still = state.watch.time - state.watch.still_since
-            self._event(Event.SENSOR_STUCK if self._stuck else Event.SENSOR_MOVES_AGAIN, still)
+            self._log.event(Event.SENSOR_STUCK if self._stuck else Event.SENSOR_MOVES_AGAIN, still)
         if state.watch.drive_off != self._drive_off:
             self._drive_off = state.watch.drive_off
             apart = 0.0 if reading is None else reading.omega - state.demand.omega
-            self._event(Event.DRIVE_OFF if self._drive_off else Event.DRIVE_FOLLOWS, apart)
+            self._log.event(Event.DRIVE_OFF if self._drive_off else Event.DRIVE_FOLLOWS, apart)
 
     # Ends ---------------------------------------------------------------------------------------
 
@@ -368,8 +257,8 @@ class TickLoop:
         if self._stop.emergency:
             self._link.send(EmergencyStop(EMERGENCY))
             wish = self._stop.wish
-            self._ended(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
-            raise _Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
+            self._log.note(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
+            raise Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
         if self._wish is not None:
             return
         if self._stop.wish is not None:
@@ -380,7 +269,7 @@ class TickLoop:
     def _end(self, wish: Wish) -> None:
         """From the next tick on, ramp down."""
         self._wish = wish
-        self._ended(wish.event, wish.arg)
+        self._log.note(wish.event, wish.arg)
 
     def _ramps(self, number: int) -> bool:
         if self._ramping_since is None and (
@@ -403,24 +292,16 @@ class TickLoop:
     def _overrun(self, late: float, skipped: int) -> None:
         self._missed += max(skipped, 1)
         self._skipped += skipped
-        self._event(Event.OVERRUN, late)
+        self._log.event(Event.OVERRUN, late)
         if skipped:
-            self._event(Event.TICKS_SKIPPED, skipped)
+            self._log.event(Event.TICKS_SKIPPED, skipped)
         if self._policy is Overruns.STOP and self._wish is None:
             self._end(Wish(f"a deadline was missed by {late * 1e3:.3g} ms", Event.FAILED, late))
-
-    def _ended(self, code: int, arg: float) -> None:
-        """An event that is this loop's end, or asks for it."""
-        self._ends.add((code, arg))
-        self._event(code, arg)
-
-    def _event(self, code: int, arg: float = 0.0) -> None:
-        self._rows.event(max(0.0, self._clock.now() - self._start), code, arg)
 
     def _report(self, state: LoopState, reason: str, completed: bool) -> LoopReport:
         dropped = self._link.quality().dropped - self._drops
         if dropped:
-            self._event(Event.FRAMES_DROPPED, dropped)
+            self._log.event(Event.FRAMES_DROPPED, dropped)
         ticks = min(self._ticks, len(self._busy))
         return LoopReport(
             reason,
@@ -434,5 +315,4 @@ class TickLoop:
             self._busy[:ticks].copy(),
             self._woken[:ticks].copy(),
             state,
-            frozenset(self._ends),
         )

@@ -8,33 +8,21 @@ the reason why the run ended.
 """
 
 import enum
-import math
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import lru_cache
-from uuid import uuid4
 
-import jax
-import jax.numpy as jnp
 import msgspec
-import numpy as np
 
-from drftjax import __version__
 from drftjax.arrays import require_between
 from drftjax.errors import InputError
-from drftjax.runlog.head import Head, OnlineHead
-from drftjax.saved import believed
-from drftjax.setup import SetUp
-from drftjax.statics import zeta_from_sinkage
 from hils.clock import AbstractClock
-from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event
-from hils.guard import CommandLimits, require_profile
+from hils.event_log import EventLog
+from hils.events import Event
 from hils.link import AbstractLink, LinkLost, LinkQuality
-from hils.loop import LoopReport, Overruns, TickLoop, Zero, channels
-from hils.loop_setup import LoopRecord, LoopSetUp, Start, shared_physics
+from hils.loop import LoopReport, Overruns, TickLoop
+from hils.loop_setup import LoopSetUp, Start, shared_physics
 from hils.operator_dialogue import AbstractDialogue
 from hils.pace import watchdog_ms
 from hils.recorder import CLOSE_LIMIT
@@ -43,21 +31,24 @@ from hils.rows import Rows
 from hils.scene import Phase
 from hils.session import STOPPED, RigStopped, Session
 from hils.standing import Ended, Settled, Standing, touch_down
+from hils.starting_point import (
+    LEAST_SINKAGE,
+    LEAST_ZETA,
+    MOST_ZETA,
+    run_log_head,
+    starting_point,
+    within_limits,
+    zeta_by_sinkage,
+)
 from hils.stop_request import StopRequest, Wish
-from hils.tick import AbstractTick, FreeTick, LoopState, TunedTick
-from hils.wire import VIRTUAL_RIG, Hello, HelloAck, RigState
+from hils.tick import AbstractTick, FreeTick, TunedTick
+from hils.wire import Hello, RigState
 
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
-# zeta(0) outside of this says that something was measured or typed wrongly.
-LEAST_ZETA, MOST_ZETA = 0.05, 10.0
 LONGEST_COUNTDOWN = 60.0  # [s]
-# A wheel that stands less deep was not let down, or was zeroed too low [m].
-LEAST_SINKAGE = 5e-4
 # The operator is told of a recording that takes so long to close [s].
 SLOW_CLOSE = 3.0
-# With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
-MOST_OVER = 0.02
 
 
 class ZeroAt(enum.Enum):
@@ -124,27 +115,6 @@ class RunReport:
     quality: LinkQuality
     wish: Wish | None = None
     unfinished: str = ""
-
-
-class _Log:
-    """Events before the run's start is known, and after."""
-
-    def __init__(self, rows: Rows, clock: AbstractClock):
-        self._rows, self._clock = rows, clock
-        self._early: list[tuple[float, int, float]] = []
-        self._start: float | None = None
-
-    def event(self, code: int, arg: float = 0.0) -> None:
-        now = self._clock.now()
-        if self._start is None:
-            self._early.append((now, code, arg))
-        else:
-            self._rows.event(now - self._start, code, arg)
-
-    def begin(self, start: float) -> None:
-        self._start = start
-        for time, code, arg in self._early:
-            self._rows.event(time - start, code, arg)
 
 
 def run(
@@ -220,17 +190,18 @@ def _run(
     stop: StopRequest,
     before_motion: Callable[[], None],
 ) -> RunReport:
-    log, session = _Log(rows, clock), Session(link, clock)
+    log, session = EventLog(rows, clock), Session(link, clock)
     tick_us = round(procedure.loop.tick * 1e6)
     ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)), PATIENCE)
     log.event(Event.CONNECTED, ack.boot_id)
     try:
         if ack.state in STOPPED:
             dialogue.tell(_stopped_before(ack.state))
-        loop = _within(procedure.loop, ack, procedure.free)
+        title = procedure.title or procedure.loop.setup.title
+        loop = within_limits(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
-        rows.require_room(_head(procedure, loop, expected, ack))
-        statics = _statics(msgspec.json.encode(loop.setup))
+        rows.require_room(run_log_head(loop, expected, ack, title, procedure.free))
+        statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
             conduct.warm(expected)
@@ -257,7 +228,7 @@ def _run(
     driven = not procedure.free
     standing = Standing(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
     ramp = loop.commands.omega / loop.ramp
-    rest = Rest(session, link, clock, ack, stop, standing.rest, loop.tick, ramp)
+    rest = Rest(session, link, clock, ack, stop, log, standing.rest, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
@@ -268,27 +239,25 @@ def _run(
         dialogue.tell("Armed. The wheel settles.")
         settled = standing.settle(zero)
         log.event(Event.SETTLED, settled.sinkage)
-        start = _start(procedure, loop, statics, settled)
-        dialogue.tell(
-            _rest(procedure, start.sinkage)
-            + ("" if procedure.free else f", zeta(0) {start.zeta:.4f}")
-            + f"; start in {procedure.countdown:g} s"
-        )
+        start = starting_point(loop, settled, procedure.zeta, procedure.free, statics)
+        dialogue.tell(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
         dialogue.enter(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
         start = Start(standing.hold(began - loop.tick / 2, zero, settled), start.zeta)
         state = conduct.begin(start)
-        rows.begin(_head(procedure, loop, start, ack))
+        rows.begin(run_log_head(loop, start, ack, title, procedure.free))
         log.begin(began)
-        looped = _loop(procedure, conduct, state, began, link, clock, rows, stop, zero, ack)
+        ticks = TickLoop(
+            conduct, link, clock, rows, log, stop, zero, ack, procedure.overruns, valid_ms
+        )
+        looped = ticks.run(state, began)
         reason = looped.reason
     except (Ended, RigStopped) as ended:
         reason = str(ended)
     except LinkLost as lost:
         reason = f"link lost: {lost}"
     finally:
-        ends = frozenset() if looped is None else looped.ends
-        rested = _to_rest(session, rest, ends, log, dialogue)
+        rested = _to_rest(session, rest, log, dialogue)
     return RunReport(
         reason,
         looped is not None and looped.completed,
@@ -300,31 +269,7 @@ def _run(
     )
 
 
-def _loop(
-    procedure: Procedure,
-    conduct: AbstractTick,
-    state: LoopState,
-    began: float,
-    link: AbstractLink,
-    clock: AbstractClock,
-    rows: Rows,
-    stop: StopRequest,
-    zero: Zero,
-    ack: HelloAck,
-) -> LoopReport:
-    valid_ms = watchdog_ms(round(conduct.loop.tick * 1e6))
-    return TickLoop(conduct, link, clock, rows, stop, zero, ack, procedure.overruns, valid_ms).run(
-        state, began
-    )
-
-
-def _to_rest(
-    session: Session,
-    rest: Rest,
-    ends: frozenset[tuple[int, float]],
-    log: _Log,
-    dialogue: AbstractDialogue,
-) -> bool:
+def _to_rest(session: Session, rest: Rest, log: EventLog, dialogue: AbstractDialogue) -> bool:
     """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
         try:
@@ -332,9 +277,9 @@ def _to_rest(
             log.event(Event.STOP_SENT)
             dialogue.enter(Phase.STOPPING)
         finally:
-            rested = rest.bring(log.event, ends)
+            rested = rest.bring()
     except LinkLost:
-        log.event(Event.LINK_LOST)
+        log.note(Event.LINK_LOST)
         dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
         return False
     log.event(Event.DISCONNECTED)
@@ -343,110 +288,18 @@ def _to_rest(
     return rested
 
 
-# Before ARM ---------------------------------------------------------------------------------------
-
-
 def _stopped_before(state: RigState) -> str:
     if state is RigState.FAULT:
         return "The rig says FAULT: it cannot be armed until that is mended."
     return "The rig was SAFE before this run; ARM lets it move again."
 
 
-def _within(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
-    """The loop within the rig's own limits.
-
-    Raises:
-        InputError: what of the rig or of the profile does not fit.
-    """
-    command = loop.setup.command.build()
-    rig = msgspec.structs.replace(loop.commands, omega=ack.omega_max, vx=ack.vx_max)
-    require_profile(command.time, command.omega, rig, "the rig")
-    both = CommandLimits(
-        min(loop.commands.omega, ack.omega_max),
-        min(loop.commands.vx, ack.vx_max),
-        loop.commands.omega_slew,
-        loop.commands.vx_slew,
-    )
-    rolling = loop.setup.wheel.radius * float(np.abs(command.omega).max())
-    if not free and rolling > both.vx:
-        raise InputError(
-            f"the profile rolls at up to {rolling:.4g} m/s without slip, the carriage may be "
-            f"driven at {both.vx:.4g} m/s at most (the rig allows {ack.vx_max:.4g} m/s)"
-        )
-    deepest = -float(loop.setup.trial().simulator.wheel.cut().sinkage_limit)
-    readings = msgspec.structs.replace(loop.readings, lowest=deepest)
-    return msgspec.structs.replace(loop, commands=both, readings=readings)
-
-
 def _conduct(loop: LoopSetUp, free: bool) -> AbstractTick:
     return FreeTick(loop) if free else TunedTick(shared_physics(loop))
 
 
-@lru_cache(maxsize=16)
-def _statics(setup: bytes) -> Callable[[float], float]:
-    """zeta by the sinkage at rest, compiled: after ARM nothing may take longer than a tick."""
-    made = msgspec.json.decode(setup, type=SetUp)
-    simulator, angle = made.trial().simulator, made.start.angle
-    told = jax.jit(lambda sinkage: zeta_from_sinkage(simulator, sinkage, angle=angle))
-    told = told.lower(jnp.asarray(0.01)).compile()
-    return lambda sinkage: float(told(jnp.asarray(sinkage)))
-
-
-def _rest(procedure: Procedure, sinkage: float) -> str:
-    if procedure.free and sinkage < LEAST_SINKAGE:
+def _at_rest(procedure: Procedure, start: Start) -> str:
+    if procedure.free and start.sinkage < LEAST_SINKAGE:
         return "At rest in the air"
-    return f"At rest {sinkage * 1e3:.2f} mm deep"
-
-
-def _start(
-    procedure: Procedure,
-    loop: LoopSetUp,
-    statics: Callable[[float], float],
-    settled: Settled,
-) -> Start:
-    deepest = -loop.readings.lowest
-    least = LEAST_SINKAGE if procedure.zeta is None else -MOST_OVER
-    if procedure.free:
-        least = -loop.readings.highest
-    if not least <= settled.sinkage <= deepest:
-        raise InputError(
-            f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
-            f"{least * 1e3:g} and {deepest * 1e3:.3g} mm: hold it at touch-down when it is zeroed, "
-            "or give --zero power-up where the scale was zeroed there before, or --zeta0 where "
-            "no sinkage at rest can be told"
-        )
-    if procedure.zeta is not None:
-        return Start(settled.sinkage, procedure.zeta)
-    if settled.sinkage < LEAST_SINKAGE:  # in the air, where statics tells nothing
-        return Start(settled.sinkage, math.nan)
-    zeta = statics(settled.sinkage)
-    if not LEAST_ZETA <= zeta <= MOST_ZETA:
-        raise InputError(
-            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
-            f"lie between {LEAST_ZETA:g} and {MOST_ZETA:g}: check touch-down, mass and wheel"
-        )
-    return Start(settled.sinkage, zeta)
-
-
-def _head(procedure: Procedure, loop: LoopSetUp, start: Start, ack: HelloAck) -> Head:
-    numbers = loop.tuner.build(loop.tick)
-    online = OnlineHead(
-        tick=loop.tick,
-        zeta_step=float(getattr(numbers, "zeta_step", 0.0)),
-        tolerance=float(getattr(numbers, "tolerance", 0.0)),
-        loop=LoopRecord(loop, start).text(),
-        flag_meanings=FLAG_MEANINGS,
-    )
-    return Head(
-        setup=believed(loop.setup, start.sinkage, start.zeta),
-        source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
-        title=procedure.title or loop.setup.title,
-        channels=channels(ack.x_scale),
-        driven=not procedure.free,
-        online=None if procedure.free else online,
-        event_meanings=EVENT_MEANINGS,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        run_id=uuid4().hex[:12],
-        software="drftjax",
-        software_version=__version__,
-    )
+    depth = f"At rest {start.sinkage * 1e3:.2f} mm deep"
+    return depth if procedure.free else f"{depth}, zeta(0) {start.zeta:.4f}"

@@ -7,12 +7,12 @@ carriage stands, and that it is not RUNNING. What it does by itself meanwhile is
 """
 
 import math
-from collections.abc import Callable, Set
 
 from hils.clock import AbstractClock
+from hils.event_log import EventLog
 from hils.events import Event
 from hils.link import AbstractLink
-from hils.loop import longest_silence
+from hils.listener import longest_silence
 from hils.rig_protocol import told
 from hils.session import EMERGENCY, NOT_RESTED, STOPPED, Session
 from hils.stop_request import StopRequest, Wish
@@ -29,10 +29,6 @@ LONGEST_STOP, LONGEST_EMERGENCY_STOP = 5.0, 1.0
 STOP_INTERVAL = 0.05
 
 
-def _unlogged(code: int, arg: float) -> None:
-    pass
-
-
 class Rest:
     """Brings a rig to rest, whatever state it is in.
 
@@ -40,6 +36,7 @@ class Rest:
         session, link, clock: The rig.
         ack: What it said of itself when the session was opened.
         stop: Looked at all the while, and asked by the rig's own emergency stop.
+        log: Takes what happens meanwhile.
         hold: The command to stand.
         tick: Time from one command to the next [s].
         ramp: Time in which the fastest wheel is ramped down [s]; one whose angular velocity is not
@@ -53,26 +50,18 @@ class Rest:
         clock: AbstractClock,
         ack: HelloAck,
         stop: StopRequest,
+        log: EventLog,
         hold: Drive,
         tick: float,
         ramp: float,
     ):
         self._session, self._link, self._clock, self._stop = session, link, clock, stop
         self._ack, self._hold, self._tick, self._ramp = ack, hold, tick, ramp
-        self._log: Callable[[int, float], None] = _unlogged
-        self._known: set[tuple[int, float]] = set()
+        self._log = log
         self._said: int | None = None
 
-    def bring(
-        self,
-        log: Callable[[int, float], None] = _unlogged,
-        known: Set[tuple[int, float]] = frozenset(),
-    ) -> bool:
+    def bring(self) -> bool:
         """STOP; where the rig is not seen to rest, or its stop is urgent, ESTOP; BYE in any case.
-
-        Args:
-            log: Takes an event of the log and its number.
-            known: Those that have told it before why the run ends.
 
         Returns:
             Whether it was seen to rest.
@@ -80,7 +69,6 @@ class Rest:
         Raises:
             LinkLost: it can no longer be reached; its watchdog brings it to rest.
         """
-        self._log, self._known = log, set(known)
         rested = False
         try:
             rested = self._by_stop()
@@ -133,7 +121,7 @@ class Rest:
         self._note_wish()
         halted = self._session.halted
         # One of the same reason is the rig's answer.
-        if halted is None or halted.reason == self._said or self._is_known(halted):
+        if halted is None or halted.reason == self._said or self._is_noted(halted):
             return
         self._halt(halted)
         self._link.send(halted)
@@ -171,20 +159,20 @@ class Rest:
     def _was_reset(self, said: StateReport | HelloAck) -> bool:
         if said.boot_id == self._ack.boot_id:
             return False
-        self._note(Event.RIG_RESET, said.boot_id)
+        self._log.note(Event.RIG_RESET, said.boot_id)
         return True
 
     def _halt(self, message: EmergencyStop) -> None:
         """Whoever pressed the rig's button wants no further run either."""
-        self._note(Event.EMERGENCY_STOP, message.reason)
+        self._log.note(Event.EMERGENCY_STOP, message.reason)
         why = f"the rig made an emergency stop, {told(self._ack.rig_id, message.reason)}"
         self._stop.ask(Wish(why, Event.EMERGENCY_STOP, message.reason))
 
     def _heed(self, state: RigState, fault: int = 0) -> None:
-        if state in STOPPED and not self._emergency_known():
-            self._note(Event.RIG_STATE, state)
+        if state in STOPPED and not self._log.noted(Event.EMERGENCY_STOP):
+            self._log.note(Event.RIG_STATE, state)
         if fault:
-            self._note(Event.RIG_FAULT, fault)
+            self._log.note(Event.RIG_FAULT, fault)
         if self._stop.wish is None and (fault or state is RigState.FAULT):
             why = f"the rig reports fault {fault}" if fault else "the rig went FAULT"
             event, arg = (Event.RIG_FAULT, fault) if fault else (Event.RIG_STATE, state)
@@ -194,21 +182,12 @@ class Rest:
         wish = self._stop.wish
         if wish is None:
             return
-        self._note(wish.event, wish.arg)
-        if self._stop.emergency and not self._emergency_known():
-            self._note(Event.EMERGENCY_STOP, wish.arg)
+        self._log.note(wish.event, wish.arg)
+        if self._stop.emergency and not self._log.noted(Event.EMERGENCY_STOP):
+            self._log.note(Event.EMERGENCY_STOP, wish.arg)
 
-    def _emergency_known(self) -> bool:
-        return any(code == Event.EMERGENCY_STOP for code, _ in self._known)
-
-    def _is_known(self, halted: EmergencyStop) -> bool:
-        return (Event.EMERGENCY_STOP, halted.reason) in self._known
-
-    def _note(self, code: int, arg: float) -> None:
-        """Into the log, once."""
-        if (code, arg) not in self._known:
-            self._known.add((code, arg))
-            self._log(code, arg)
+    def _is_noted(self, halted: EmergencyStop) -> bool:
+        return self._log.noted(Event.EMERGENCY_STOP, halted.reason)
 
 
 class _Watch:

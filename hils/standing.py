@@ -12,10 +12,11 @@ import numpy as np
 from drftjax.errors import InputError
 from hils.clock import AbstractClock
 from hils.link import AbstractLink, Arrival
-from hils.loop import Zero, longest_silence
+from hils.listener import longest_silence
 from hils.session import Session
 from hils.stop_request import StopRequest
 from hils.wire import Drive, HelloAck, Measurement
+from hils.zero import Zero
 
 # Touch-down is averaged over this time [s], and needs as many readings.
 TOUCH_DOWN_TIME, TOUCH_DOWN_READINGS = 0.5, 8

@@ -5,9 +5,11 @@ import struct
 
 import pytest
 
+from hils.event_log import EventLog
 from hils.events import Event
 from hils.rest import LONGEST_STOP, Rest
 from hils.rig_protocol import RigIdentity, RigProtocol
+from hils.rows import KeptRows
 from hils.stop_request import StopRequest, Wish
 from hils.wire import Bye, Drive, EmergencyStop, RigState, Stop
 from tests.other_rigs import HELLO, HOLD, OtherRig, Table
@@ -51,12 +53,17 @@ class Resting(Table):
         self.session.arm(HOLD)
         self.said, send = [], self.link.send
         self.link.send = lambda message: (self.said.append(message), send(message))[1]
+        self.rows = KeptRows()
+        self.log = EventLog(self.rows, self.clock)
+        self.log.begin(0.0)
 
-    def bring(self, known=frozenset()) -> bool:
-        given = self.session, self.link, self.clock, self.ack, self.stop
-        self.logged = []
-        rest = Rest(*given, HOLD, 0.01, RAMP)
-        return rest.bring(lambda *event: self.logged.append(event), known)
+    def bring(self) -> bool:
+        given = self.session, self.link, self.clock, self.ack, self.stop, self.log
+        return Rest(*given, HOLD, 0.01, RAMP).bring()
+
+    @property
+    def logged(self) -> list:
+        return [(code, arg) for _, code, arg in self.rows.events]
 
 
 def test_commands_at_rest_keep_the_watchdog_quiet_while_the_wheel_ramps_down():
@@ -159,9 +166,9 @@ def test_a_rig_that_goes_safe_is_logged_and_may_run_again():
 
 def test_what_ended_the_run_is_not_logged_again():
     table = Resting(Failing())
-    known = {(Event.RIG_STATE, RigState.FAULT), (Event.RIG_FAULT, 7)}
-    assert table.bring(known)
-    assert table.logged == []
+    table.log.note(Event.RIG_FAULT, 7)
+    assert table.bring()
+    assert table.logged == [(Event.RIG_FAULT, 7), (Event.RIG_STATE, RigState.FAULT)]
 
 
 class Parting(OtherRig):
