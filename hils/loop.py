@@ -254,16 +254,18 @@ class TickLoop:
     # Ends ---------------------------------------------------------------------------------------
 
     def _look_at_requests(self) -> None:
+        wish = self._stop.wish
         if self._stop.emergency:
             self._link.send(EmergencyStop(EMERGENCY))
-            wish = self._stop.wish
             self._log.note(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
-            raise Over("emergency stop" if wish is None else f"emergency stop: {wish.reason}")
+            raise Over(self._stop.reason)
         if self._wish is not None:
             return
-        if self._stop.wish is not None:
-            self._end(self._stop.wish)
-        elif not self._rows.alive:
+        if wish is not None and self._ramping_since is not None:
+            self._log.note(wish.event, wish.arg)  # the profile is at its end: it ramps already
+        elif wish is not None:
+            self._end(wish)
+        if self._wish is None and not self._rows.alive:
             self._end(Wish(f"the recorder {self._rows.reason}", Event.FAILED))
 
     def _end(self, wish: Wish) -> None:

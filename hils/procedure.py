@@ -159,7 +159,8 @@ def run(
         if unfinished and report is None:
             dialogue.tell(unfinished)
     assert report is not None  # or else it was raised
-    return replace(report, wish=stop.wish, unfinished=unfinished)
+    wish = None if stop.wish is None else stop.wish._replace(reason=stop.reason)
+    return replace(report, wish=wish, unfinished=unfinished)
 
 
 def _close(rows: Rows, reason: str, dialogue: AbstractDialogue) -> str:

@@ -109,7 +109,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
         except KeyboardInterrupt:
             if stop.wish is None or _code(stop.wish) == INTERRUPTED:
                 raise
-            dialogue.tell(f"Ended: {stop.wish.reason}.")
+            dialogue.tell(f"Ended: {stop.reason}.")
             return ENDED_EARLY
     return 0
 

@@ -187,7 +187,7 @@ class Standing:
         self._due = self._heard = self._clock.now()
         while self._clock.now() < until:
             if self._stop.wish is not None:
-                raise Ended(self._stop.wish.reason)
+                raise Ended(self._stop.reason)
             self._link.send(self.rest)
             self._due += self._tick
             if self._due < self._clock.now():  # late: no burst of commands to catch up

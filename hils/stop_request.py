@@ -51,6 +51,14 @@ class StopRequest:
         self.emergency = False
         self.uncut = False
 
+    @property
+    def reason(self) -> str:
+        """Why the run is to end, in words."""
+        why = "" if self.wish is None else self.wish.reason
+        if not self.emergency:
+            return why
+        return f"emergency stop: {why}" if why else "emergency stop"
+
     def ask(self, wish: Wish, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
         self.emergency = self.emergency or emergency or self.wish is not None

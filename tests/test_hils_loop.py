@@ -10,6 +10,7 @@ from drftjax.errors import InputError
 from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.head import Head
+from drftjax.setup import CommandSetUp
 from hils.clock import VirtualClock
 from hils.events import Event, TickFlag
 from hils.faults import Disconnect, DriveFault, Fault, FaultScript, Reset, Window
@@ -208,6 +209,31 @@ def test_asked_to_stop_before_the_start_nothing_turns():
     assert made.report.loop is None
     assert not any(isinstance(m, Drive) and m.omega for _, m in made.said)
     assert any(isinstance(m, Stop) for _, m in made.said)
+
+
+def test_emergency_stop_before_the_start_is_called_so():
+    made = make(cue=ask(emergency=True), at=-1.0)
+    assert made.report.reason == "emergency stop: asked"
+    assert made.report.loop is None
+    assert made.soft.rig.state is RigState.SAFE
+
+
+def test_stop_while_the_wheel_ramps_down_after_the_profile_leaves_the_run_completed():
+    """The profile ends at 30 deg/s, from which the loop ramps down for half a second."""
+    loop = loop_setup()
+    setup = msgspec.structs.replace(
+        loop.setup, command=CommandSetUp([0.0, 1.0, 2.0], [0, 30, 30], omega_unit="deg/s")
+    )
+    made = make(msgspec.structs.replace(loop, setup=setup), cue=ask(), at=1.9)
+    assert made.report.completed
+    assert made.report.reason == "completed"
+    assert made.report.wish.reason == "asked"
+    kinds = made.kinds()
+    assert kinds.index(Event.STOP_ASKED) < kinds.index(Event.PROFILE_ENDED)
+    assert made.events(Event.STOP_ASKED) == [0.0]
+    assert made.rows.ticks[-1].time > 2.0
+    asked = next(time for time, code, _ in made.rows.events if code == Event.STOP_ASKED)
+    assert 2.0 < asked < made.rows.ticks[-1].time
 
 
 def test_rig_that_goes_safe_ends_the_run():

@@ -135,6 +135,13 @@ def test_series_can_be_found_and_stopped_between_its_runs(runs, tmp_path):
     assert runs_under_way() == []
 
 
+def test_emergency_stop_after_the_profile_is_called_so(tmp_path):
+    pressed = Wish("asked for by the operator", Event.EMERGENCY_STOP, signal.SIGUSR1)
+    report, _ = closed_with(lambda rows: rows.stop.ask(pressed, emergency=True))
+    said = "No further run: emergency stop: asked for by the operator."
+    assert said in told(report, tmp_path / "run.h5")
+
+
 def test_ctrl_c_between_runs_interrupts_the_program(runs):
     with pytest.raises(KeyboardInterrupt):
         runs(between=lambda *_: signal.raise_signal(signal.SIGINT))
