@@ -115,6 +115,7 @@ class Session:
                 return
             if self._said is None or self._said.state is RigState.FAULT:
                 break
+        self._require_same_boot(ack)
         raise InputError(_unready(self._link.name, self._said, ack.rig_id))
 
     def require_unhalted(self) -> None:
@@ -187,6 +188,19 @@ class Session:
         """
         return self._ask(EmergencyStop(reason), _says_stopped) is not None
 
+    def require_here(self) -> None:
+        """Where a rig before ARM sends nothing any more: refuse one that was reset since HELLO.
+
+        It is taken leave of, which a rig that knows no session answers with its boot number.
+
+        Raises:
+            InputError: it was reset.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        self.bye()
+        self._require_same_boot(ack)
+
     def bye(self) -> None:
         """End the session, and give the rig a moment to take it in."""
         now = self._clock.now()
@@ -200,6 +214,13 @@ class Session:
         # What it said before it heard this HELLO has come before its answer.
         self._halted = self._halted or self._link.quality().halted
         self.require_unhalted()
+
+    def _require_same_boot(self, ack: HelloAck) -> None:
+        stranger = self._link.quality().stranger
+        if stranger is not None and stranger.boot_id != ack.boot_id:
+            raise InputError(
+                f"the rig on {self._link.name} was reset before it was armed: start again"
+            )
 
     def _require_open(self) -> tuple[Hello, HelloAck]:
         if self._hello is None or self._ack is None:

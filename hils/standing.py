@@ -72,6 +72,7 @@ def touch_down(session: Session, link: AbstractLink, clock: AbstractClock, ack: 
         heights.append(measurement.z)
         places.append(measurement.x)
     if len(heights) < TOUCH_DOWN_READINGS:
+        session.require_here()
         raise InputError(
             f"{link.name}: {len(heights)} measurements came in {TOUCH_DOWN_TIME:g} s while the "
             f"wheel was held at touch-down, needs {TOUCH_DOWN_READINGS}; a rig at rest sends one "

@@ -97,6 +97,31 @@ def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(que
     assert "emergency stop" in rows.end_reason
 
 
+class Resetting(Unattended):
+    """The rig is reset at one of the questions."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
+        super().__init__(quiet=True)
+        self._rig, self._clock, self._question = rig, clock, question
+
+    def confirm(self, text, meanwhile=None):
+        if self._question in text:
+            self._rig.reset(self._clock.now())
+            self._clock.sleep_until(self._clock.now() + 1.0)
+
+
+@pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down"])
+def test_rig_that_is_reset_at_a_question_is_refused_as_such(question):
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    said = "the rig on the virtual rig was reset before it was armed: start again$"
+    with pytest.raises(InputError, match=said):
+        run(given, link, clock, rows, Resetting(rig, clock, question), StopRequest())
+    assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
+    assert rig.protocol.state in (RigState.IDLE, RigState.SAFE)
+
+
 class Waiting(Unattended):
     """An operator who never presses Enter, at a rig whose own emergency stop is pressed."""
 
