@@ -156,7 +156,7 @@ def run(
         raise
     finally:
         unfinished = _close(rows, reason, dialogue)
-        if unfinished and report is None:
+        if unfinished and report is None and unfinished != reason:
             dialogue.tell(unfinished)
     assert report is not None  # or else it was raised
     wish = None if stop.wish is None else stop.wish._replace(reason=stop.reason)
@@ -201,7 +201,8 @@ def _run(
         title = procedure.title or procedure.loop.setup.title
         loop = within_limits(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
-        rows.require_room(run_log_head(loop, expected, ack, title, procedure.free))
+        head = run_log_head(loop, expected, ack, title, procedure.free)
+        rows.require_room(head)
         statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
@@ -220,6 +221,7 @@ def _run(
             session.require_unhalted,
         )
         session.require_unhalted()
+        rows.require_room(head)  # again: a question may stay open for long
         before_motion()
     except BaseException:
         with suppress(LinkLost):

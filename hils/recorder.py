@@ -27,6 +27,7 @@ from drftjax.child import program
 from drftjax.errors import InputError
 from drftjax.runlog.head import Head
 from drftjax.runlog.recording_lock import part_path, require_free
+from drftjax.runlog.recording_place import require_place
 from hils.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
 PIPE_BYTES: Final = 2**20
@@ -114,8 +115,10 @@ class Recorder:
         """Refuse a head that the pipe cannot take at once, before anything moves.
 
         Raises:
-            InputError: how large it is, and how large it may be.
+            InputError: how large it is, and how large it may be. Or the recorder has ended, its
+                file was moved or removed, or the disk has filled since it started.
         """
+        self._require_at_work()
         try:
             most = fcntl.fcntl(self._pipe, fcntl.F_GETPIPE_SZ) - HEAD_RESERVE
         except (OSError, AttributeError):  # not every system tells
@@ -126,6 +129,17 @@ class Recorder:
                 f"set-up and profile make {size} bytes of the run log's head, the pipe to the "
                 f"recorder takes {most}: give a profile of fewer knots"
             )
+
+    def _require_at_work(self) -> None:
+        part = part_path(self.path)
+        if self._process.poll() is not None:
+            raise self._failure(self._ending() or _UNASKED)
+        if not part.exists():
+            raise InputError(f"{part} was moved or removed before the first row")
+        try:
+            require_place(self.path)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
 
     def begin(self, head: Head) -> None:
         """Have the file made, without waiting for it; once, before the first row.

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Final
 
 from drftjax.errors import InputError
-from drftjax.runlog.hdf5.recording import Recording, require_place
+from drftjax.runlog.hdf5.recording import Recording
 from drftjax.runlog.recording_lock import claim, give_up, part_path
+from drftjax.runlog.recording_place import require_place
 from hils.row_stream import Kind, RowStream
 from hils.sound_rows import Rows, SoundRows
 

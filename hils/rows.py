@@ -28,7 +28,9 @@ class Rows(Protocol):
         ...
 
     def require_room(self, head: Head) -> None:
-        """Refuse a head as long as this one where it could not be taken; nothing has moved yet.
+        """Refuse a head as long as this one where it, or rows behind it, could not be taken.
+
+        Nothing has moved yet.
 
         Raises:
             InputError: where it could not.

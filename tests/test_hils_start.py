@@ -122,6 +122,28 @@ def test_rig_that_is_reset_at_a_question_is_refused_as_such(question):
     assert rig.protocol.state in (RigState.IDLE, RigState.SAFE)
 
 
+def test_a_file_that_cannot_be_recorded_any_more_after_the_questions_is_refused():
+    class Filling(KeptRows):
+        asked = 0
+
+        def require_room(self, head):
+            self.asked += 1
+            if self.asked > 1:
+                raise InputError("the disk is full")
+
+    soft = soft_rig()
+    with pytest.raises(InputError, match="the disk is full"):
+        run(
+            Procedure(loop=loop_setup(), countdown=0.3),
+            soft.link,
+            soft.clock,
+            Filling(),
+            Unattended(quiet=True),
+            StopRequest(),
+        )
+    assert "arm" not in soft.rig.occasions
+
+
 class Waiting(Unattended):
     """An operator who never presses Enter, at a rig whose own emergency stop is pressed."""
 

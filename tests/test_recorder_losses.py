@@ -326,6 +326,36 @@ def test_a_folder_that_goes_before_the_first_row_is_told(tmp_path, mishap):
     assert list(tmp_path.rglob("*.h5*")) == []
 
 
+# Before anything moves ----------------------------------------------------------------------------
+
+
+def test_a_recorder_that_was_killed_at_a_question_is_refused_before_anything_moves(path):
+    recorder = Recorder(path)
+    recorder.require_room(example_head())
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder._process.wait(DEADLINE)
+    with pytest.raises(InputError, match=r"the recorder was ended by SIGKILL$"):
+        recorder.require_room(example_head())
+
+
+def test_a_folder_that_went_at_a_question_is_refused_before_anything_moves(tmp_path):
+    day = tmp_path / "day"
+    day.mkdir()
+    recorder = Recorder(day / "run.h5")
+    shutil.rmtree(day)
+    with pytest.raises(InputError, match=r"was moved or removed before the first row$"):
+        recorder.require_room(example_head())
+    recorder.close("not begun")
+
+
+def test_a_disk_that_filled_at_a_question_is_refused_before_anything_moves(small_disk):
+    recorder = Recorder(small_disk / "run.h5")
+    (small_disk / "ballast").write_bytes(bytes(5 * 2**20))
+    with pytest.raises(InputError, match=r"run\.h5: the disk is full"):
+        recorder.require_room(example_head())
+    recorder.close("not begun")
+
+
 # Repair ------------------------------------------------------------------------------------------
 
 

@@ -24,26 +24,12 @@ from drftjax.runlog.hdf5.reading import SIZE_LIMIT, survey_recording
 from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
 from drftjax.runlog.head import Head
 from drftjax.runlog.record import ONLINE_INTEGERS
+from drftjax.runlog.recording_place import RESERVE, require_room
 from drftjax.runlog.replace import put_new_file
 from drftjax.runlog.seal import sealed
 
 ROWS_IN_CHUNK: Final = 512
 """Rows that a kill within a write can reach: a chunk of float64 is a page of memory."""
-RESERVE: Final = 2**21
-"""Room that is never used, for HDF5's own bookkeeping [bytes]."""
-
-
-def require_place(path: Path) -> None:
-    """Refuse a folder that a recording cannot be begun in.
-
-    Raises:
-        InputError: It is not there, may not be written, or has no room.
-    """
-    if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise InputError(f"the folder {path.parent} may not be written")
-    _require_room(path.parent, RESERVE)
 
 
 class Recording:
@@ -178,7 +164,7 @@ class Recording:
         """The rows that wait, and the finished file beside them, must fit."""
         new = 2 * self._waiting_bytes + RESERVE
         written = self._written_bytes + self._waiting_bytes
-        _require_room(self._handle, new + written)
+        require_room(self._handle, new + written)
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and limit < os.fstat(self._handle).st_size + new:
             raise InputError(f"a file may not grow past {limit / 2**20:.1f} MiB here")
@@ -188,13 +174,6 @@ class Recording:
 
 def _removed(part: Path) -> InputError:
     return InputError(f"{part} was removed while it was recorded; nothing is left of it")
-
-
-def _require_room(place: Path | int, wanted: int) -> None:
-    facts = os.statvfs(place)
-    free = facts.f_bavail * facts.f_frsize
-    if free < wanted:
-        raise InputError(f"the disk is full: {free / 2**20:.1f} MiB are left")
 
 
 def _groups(head: Head) -> list[str]:
