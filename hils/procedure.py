@@ -159,7 +159,9 @@ def run(
         if unfinished and report is None and unfinished != reason:
             dialogue.tell(unfinished)
     assert report is not None  # or else it was raised
-    wish = None if stop.wish is None else stop.wish._replace(reason=stop.reason)
+    wish = stop.wish
+    if wish is not None and wish.event is Event.EMERGENCY_STOP:
+        wish = wish._replace(reason=stop.reason)
     return replace(report, wish=wish, unfinished=unfinished)
 
 

@@ -241,6 +241,8 @@ def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
             "--zeta-step, --tuning-ticks would be ignored",
         ),
         (["--tuner", "pi", "--zeta-step", "0.1"], "the tuner 'pi' has no number 'zeta_step'"),
+        (["--between", "true"], "--between would be ignored: one run has none after it"),
+        (["--port", ""], "--port is empty, must be a device"),
         (["--number", "noise"], "--number is 'noise', must be NAME=VALUE"),
         (["--zeta-step", "0.1", "--number", "zeta-step=0.2"], "'zeta_step' is given twice"),
         (["--port", "rfc2217://h:1", "--baud", "115200", "--tick", "0.001"], "is too short for"),

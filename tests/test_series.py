@@ -142,6 +142,15 @@ def test_emergency_stop_after_the_profile_is_called_so(tmp_path):
     assert said in told(report, tmp_path / "run.h5")
 
 
+def test_second_stop_while_the_file_is_closed_is_called_no_emergency_stop():
+    def twice(rows):
+        rows.stop.ask(TERMINATED)
+        rows.stop.ask(TERMINATED)
+
+    report, _ = closed_with(twice)
+    assert report.wish == TERMINATED
+
+
 def test_ctrl_c_between_runs_interrupts_the_program(runs):
     with pytest.raises(KeyboardInterrupt):
         runs(between=lambda *_: signal.raise_signal(signal.SIGINT))

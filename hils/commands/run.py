@@ -107,6 +107,10 @@ def run(
     """Run a rig in the loop, or with its carriage free, and record it."""
     if mode == "free":
         refuse_given(context, OF_THE_TUNER, "in --mode free nothing is tuned")
+    if repeat == 1:
+        refuse_given(context, ("between",), "one run has none after it; give --repeat")
+    if not port:
+        raise InputError("--port is empty, must be a device or a URL; drft hils ports lists them")
     from drftjax.commands.runtime import configure_jax
 
     configure_jax()
