@@ -305,7 +305,8 @@ class Recorder:
         part = part_path(self.path)
         kept = ""
         if self._begun and part.exists():
-            kept = f"; the rows until then are kept: drft log repair {part}"
+            other = " -o ANOTHER.h5" if self.path.exists() else ""
+            kept = f"; the rows until then are kept: drft log repair {part}{other}"
         elif self._begun and self.path.exists():
             kept = f"; the rows until then are in {self.path}"
         return InputError(f"{self.path}: the recorder {reason}{kept}")

@@ -12,7 +12,7 @@ import psutil
 
 from drftjax.errors import InputError
 from drftjax.runlog.hdf5 import read_run
-from drftjax.runlog.recording_lock import require_free
+from drftjax.runlog.recording_lock import part_path, require_free
 from drftjax.runlog.replace import require_folder
 from hils.clock import MonotonicClock
 from hils.events import Event
@@ -96,7 +96,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
                 report = one_run(procedure, series, path, dialogue, stop, under_way)
                 for line in told(report, path):
                     dialogue.tell(line)
-                if series.plot and path.exists():
+                if series.plot and _is_there(path):
                     dialogue.tell(_drawn(path))
                 if report.unfinished:
                     raise InputError(report.unfinished)
@@ -200,6 +200,11 @@ def _suspended(first: psutil.Process) -> list[psutil.Process]:
     return held
 
 
+def _is_there(path: Path) -> bool:
+    """Whether it is the run's log; beside its recording it is another file, put there meanwhile."""
+    return path.exists() and not part_path(path).exists()
+
+
 def _drawn(path: Path) -> str:
     """Draw the run; a sentence that says where, or why not."""
     from drftjax.figures import save_figure
@@ -249,7 +254,7 @@ def told(report: RunReport, path: Path) -> list[str]:
         f"{quality.dropped} dropped{f' ({causes})' if causes else ''}, "
         f"{quality.replaced} commands replaced by newer ones."
     )
-    if path.exists():
+    if _is_there(path):
         lines.append(f"Run log: {path}")
     elif loop is not None and not loop.fresh:
         lines.append("No run log: no reading came during the profile.")

@@ -248,7 +248,8 @@ def test_a_name_is_one_recorders_from_its_start_on(path):
 def test_a_file_that_came_to_stand_there_meanwhile_is_kept_and_so_are_the_rows(path):
     recorder = recorded(path, 10)
     path.write_bytes(b"another run")
-    with pytest.raises(InputError, match=f"rows until then are kept: drft log repair {path}.part"):
+    said = f"rows until then are kept: drft log repair {path}.part -o ANOTHER.h5$"
+    with pytest.raises(InputError, match=said):
         recorder.close("completed")
     assert path.read_bytes() == b"another run"
     _, run = repair(part_path(path), path.with_name("kept.h5"))

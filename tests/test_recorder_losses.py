@@ -288,7 +288,9 @@ def test_a_recording_moved_to_where_its_name_is_taken_is_kept_there(tmp_path):
     await_outcome(lambda: committed(day / "run.h5.part") == 50)
     day.rename(archive)
     (archive / "run.h5").write_bytes(b"another run")
-    said = f"archive/run.h5 .*its rows are kept: drft log repair {archive}/run.h5.part$"
+    said = (
+        f"archive/run.h5 .*its rows are kept: drft log repair {archive}/run.h5.part -o ANOTHER.h5$"
+    )
     with pytest.raises(InputError, match=said):
         recorder.close("completed")
     assert (archive / "run.h5").read_bytes() == b"another run"

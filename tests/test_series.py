@@ -68,6 +68,15 @@ def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
     assert told(report, tmp_path / "run.h5")[-1].startswith("Link: ")
 
 
+def test_a_file_that_came_to_stand_there_meanwhile_is_not_told_as_the_run_log(tmp_path):
+    report, path = make().report, tmp_path / "run.h5"
+    assert report is not None
+    path.write_bytes(b"another run")
+    assert told(report, path)[-1] == f"Run log: {path}"
+    (tmp_path / "run.h5.part").write_bytes(b"rows")
+    assert told(report, path)[-1].startswith("Link: ")
+
+
 def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
     def fail(rows):
         raise InputError("run.h5: the recorder could not finish")

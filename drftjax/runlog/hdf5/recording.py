@@ -128,7 +128,8 @@ class Recording:
             put_new_file(final, whole)
         except InputError as error:
             if moved:
-                raise InputError(f"{error}; its rows are kept: drft log repair {place}") from error
+                mended = f"drft log repair {place}{' -o ANOTHER.h5' if final.exists() else ''}"
+                raise InputError(f"{error}; its rows are kept: {mended}") from error
             raise
         place.unlink()
         if moved:
