@@ -84,4 +84,6 @@ class StopRequest:
             yield
         finally:
             for kind, handler in before.items():
-                signal.signal(kind, handler)
+                # A second press of a stop key that finds the program leaving must not kill it.
+                late = kind in (STOP_SIGNAL, EMERGENCY_SIGNAL) and handler == signal.SIG_DFL
+                signal.signal(kind, signal.SIG_IGN if late else handler)

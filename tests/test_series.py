@@ -211,6 +211,21 @@ def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_
     assert Heard.lines[-1].startswith("Link: ")
 
 
+LEAVER = """
+import signal, sys
+from hils.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
+with StopRequest().on_signals():
+    pass
+for each in (STOP_SIGNAL, EMERGENCY_SIGNAL):
+    signal.raise_signal(each)
+sys.exit(3)
+"""
+
+
+def test_a_stop_that_finds_the_program_leaving_does_not_spoil_its_exit_code():
+    assert subprocess.run([sys.executable, "-c", LEAVER]).returncode == 3
+
+
 def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp_path):
     """A leveller that a script drives must not go on moving."""
     monkeypatch.setattr("hils.under_way.BASE", tmp_path)
