@@ -25,6 +25,12 @@ BATCHED = 1e-9
 # rounding decides on which side the first step's matrix is taken: a few micrometres.
 BATCHED_FROM_REST = 1e-5
 
+# Sums of 48,000 steps, each rounded to 1e-16 of the sum.
+SUMMED = 1e-11
+# Places of some centimetres in single precision are rounded to 2e-9 m in each of a thousand steps,
+# which add up at random or, at the worst, one way.
+SINGLE = 1e-6
+
 BATCH = 64
 
 
@@ -57,7 +63,7 @@ def test_steps_one_by_one_are_the_scanned_run():
     one_by_one = jax.tree.map(lambda *rows: jnp.stack(rows), *outputs)
     last, scanned = roll(simulator, start, commands, DEFAULT_STEP)
     assert_equal_runs(one_by_one, scanned, COMPILED_APART)
-    np.testing.assert_allclose(state.position, last.position, atol=COMPILED_APART)
+    np.testing.assert_allclose(state.position, last.position, rtol=0, atol=COMPILED_APART)
 
 
 def test_rows_kept_are_rows_of_the_whole_run():
@@ -92,6 +98,7 @@ def test_batch_of_64_zetas_is_64_single_runs(start, tolerance):
     singles = jax.tree.map(lambda *rows: jnp.stack(rows), *map(run, zetas))
     np.testing.assert_allclose(batch.x, singles.x, rtol=0, atol=tolerance)
     np.testing.assert_allclose(batch.z, singles.z, rtol=0, atol=tolerance)
+    # From zeta 0.4 to 1.2 a wheel sinks 20 mm less: these are 64 different runs.
     assert float(jnp.ptp(batch.z[:, -1])) > 0.01
 
 
@@ -118,14 +125,14 @@ def test_moving_knots_and_the_same_zeta_given_step_by_step_agree():
     np.testing.assert_allclose(by_knots.x, by_step.x, rtol=0, atol=BATCHED)
     np.testing.assert_allclose(by_knots.z, by_step.z, rtol=0, atol=BATCHED)
     assert float(by_knots.zeta[0]) == 0.6
-    assert float(jnp.max(by_knots.zeta)) > 0.85
+    assert float(jnp.max(by_knots.zeta)) == pytest.approx(0.9, rel=BATCHED)
 
 
 def test_wheel_turns_by_the_integral_of_its_speed():
     # The paper's profile: two ramps of 5 s and 10 s at 30 deg/s.
     rows = profile().rows(DEFAULT_STEP)
-    assert float(jnp.degrees(rows.angle[-1])) == pytest.approx(450.0, rel=1e-9)
-    assert float(rows.time[-1]) == pytest.approx(24.0, rel=1e-9)
+    assert float(jnp.degrees(rows.angle[-1])) == pytest.approx(450.0, rel=SUMMED)
+    assert float(rows.time[-1]) == pytest.approx(24.0, rel=SUMMED)
 
 
 def test_first_row_is_the_start():
@@ -164,7 +171,7 @@ def test_single_precision_runs_where_it_is_asked_for():
         rows = roll(*down, DEFAULT_STEP, every=20)[1]
     assert rows.z.dtype == jnp.float32
     double = roll(with_zeta(ConstantZeta(0.7823)), start, commands, DEFAULT_STEP, every=20)[1]
-    np.testing.assert_allclose(np.asarray(rows.z), np.asarray(double.z), atol=1e-5)
+    np.testing.assert_allclose(np.asarray(rows.z), np.asarray(double.z), rtol=0, atol=SINGLE)
 
 
 @pytest.mark.parametrize(

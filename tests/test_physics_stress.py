@@ -24,10 +24,13 @@ ANCHOR = 1e-4
 ROUNDING = 1e-12
 # Wrenches of some 100 N, added up in another order.
 FORCE_ROUNDING = 1e-9
-# The share of direction that the regulariser takes at 0.04 m/s is 3e-6; the law asks for 1 %.
-PLATE_DRAG = 0.01
+# The share of direction that the regulariser takes at 0.04 m/s is 3e-6; twice that of two of them,
+# and what a force given with four digits is rounded by.
+PLATE_DRAG = 2e-5
 # Of the stress of poppy seeds, what no scaled generic law covers.
 POPPY_SEEDS = 0.2
+# Half a unit of the last digit of a height decrease in hundredths of a millimetre.
+LAST_DIGIT = 0.005e-3
 # Of the wrench, what corners a hundredth as wide as the search's are off by.
 WIDTHS = 1e-4
 # Trapezoids of 0.25 mm over what bends within 2 mm.
@@ -84,7 +87,7 @@ def fourier_sum(named, beta, gamma):
 )
 def test_stress_per_depth_meets_its_anchors(beta, gamma, expected):
     got = alpha(StressCoefficients.generic(), np.radians(beta), np.radians(gamma))
-    np.testing.assert_allclose(got, expected, atol=ANCHOR)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=ANCHOR)
 
 
 def test_mirror_image_turns_the_horizontal_stress_around():
@@ -93,8 +96,8 @@ def test_mirror_image_turns_the_horizontal_stress_around():
     gamma = random.uniform(-np.pi, np.pi, 500)
     x, z = alpha(StressCoefficients.generic(), beta, gamma)
     mirrored_x, mirrored_z = alpha(StressCoefficients.generic(), -beta, np.pi - gamma)
-    np.testing.assert_allclose(mirrored_x, -x, atol=ROUNDING)
-    np.testing.assert_allclose(mirrored_z, z, atol=ROUNDING)
+    np.testing.assert_allclose(mirrored_x, -x, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(mirrored_z, z, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +117,7 @@ def test_law_without_angles_is_the_fourier_sum_over_angles(coefficients, named):
     beta = np.arctan2(normal[0], -normal[1])
     gamma = np.arctan2(-velocity[1], velocity[0])
     got = coefficients(*map(jnp.asarray, (*normal, *velocity)))
-    np.testing.assert_allclose(got, fourier_sum(named, beta, gamma), atol=ROUNDING)
+    np.testing.assert_allclose(got, fourier_sum(named, beta, gamma), rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +186,7 @@ def test_stress_on_the_plates_sums_to_the_wrench(wheel):
     about_axle = jnp.sum(force_z * load.plates.x - force_x * load.plates.z)
     expected = jnp.stack([jnp.sum(force_x), jnp.sum(force_z), about_axle])
     got = simulator.wrench(*a_motion())
-    np.testing.assert_allclose(got, expected, atol=FORCE_ROUNDING)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=FORCE_ROUNDING)
     assert float(got[1]) > 50
 
 
@@ -200,7 +203,7 @@ def test_height_decrease_and_momentum_flux_are_what_quasi_static_leaves_out():
     bare = Dynamic(inertial_coefficient=0.0, height_decrease=0.0)
     without = Simulator(terrain=Terrain(law=bare)).wrench(*motion)
     quasi_static = Simulator(terrain=Terrain(law=QuasiStatic())).wrench(*motion)
-    np.testing.assert_allclose(without, quasi_static, atol=FORCE_ROUNDING)
+    np.testing.assert_allclose(without, quasi_static, rtol=0, atol=FORCE_ROUNDING)
 
 
 def test_sand_behind_the_axle_is_lower_by_the_height_decrease():
@@ -208,7 +211,7 @@ def test_sand_behind_the_axle_is_lower_by_the_height_decrease():
     motion = a_motion()
     omega = jnp.radians(jnp.asarray(30.0))
     load = Simulator().plate_load(motion[0], motion[1], motion[2], omega, motion[4])
-    assert float(load.motion.height_decrease) == pytest.approx(0.63e-3, abs=0.005e-3)
+    assert float(load.motion.height_decrease) == pytest.approx(0.63e-3, abs=LAST_DIGIT)
     np.testing.assert_array_equal(load.motion.behind, load.plates.x < 0)
 
 
@@ -242,4 +245,5 @@ def test_derivatives_of_rounded_corners_have_slopes():
         return float(jnp.trapezoid(jax.vmap(jax.grad(stiffness(corners)))(heights), heights))
 
     assert summed(Rounded()) == pytest.approx(change(Rounded()), rel=TRAPEZOIDS)
-    assert abs(summed(Sharp()) - change(Sharp())) > 0.1 * abs(change(Sharp()))
+    # Sharp ones have none: all change is in their jumps, which no slope adds up to.
+    assert abs(summed(Sharp())) < TRAPEZOIDS * abs(change(Sharp()))
