@@ -22,6 +22,7 @@ LAST_DIGIT_MM = 0.05
 LAST_DIGIT_RIPPLE = 0.005e-3
 SLIP = 0.001
 LAST_DIGIT_PLACE = 0.0005
+LAST_DIGIT_HERTZ = 0.005
 
 # While the wheel stands it may creep, not jump: over a second, at a speed the regulariser allows.
 STANDING_STILL = 2e-5
@@ -77,7 +78,8 @@ def test_sand_cannot_lift_the_stopped_wheel():
         )[1]
 
     forces = jax.vmap(support)(up)
-    assert float(forces[0]) < 0.9 * 18.837 * 9.81
+    # 18 % less.
+    assert float(forces[0]) < 0.83 * 18.837 * 9.81
     assert bool(jnp.all(jnp.diff(forces) <= 0))
     assert float(jnp.max(forces[up >= REST_SPEED])) < 0
 
@@ -106,7 +108,7 @@ def test_paper_wheel_ripples_by_0_11_mm_as_its_twelve_grousers_pass_once_a_secon
     assert steady.std() == pytest.approx(0.11e-3, abs=LAST_DIGIT_RIPPLE)
     spectrum = np.abs(np.fft.rfft(steady))
     frequency = np.fft.rfftfreq(len(steady), 0.01)
-    assert frequency[spectrum.argmax()] == pytest.approx(1.00, abs=0.005)
+    assert frequency[spectrum.argmax()] == pytest.approx(1.00, abs=LAST_DIGIT_HERTZ)
 
 
 def test_paper_wheel_slips_by_one_percent(paper):

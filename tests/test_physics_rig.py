@@ -14,13 +14,13 @@ from drftjax.rig import DrivenCarriage, Rig
 from drftjax.rollout import step_times
 from drftjax.scaling import ConstantZeta
 from drftjax.simulator import Simulator, State
-from drftjax.statics import REST, sinkage_under_load
+from drftjax.statics import REST, SINKAGE_TOLERANCE, sinkage_under_load
 from drftjax.stress import REST_SPEED, QuasiStatic
 from drftjax.terrain import Terrain
 from drftjax.wheel import GrouserWheel, PlainWheel
 
-# A wheel that stands where the sand at rest carries it: what a ruler could never show.
-NO_CREEP = 1e-5
+# A wheel that stands where the sand at rest carries it goes no farther than that depth is known.
+NO_CREEP = SINKAGE_TOLERANCE
 # Elsewhere the sand gives way no faster than the regulariser's width, but for its tails: a plate
 # at 2 REST_SPEED still lacks a tenth of its direction.
 CREEP = 2 * REST_SPEED
@@ -28,8 +28,9 @@ CREEP = 2 * REST_SPEED
 RATE_INDEPENDENCE = 2e-3
 # A bare rim with nothing to pull rolls with the slip that its own resistance asks for.
 FREE_ROLLING_SLIP = 0.02
-# Mean forces over whole grouser passages of a wheel whose mean speed is steady.
-STEADY_FORCE = 0.5
+# Mean forces over whole grouser passages of a wheel of 19 kg whose mean speed is steady: to under a
+# millimetre a second over four seconds.
+STEADY_FORCE = 5e-3
 # Sums of doubles of some 100 W.
 ENERGY_ROUNDING = 1e-9
 # Dropped from 50 mm over the sand; where both integrators go with ever finer steps, and how near.
@@ -38,6 +39,12 @@ LANDING_DEPTH, LANDING = 49.5e-3, 0.3e-3
 NO_BOUNCE = 5e-5
 # A linearly implicit step falls g t dt / 2 short of the parabola.
 FALL = 1.1
+# The same step on c v = m g (1 - e^(-c t / m)) is late by c dt / 2 m at first, 5.3e-4; twice that.
+TERMINAL = 1e-3
+# A bare rim at one speed has no ripple: held at it, it goes on as it did.
+SAME_MOTION = 1e-9
+# A few doubles of order one, and a sum of 12,000 of them.
+ROUNDING, SUM_ROUNDING = 1e-15, 1e-12
 
 MASS_Z, GRAVITY = 18.837, 9.81
 PITCH = 2 * math.pi / 12
@@ -65,12 +72,13 @@ def test_wheel_at_its_rest_depth_does_not_creep_in_a_minute(integrator):
     rows = drive(simulator, 60.0, 0.0, State.at_rest(REST_DEPTH), step=1e-3, interval=0.1)
     assert float(jnp.max(jnp.abs(rows.z + REST_DEPTH))) < NO_CREEP
     assert float(jnp.max(jnp.abs(rows.x))) < NO_CREEP
-    assert float(rows.fz[-1]) == pytest.approx(MASS_Z * GRAVITY, rel=1e-6)
+    assert float(rows.fz[-1]) == pytest.approx(MASS_Z * GRAVITY, rel=ENERGY_ROUNDING)
 
 
 def test_deeper_wheel_is_not_pushed_up():
     rows = drive(Simulator(), 10.0, 0.0, State.at_rest(REST_DEPTH + 0.005))
-    assert float(rows.z[-1] + REST_DEPTH + 0.005) < 1e-3
+    # As far as the regulariser lets it go in that time.
+    assert float(rows.z[-1] + REST_DEPTH + 0.005) < 10.0 * REST_SPEED
     assert float(jnp.max(rows.vz)) < CREEP
 
 
@@ -99,7 +107,8 @@ def test_dropped_wheel_comes_to_rest_where_it_lands(integrator):
     # At longer steps a fall ends in chatter: docs/integrator.md has the table.
     rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=1e-4)
     landed = int(jnp.argmin(rows.z))
-    assert 0.1 < float(rows.time[landed]) < 0.3
+    # A fall of 50 mm takes 0.10 s, and of 100 mm 0.14; in the sand it takes longer.
+    assert 0.1 < float(rows.time[landed]) < 0.2
     assert -float(rows.z[landed]) == pytest.approx(LANDING_DEPTH, abs=LANDING)
     assert float(rows.z[-1] - rows.z[landed]) < NO_BOUNCE
     assert float(jnp.max(rows.vz)) < CREEP
@@ -126,7 +135,8 @@ def test_dynamic_terms_make_a_fast_wheel_differ():
     rows = drive(Simulator(), 3.0, omega, interval=0.002)
     slow = drive(Simulator(terrain=Terrain(law=QuasiStatic())), 3.0, omega, interval=0.002)
     last = passages(rows, omega, 6)
-    assert abs(float(jnp.mean(rows.vx[last] - slow.vx[last]))) / omega > 1e-3
+    apart = abs(float(jnp.mean(rows.vx[last] - slow.vx[last])))
+    assert apart > 10 * RATE_INDEPENDENCE * 0.150 * omega
 
 
 def test_free_rolling_wheel_has_near_zero_slip():
@@ -149,7 +159,8 @@ def test_forces_balance_the_load_and_the_tow_when_rolling_is_steady():
         assert float(jnp.mean(rows.fz[last])) == pytest.approx(MASS_Z * GRAVITY, abs=STEADY_FORCE)
         slips.append(float(jnp.mean(rows.slip[last])))
     assert slips == sorted(slips)
-    assert slips[-1] > slips[0] + 0.02
+    # A third of the weight more to tow costs a tenth of the way at the very least.
+    assert slips[-1] > slips[0] + 0.1
 
 
 def test_driven_carriage_imposes_the_speed_and_pulls_more_at_more_slip():
@@ -159,13 +170,14 @@ def test_driven_carriage_imposes_the_speed_and_pulls_more_at_more_slip():
         vx = 0.150 * omega * (1 - slip)
         simulator = Simulator(rig=Rig(carriage=DrivenCarriage()), integrator=HeldPace())
         rows = drive(simulator, 6.0, omega, vx=vx)
-        np.testing.assert_allclose(rows.vx, vx, rtol=1e-14)
-        np.testing.assert_allclose(rows.slip, slip, atol=1e-12)
+        np.testing.assert_allclose(rows.vx, vx, rtol=ROUNDING)
+        np.testing.assert_allclose(rows.slip, slip, rtol=0, atol=ROUNDING)
         # The carriage starts from rest, and over its first step travels at the mean speed.
-        assert float(rows.x[-1]) == pytest.approx((6.0 - DEFAULT_STEP / 2) * vx, rel=1e-12)
+        assert float(rows.x[-1]) == pytest.approx((6.0 - DEFAULT_STEP / 2) * vx, rel=SUM_ROUNDING)
         pulls.append(float(jnp.mean(rows.fx[passages(rows, omega, 4)])))
     assert pulls == sorted(pulls)
-    assert pulls[-1] > 10.0
+    # At half the way it pulls more than a quarter of its weight.
+    assert pulls[-1] > MASS_Z * GRAVITY / 4
 
 
 def test_driven_carriage_at_its_own_steady_speed_needs_no_force():
@@ -175,7 +187,7 @@ def test_driven_carriage_at_its_own_steady_speed_needs_no_force():
     held = Simulator(wheel=PlainWheel(), rig=Rig(carriage=DrivenCarriage()))
     rows = drive(held, 10.0, omega, State.at_rest(0.04), vx=speed)
     assert float(jnp.mean(rows.fx[-200:])) == pytest.approx(0.0, abs=STEADY_FORCE)
-    assert float(rows.z[-1]) == pytest.approx(float(free.z[-1]), abs=1e-4)
+    assert float(rows.z[-1]) == pytest.approx(float(free.z[-1]), abs=SAME_MOTION)
 
 
 def test_damping_slows_a_falling_wheel_to_its_terminal_speed():
@@ -183,7 +195,7 @@ def test_damping_slows_a_falling_wheel_to_its_terminal_speed():
     simulator = Simulator(rig=Rig(damping_z=200.0))
     rows = drive(simulator, 0.5, 0.0, State.at_rest(-2.0), step=1e-4)
     expected = -MASS_Z * GRAVITY / 200.0 * (1 - jnp.exp(-rows.time * 200.0 / MASS_Z))
-    np.testing.assert_allclose(rows.vz, expected, rtol=2e-3)
+    np.testing.assert_allclose(rows.vz, expected, rtol=TERMINAL)
 
 
 def test_damping_along_x_asks_for_the_pull_that_overcomes_it():
@@ -193,7 +205,8 @@ def test_damping_along_x_asks_for_the_pull_that_overcomes_it():
     last = passages(rows, omega, 4)
     pull, speed = float(jnp.mean(rows.fx[last])), float(jnp.mean(rows.vx[last]))
     assert pull == pytest.approx(200.0 * speed, abs=STEADY_FORCE)
-    assert pull > 5.0
+    # It rolls with a slip of under a tenth.
+    assert pull > 0.9 * 200.0 * 0.150 * omega
 
 
 def test_damping_of_zero_is_no_damping():
@@ -225,7 +238,7 @@ def test_drive_power_is_what_the_sand_dissipates_and_the_axle_takes():
 
     kinds = (rows.x, rows.z, rows.vx, rows.vz, rows.angle, rows.omega)
     spent, dissipated = jax.jit(jax.vmap(balance))(*kinds)
-    np.testing.assert_allclose(spent, dissipated, atol=ENERGY_ROUNDING)
+    np.testing.assert_allclose(spent, dissipated, rtol=0, atol=ENERGY_ROUNDING)
     assert float(jnp.min(dissipated)) >= 0
     assert float(jnp.mean(dissipated[:-1][moving])) > 1.0
 
@@ -244,5 +257,5 @@ def test_steady_drive_power_is_the_tow_power_and_what_the_sand_dissipates():
 def test_command_is_linear_between_its_samples(speed):
     knots = jnp.array([0.0, 1.0])
     commands = command_at(jnp.array([0.25, 2.0]), knots, jnp.array([0.0, 0.4]), speed * knots)
-    np.testing.assert_allclose(commands.omega, [0.1, 0.4], atol=1e-15)
-    np.testing.assert_allclose(commands.vx, [0.25 * speed, speed], atol=1e-15)
+    np.testing.assert_allclose(commands.omega, [0.1, 0.4], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(commands.vx, [0.25 * speed, speed], rtol=0, atol=ROUNDING)

@@ -38,6 +38,18 @@ RUNS = 4
 DIFFERENCES = 1e-4
 # Rise of the bed [-]; and what zeta at knots, the plates' ripple between them, may leave of z.
 RISE, FEW_FLOORS = 0.012, 5 * NOISE
+# Root mean squares of 275 samples scatter by 1 / sqrt(2 * 275) of themselves, 4 %, and of the 140
+# that a thinned run has by 6 %: five times that.
+MISFIT, SPREAD = 0.25, 0.3
+# 46 samples a knot of 20 um, where sinkage changes by 25 mm a zeta, tell a knot to 1.2e-4; twice.
+TOLD = 3e-4
+# A few roundings of doubles up to ten.
+ROUNDING = 1e-13
+# The inverse of a covariance whose eigenvalues are two orders apart.
+INVERSE = 1e-12
+# From the bend at its end, third derivatives of order ten over a millisecond; a curve with a bend
+# there would have a thousand times that.
+UNBENT = 1e-7
 # Two-sided 90 % of a normal distribution, in standard errors.
 BAND = 1.645
 
@@ -90,8 +102,8 @@ def test_known_path_lies_within_its_band(paths):
         for number, each in enumerate(paths[:RUNS])
     ]
     assert np.concatenate(inside).sum() >= 22
-    # And the band is no wide one: in the moving part a thousandth or two of zeta.
-    assert np.median([each.error[2:5] for each in paths[:RUNS]]) < 2e-3
+    # And the band is no wide one.
+    assert np.median([each.error[2:5] for each in paths[:RUNS]]) < TOLD
 
 
 def test_where_samples_were_lost_the_path_is_known_less_well():
@@ -101,9 +113,10 @@ def test_where_samples_were_lost_the_path_is_known_less_well():
     assert np.abs(lossy.value - path_of(0)(lossy.time)).max() < 4 * lossy.error.max()
     middle = int(np.argmin(np.abs(lossy.time - np.mean(LOST))))
     assert lossy.error[middle] > 1.5 * whole.error[middle]
-    # Elsewhere one in seven is lost, and an error of one in fourteen more is due.
+    # Elsewhere one in seven is lost, and an error of one in fourteen more is due; the knot beside
+    # bears on it too, and is told far less well. In the gap it is three times as large.
     assert lossy.error[-2] == pytest.approx(whole.error[-2], rel=0.4)
-    assert all(spread == pytest.approx(20e-6, rel=0.4) for spread, _ in lossy.noise.values())
+    assert all(spread == pytest.approx(NOISE, rel=SPREAD) for spread, _ in lossy.noise.values())
 
 
 def test_between_knots_the_path_is_a_curve(paths):
@@ -121,22 +134,23 @@ def test_spline_is_exact_at_its_knots_and_straight_beyond():
     grid = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
     values = np.array([1.0, 3.0, -2.0, 0.5, 4.0])
     ends = between(grid)
-    np.testing.assert_allclose(ends[::LINES], grid, atol=1e-15)
+    np.testing.assert_allclose(ends[::LINES], grid, rtol=0, atol=ROUNDING)
     curve = cardinal(grid, ends) @ values
-    np.testing.assert_allclose(curve[::LINES], values, atol=1e-12)
+    np.testing.assert_allclose(curve[::LINES], values, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(cardinal(grid, np.array([-3.0, 9.0])) @ values, values[[0, -1]])
     # Natural: no bend at the ends; and a straight line stays one.
     small = np.array([0.0, 1e-3, 2e-3])
-    assert np.diff(cardinal(grid, small) @ values, 2) == pytest.approx(0.0, abs=1e-7)
-    np.testing.assert_allclose(cardinal(grid, ends) @ (2 - 3 * grid), 2 - 3 * ends, atol=1e-12)
+    assert np.diff(cardinal(grid, small) @ values, 2) == pytest.approx(0.0, abs=UNBENT)
+    straight = cardinal(grid, ends) @ (2 - 3 * grid)
+    np.testing.assert_allclose(straight, 2 - 3 * ends, rtol=0, atol=ROUNDING)
 
 
 def test_fit_comes_down_to_the_noise(paths):
     for each in paths[:RUNS]:
         assert each.converged
-        assert each.rmse["z"] == pytest.approx(20e-6, rel=0.25)
-        assert each.rmse["x"] == pytest.approx(20e-6, rel=0.25)
-        assert all(spread == pytest.approx(20e-6, rel=0.4) for spread, _ in each.noise.values())
+        assert each.rmse["z"] == pytest.approx(NOISE, rel=MISFIT)
+        assert each.rmse["x"] == pytest.approx(NOISE, rel=MISFIT)
+        assert all(spread == pytest.approx(NOISE, rel=SPREAD) for spread, _ in each.noise.values())
 
 
 def test_a_wheel_that_speeds_up_is_not_noise(candidates):
@@ -147,14 +161,14 @@ def test_a_wheel_that_speeds_up_is_not_noise(candidates):
     )
     assert white_noise(sparse.values[sparse.channels.index("x")]) > 2 * NOISE
     (path,) = zeta_paths([dataclasses.replace(candidates[0], observation=sparse)], SPACING)
-    assert all(spread == pytest.approx(NOISE, rel=0.4) for spread, _ in path.noise.values())
+    assert all(spread == pytest.approx(NOISE, rel=SPREAD) for spread, _ in path.noise.values())
 
 
 def test_fitted_setup_and_trial_are_the_path(paths):
     each = paths[0]
     zeta = each.trial.simulator.terrain.zeta
     assert isinstance(zeta, KnotZeta)
-    np.testing.assert_allclose(zeta.value, each.at(np.asarray(zeta.time)), rtol=1e-12)
+    np.testing.assert_allclose(zeta.value, each.at(np.asarray(zeta.time)), rtol=ROUNDING)
     np.testing.assert_array_equal(zeta.value, each.setup.terrain.zeta.value)
     np.testing.assert_array_equal(zeta.time, each.setup.terrain.zeta.time)
     np.testing.assert_allclose(each.at(each.time), each.value)
@@ -163,8 +177,8 @@ def test_fitted_setup_and_trial_are_the_path(paths):
 def test_standstill_tells_nothing_of_zeta(paths):
     path = paths[-1]
     standing, moving = path.time < 2.0, (path.time > 3.5) & (path.time < 5.5)
-    np.testing.assert_allclose(path.value[moving], 0.74, atol=4e-3)
-    assert path.error[moving].max() < 5e-3
+    np.testing.assert_allclose(path.value[moving], 0.74, rtol=0, atol=TOLD)
+    assert path.error[moving].max() < TOLD
     assert path.told[moving].all()
     assert not path.told[standing].any()
     # Not even the first digit.
@@ -197,11 +211,12 @@ def test_path_makes_up_for_whatever_moves_the_sinkage(moved):
         assert each.rmse["z"] < FEW_FLOORS, name
         spread, correlation = each.noise["z"]
         assert spread < FEW_FLOORS, name
-        assert correlation <= np.exp(-np.pi / (SPACING / 2) / RATE) + 1e-9, name
+        assert correlation <= np.exp(-np.pi / (SPACING / 2) / RATE) + INVERSE, name
 
 
 def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
     path, fallen = moved["slope"], moved["falling slope"]
+    # At 25 mm of sinkage a zeta, the last 5 mm of rise ask for 0.2 more, and less as zeta grows.
     assert path.value[path.told][-2] > 0.9
     assert fallen.value[fallen.told][-2] < 0.68
     # No zeta(t) meets both: what it does to slip is summed up, and told as what it is.
@@ -258,8 +273,8 @@ def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
     products = Products.of(columns, intervals_of(0.01 * place))
     dense = columns.T @ np.linalg.solve(covariance, columns)
-    np.testing.assert_allclose(products.whitened(noise), dense, rtol=1e-10)
-    assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-10)
+    np.testing.assert_allclose(products.whitened(noise), dense, rtol=INVERSE)
+    assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=INVERSE)
 
 
 def test_noise_is_found_among_the_samples_that_are_left():
@@ -300,7 +315,9 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
             key=lambda w, p=products: posterior(p, knots, 0.0, w, [Noise(0.02, 0.0)]).evidence,
         )
         found.append(np.log10(best))
-    assert np.mean(found) == pytest.approx(3.0, abs=0.3)
+    # 38 bends tell a weight to sqrt(2 / 38) / ln 10, a tenth of a decade, and eight paths to 0.035;
+    # but the weights that are tried lie half a decade apart.
+    assert np.mean(found) == pytest.approx(3.0, abs=0.25)
 
 
 # Refusals -----------------------------------------------------------------------------------------
