@@ -16,6 +16,10 @@ from diagnose.odd_runs import alone_in_the_gap, by_zeta, of_repeats
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from tests.virtual_cases import case_with
 
+# Rounding of squares of misses of a millimetre.
+ROUNDING = 1e-20
+# No close call, and no doubt at all.
+LIKELY, SURE = 0.9, 0.99
 NOISE = {"x": 1e-6, "z": 1e-6}
 
 
@@ -48,12 +52,12 @@ def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
     )
     assert found.pop(("z", "slow")) == pytest.approx(0.5e-6)
     # A constant has no fast part, but for rounding.
-    assert max(found.values()) < 1e-20
+    assert max(found.values()) < ROUNDING
 
 
 def test_what_a_model_explains_of_two_repeats_is_no_chance(case):
     told = chance(case, [misses(case, b=1e-3), misses(case, a=2e-3, b=2e-3)], alike)
-    assert told.max() < 1e-20
+    assert told.max() < ROUNDING
 
 
 def test_runs_that_begin_elsewhere_do_not_tell_chance(case):
@@ -87,9 +91,9 @@ def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
     def of(by_chance: float) -> dict:
         return weights(judged, (("z", "slow"),), number, noise, 9, chance=np.array([by_chance]))
 
-    assert of(0.0)[(UNKNOWN,)] > 0.99
+    assert of(0.0)[(UNKNOWN,)] > SURE
     assert of(1e-12) == of(0.0)  # within noise and a model's own error
-    assert of(1e-6)[(NONE,)] > 0.9
+    assert of(1e-6)[(NONE,)] > LIKELY
 
 
 def test_repeats_that_disagree_are_named(case):

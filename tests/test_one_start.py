@@ -14,6 +14,11 @@ from drftjax.setup_toml import setup_toml
 from identify.candidate import candidate
 from tests.virtual_runs import SLOW, recorded, setup_of
 
+# Places of a few metres, taken from one another.
+ROUNDING = 1e-14
+# Three times what two starts differ by that are read with 20 um of noise each [m].
+SET_OFF = 1e-4
+
 
 @pytest.fixture(scope="module")
 def run() -> RunLog:
@@ -29,13 +34,13 @@ def from_x(run: RunLog, start: float) -> RunLog:
 def test_runs_that_start_elsewhere_count_from_there_and_keep_their_places(run):
     at_zero = gathered_from({"a": run, "b": from_x(run, 0.3)}).candidates
     away = gathered_from({"a": from_x(run, 2.0), "b": from_x(run, 2.3)}).candidates
-    assert away[0].setup.start.x == pytest.approx(0.0, abs=1e-12)
-    assert away[1].setup.start.x == pytest.approx(0.3, abs=1e-12)
+    assert away[0].setup.start.x == pytest.approx(0.0, abs=ROUNDING)
+    assert away[1].setup.start.x == pytest.approx(0.3, abs=ROUNDING)
     for one, other in zip(at_zero, away, strict=True):
         moved = one.observation.values[0][0] - other.observation.values[0][0]
         difference = other.observation.values[0] + moved - one.observation.values[0]
-        np.testing.assert_allclose(difference, 0, rtol=0, atol=1e-12)
-        assert other.trial.start.position[0] == pytest.approx(other.setup.start.x, abs=1e-12)
+        np.testing.assert_allclose(difference, 0, rtol=0, atol=ROUNDING)
+        assert other.trial.start.position[0] == pytest.approx(other.setup.start.x, abs=ROUNDING)
 
 
 def test_a_driven_carriage_starts_where_its_x_was_recorded():
@@ -45,9 +50,9 @@ def test_a_driven_carriage_starts_where_its_x_was_recorded():
     found = gathered_from({"a": from_x(one, 2.0), "b": from_x(other, 2.3)}).candidates
     assert "x" not in found[0].observation.channels
     starts = [each.trial.start.position[0] for each in found]
-    assert starts == pytest.approx([0.0, 0.3], abs=1e-4)
+    assert starts == pytest.approx([0.0, 0.3], abs=SET_OFF)
     assert found[1].setup.start.origin == found[0].setup.start.origin
-    assert found[0].setup.start.origin == pytest.approx(2.0, abs=1e-4)
+    assert found[0].setup.start.origin == pytest.approx(2.0, abs=SET_OFF)
 
 
 def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
@@ -62,7 +67,7 @@ def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
         (each,) = gathered_from({"b": from_x(run, start)}, read_model_file(path).origin).candidates
         assert each.setup.start.origin == 2.0
         recorded_start = candidate("b", from_x(run, start)).setup.start.x
-        assert each.setup.start.x == pytest.approx(recorded_start - 2.0, abs=1e-12)
+        assert each.setup.start.x == pytest.approx(recorded_start - 2.0, abs=ROUNDING)
         assert each.trial.start.position[0] == each.setup.start.x
     path.write_text(setup_toml(setup_of()))
     assert "origin" not in path.read_text()
@@ -76,7 +81,7 @@ def test_a_run_without_x_leaves_the_others_where_they_are(run):
     given = {"a": from_x(run, 3.0), "b": from_x(run, 3.2), "c": blind(from_x(run, 3.0))}
     found = gathered_from(given).candidates
     starts = [each.setup.start.x for each in found]
-    assert starts == pytest.approx([0.0, 0.2, 0.0], abs=1e-12)
+    assert starts == pytest.approx([0.0, 0.2, 0.0], abs=ROUNDING)
     assert {each.setup.start.origin for each in found} == {found[0].setup.start.origin}
     assert any("c lacks x" in note and "start at x = 0" in note for note in caveats(Case.of(found)))
 

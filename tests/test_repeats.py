@@ -19,6 +19,10 @@ from identify.repeats import _pairs, noise_floor, repeated
 from identify.result import FitResult, RunFit, Value
 from tests.virtual_runs import recorded, setup_of
 
+# Of millimetres, where two differences are nothing but their roundings [m].
+ROUNDING = 1e-15
+# 4,000 differences tell their mean square to 2 %, the readings' own noise to as much.
+SCATTER = 0.04
 PROFILE = ([0.0, 0.3, 1.3, 2.0], [0.0, 0.0, 0.5, 0.5])
 
 
@@ -146,7 +150,7 @@ def test_what_grows_in_two_repeats_is_no_chance_where_one_is_shorter(whole):
     residual = [np.stack([0 * t, 1e-3 * (t - t.mean())]) for t in time]
     response = lifted(*map(len, time))
     floors, _ = noise_floors(case, residual, residual, own, response)  # pyright: ignore
-    assert floors == pytest.approx({"x": 0.0, "z": 0.0}, abs=1e-12)
+    assert floors == pytest.approx({"x": 0.0, "z": 0.0}, abs=ROUNDING)
     # Of fits, whose other numbers move too, only runs of about one length are compared.
     fits = [fitted("a", 0.7), altered(fitted("b", 0.7, 5e-4), samples=80)]
     assert repeated(fits) == [[0, 1]]
@@ -307,8 +311,7 @@ def test_reading_a_repeat_between_its_samples_loses_no_noise(delay):
         channels = {"recorded": 0 * wave, "before": wave, "after": wave}
         counts = np.ones(len(time), bool)
         fits.append(dataclasses.replace(run, time=time + late, counts=counts, **channels))
-    # 4,000 differences tell their mean square to 2 %, the readings' own noise to as much.
-    assert noise_floor(fits)["z"] == pytest.approx(noise, rel=0.04)
+    assert noise_floor(fits)["z"] == pytest.approx(noise, rel=SCATTER)
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5e-4])
@@ -323,8 +326,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
     residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
     response = lambda run: np.zeros((1, len(time)))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
-    # As above.
-    assert floors["z"] == pytest.approx(noise, rel=0.04)
+    assert floors["z"] == pytest.approx(noise, rel=SCATTER)
 
 
 @pytest.mark.parametrize(

@@ -27,10 +27,16 @@ from hils.view_picture import Picture, Point, plot
 from hils.view_process import StopKey
 from hils.virtual_setup import VirtualSetUp
 from hils.watched import unwatched, watched
+from tests.hils_runs import CLOSE
 
 RADIUS = 0.150
 PROFILE = CommandSetUp([0.0, 0.5, 1.5, 2.5, 3.0], [0, 0, 30, 30, 0], omega_unit="deg/s")
 TICK = 0.01
+# What statics says of this rig, to the last digit; a reading scatters by 22 um, and the wheel still
+# settles by a tenth of a millimetre [m].
+STANDS, SETTLES = 0.0165, 3e-4
+# A reading more or less in the second that is looked back on.
+ONE = 1.5 * TICK
 
 
 class Told(AbstractDialogue):
@@ -102,6 +108,7 @@ def test_loop_tells_ten_scenes_a_second_and_not_more():
     times = [time for time, scene in looked_on()[1] if scene.phase is Phase.RUNNING]
     gaps = np.diff(times)
     assert gaps.min() > INTERVAL - TICK / 2
+    # The first tick that is so much later.
     assert gaps.max() < INTERVAL + 1.5 * TICK
 
 
@@ -120,7 +127,7 @@ def test_scenes_say_what_is_recorded():
         assert scene.zeta == log.online.zeta[tick]
         assert scene.simulated == -log.online.z_sim[tick]
         assert -scene.real in log.measured.z
-    assert running[-1].received == pytest.approx(1 / TICK, rel=0.03)
+    assert running[-1].received == pytest.approx(1 / TICK, rel=ONE)
     assert {scene.dropped for scene in running} == {0}
 
 
@@ -137,9 +144,9 @@ def test_measured_sinkage_is_shown_while_the_wheel_settles_and_the_countdown_goe
     scenes = looked_on()[1]
     settling = [scene for _, scene in scenes if scene.phase is Phase.SETTLING]
     assert len(settling) > 15
-    assert settling[-1].real == pytest.approx(0.0165, abs=1e-3)
+    assert settling[-1].real == pytest.approx(STANDS, abs=SETTLES)
     counting = [(when, scene) for when, scene in scenes if scene.phase is Phase.COUNTDOWN]
-    assert counting[-1][1].real == pytest.approx(0.0165, abs=1e-3)
+    assert counting[-1][1].real == pytest.approx(STANDS, abs=SETTLES)
     first = counting[0][0]
     for when, scene in counting:
         assert scene.time == pytest.approx(when - first - 0.4)
@@ -318,7 +325,7 @@ def test_figure_has_sinkage_zeta_slip_and_lateness(tmp_path):
 def test_sinkage_error_is_measured_minus_simulated():
     log = looked_on()[0].run()
     error = sinkage_error(log)
-    assert 0 < np.sqrt((error**2).mean()) < 1e-3
+    assert 0 < np.sqrt((error**2).mean()) < CLOSE
     row = 150
     within = log.measured.time >= log.online.time[0]
     expected = -log.measured.z[within][row] + np.interp(

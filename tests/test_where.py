@@ -17,6 +17,11 @@ from tests.virtual_runs import FAST, FAST_STEP, SLOW, coarse, recorded, setup_of
 # Shares that are sums of squares alone are exact; a band's edge leaks a little of a line.
 EXACT = 1e-9
 LEAK = 0.12
+# Phases end where the slope of a command that is read every 20 ms has half changed: of 12 s, each
+# edge may be an eighth of one off, and a steady phase has two.
+EDGE = 0.03
+# An angle summed up over samples of 20 ms at 0.5 rad/s counts each at one end.
+SAMPLE = 0.02
 # A ripple's slope is that of a grid whose ends lie elsewhere by a rounding [m/rad].
 RIPPLE = 1e-6
 FLOOR = {"x": 1e-4, "z": 1e-4, "fx": 1.0, "fz": 1.0, "torque": 0.1}
@@ -112,15 +117,16 @@ def test_one_early_slip_does_not_count_for_ever():
     residual[0][case.channels.index("x"), time >= 1.5] = 5e-3
     shares = where(case, residual, FLOOR)
     check(shares)
-    assert on(shares, "phase")["accelerate"] > 0.95
+    # But for its edge.
+    assert on(shares, "phase")["accelerate"] > 1 - EDGE
 
 
 def test_time_spent_is_told_beside_the_share():
     case = case_of(run_of(0.5))
     residual = [np.full_like(each, 1e-4) for each in nothing(case)]
     phases = {e.label: e.time for e in where(case, residual, FLOOR) if e.axis == "phase"}
-    assert phases["steady"] == pytest.approx(9 / 12, abs=0.03)
-    assert phases["stand"] == pytest.approx(1 / 12, abs=0.03)
+    assert phases["steady"] == pytest.approx(9 / 12, abs=EDGE)
+    assert phases["stand"] == pytest.approx(1 / 12, abs=EDGE)
 
 
 def wave(case: Case, run: int, order: float | None, hertz: float = 0.0) -> np.ndarray:
@@ -222,7 +228,7 @@ def test_a_driven_carriage_has_a_slip_and_forces():
     check(shares)
     assert on(shares, "channel")["fx"] == pytest.approx(0.9, abs=EXACT)
     assert "travel" in {each.axis for each in shares}
-    assert sum(s for label, s in on(shares, "slip").items() if "standing" not in label) > 0.8
+    assert sum(s for label, s in on(shares, "slip").items() if "standing" not in label) > 10 / 12
 
 
 def test_what_is_drawn_does_not_hang_on_names_of_groups():
@@ -258,8 +264,8 @@ def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts
     )
     run = run_of(0.5, 10.0)
     motion = motion_of_run(case_of(dataclasses.replace(run, command=Command(knots, omega))), 0)
-    assert motion.angle[-1] == pytest.approx(0.25 + 1 + 0 - 1, abs=0.02)
-    assert motion.turning[-1] == pytest.approx(0.25 + 1 + 1 + 1, abs=0.02)
+    assert motion.angle[-1] == pytest.approx(0.25 + 1 + 0 - 1, abs=SAMPLE)
+    assert motion.turning[-1] == pytest.approx(0.25 + 1 + 1 + 1, abs=SAMPLE)
     phases = np.array(PHASES)[motion.phase]
     assert set(phases[(motion.time > 4.5) & (motion.time < 5.5)]) == {"decelerate"}
     assert set(phases[(motion.time > 6.5) & (motion.time < 7.5)]) == {"accelerate"}
