@@ -123,7 +123,10 @@ def test_one_early_slip_does_not_count_for_ever():
 
 def test_time_spent_is_told_beside_the_share():
     case = case_of(run_of(0.5))
-    residual = [np.full_like(each, 1e-4) for each in nothing(case)]
+    residual = nothing(case)
+    # All of the gap in one second of the nine that the wheel turns steadily.
+    residual[0][:, (case.time(0) > 5) & (case.time(0) < 6)] = 1e-4
+    assert on(where(case, residual, FLOOR), "phase")["steady"] == pytest.approx(1, abs=EXACT)
     phases = {e.label: e.time for e in where(case, residual, FLOOR) if e.axis == "phase"}
     assert phases["steady"] == pytest.approx(9 / 12, abs=EDGE)
     assert phases["stand"] == pytest.approx(1 / 12, abs=EDGE)
