@@ -30,6 +30,16 @@ TIME, OMEGA = [0.0, 0.5, 2.5, 8.5, 9.5, 10.0], [0.0, 0.0, 30.0, 30.0, 0.0, 0.0]
 RUNS = 2
 # A line of a record of 6 s is a third of a hertz wide; its top is told far better than that [Hz].
 TOP = 0.05
+# eq. 7 comes from above and stays where its dead band of 0.1 mm begins: 0.016 of zeta higher than
+# with one of 0.02 mm; grousers that come and go make half as much of it.
+FOLLOWED = 0.03
+# The same course exactly, but for sums of a few roundings of a metre.
+ROUNDING = 1e-15
+# Lines 0.7 Hz apart in ten seconds share a few per mille of each other.
+LEAKS = 0.005
+# Beds that differ by 3 % of zeta stand apart by 0.7 mm for one standard deviation, and readings of
+# one bed by the mean of 20 um of noise [m].
+BEDS, ONE_BED = 2e-4, 5e-5
 
 
 def loop(**options) -> LoopSetUp:
@@ -53,17 +63,19 @@ def test_simulation_and_rig_stay_within_a_millimetre(result):
 
 def test_without_eq_7_they_do_not():
     held = TunerSetUp("step", {"zeta_step": 0.0})
-    assert hils_run(Experiment(loop=loop(tuner=held), runs=1), 0).rmse > 1.5 * CLOSE
+    # A quarter of zeta is worth 6 mm.
+    assert hils_run(Experiment(loop=loop(tuner=held), runs=1), 0).rmse > 3 * CLOSE
 
 
 def test_zeta_follows_the_sand_that_loosens(result):
-    # A loss of 0.3 over 2 rad: after the run's 4.2 rad, 0.74 of what it was.
+    # A loss of 0.3 over 2 rad: after the run's 3.9 rad, 0.74 of what it was.
     for each in result.hils:
-        assert each.zeta[-1] / each.start.zeta == pytest.approx(0.74, abs=0.03)
+        assert each.zeta[-1] / each.start.zeta == pytest.approx(0.74, abs=FOLLOWED)
 
 
 def test_tuned_runs_are_closer_to_the_free_ones_than_constant_zeta(result):
     found = result.apart()
+    # Of the 6 mm in the end, over the whole course.
     assert found["DRFT"].plane > 4e-3
     for name in ("HILS (sim)", "HILS (real)"):
         assert found[name].plane < found["DRFT"].plane / 3
@@ -73,11 +85,12 @@ def test_tuned_runs_are_closer_to_the_free_ones_than_constant_zeta(result):
 def test_every_run_has_a_bed_and_noise_of_its_own(result):
     starts = [each.start.sinkage for each in (*result.hils, *result.free)]
     assert len(set(starts)) == 2 * RUNS
-    assert np.ptp(starts) > 2e-4
+    assert np.ptp(starts) > BEDS
     alike = loosening_rig(scatter=0.0)
     one, two = (hils_run(Experiment(loop=loop(), rig=alike, runs=1), seed) for seed in (1, 2))
-    assert abs(one.start.sinkage - two.start.sinkage) < 1e-4
-    assert np.std(one.measured.z - two.measured.z) > 1e-5
+    assert abs(one.start.sinkage - two.start.sinkage) < ONE_BED
+    # Two readings of 20 um of noise each.
+    assert np.std(one.measured.z - two.measured.z) > 20e-6
 
 
 def test_an_experiment_can_be_repeated(result):
@@ -90,6 +103,7 @@ def test_grousers_pass_once_a_second_and_twelve_times_a_turn(result):
     line = result.spectra()["z, HILS (real)"].lines(1)[0]
     assert line.frequency == pytest.approx(1.0, abs=TOP)
     assert order(line.frequency, result.steady()[1]) == pytest.approx(12.0, abs=12 * TOP)
+    # The paper's wheel ripples by 0.11 mm (rms): 0.16 mm of amplitude.
     assert line.amplitude > 1e-4
 
 
@@ -131,17 +145,17 @@ def test_distances_of_trajectories_that_are_known():
     x = np.linspace(0.0, 1.0, 500)
     path = Track(x, -0.03 * x)
     deeper = apart(Track(x, path.z - 1e-3), path)
-    assert deeper == pytest.approx((1e-3, 1e-3, 0.0, 1e-3), abs=1e-12)
+    assert deeper == pytest.approx((1e-3, 1e-3, 0.0, 1e-3), abs=ROUNDING)
     # Late by 0.01 m on the same course: apart at equal times only.
     late = apart(Track(x - 0.01, -0.03 * (x - 0.01)), path)
     assert late.x == pytest.approx(0.01)
     assert late.z == pytest.approx(3e-4)
     assert late.plane == pytest.approx(np.hypot(0.01, 3e-4))
-    assert late.course < 1e-6
+    assert late.course < ROUNDING
     # The same of wheels that go backward.
     back = Track(-x, path.z)
-    assert apart(Track(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=1e-12)
-    assert apart(Track(0.01 - x, -0.03 * (x - 0.01)), back).course < 1e-6
+    assert apart(Track(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=ROUNDING)
+    assert apart(Track(0.01 - x, -0.03 * (x - 0.01)), back).course < ROUNDING
 
 
 def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():
@@ -149,8 +163,8 @@ def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():
     values = 5.0 + 2.0 * time + 3e-4 * np.sin(2 * np.pi * 1.68 * time)
     values += 1e-4 * np.sin(2 * np.pi * 1.0 * time)
     first, second = spectrum(values, 0.01).lines(2)
-    assert first == pytest.approx((1.68, 3e-4), rel=0.02)
-    assert second == pytest.approx((1.0, 1e-4), rel=0.02)
+    assert first == pytest.approx((1.68, 3e-4), rel=LEAKS)
+    assert second == pytest.approx((1.0, 1e-4), rel=LEAKS)
     assert order(1.68, np.radians(30.0)) == pytest.approx(20.16)
     assert order(1.68, np.radians(-30.0)) == pytest.approx(20.16)
 

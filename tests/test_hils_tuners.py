@@ -27,8 +27,8 @@ FOUND, MET = 1e-3, 3e-5
 KEPT, GAINED = 1e-4, 1e-6
 # Twenty readings that are 5e-4 m off tell a tenth of doubt, at 1e-7 m of gain and 1e-4 m of noise,
 # 0.1^2 * 20 * 1e-7 * 5e-4 / 1e-4^2 at most; and their gap asks for (1 - exp(-0.02)) * 5e-4 * 1e-7 /
-# (1e-3 * 0.01)^2 = 0.01 of zeta, twice of which may be.
-BELIEVED, ASKED = 1e-3, 2e-2
+# (1e-3 * 0.01)^2 = 0.01 of zeta.
+BELIEVED, ASKED = 1e-3, 0.011
 SUBSTEPS = 5
 START = 0.0176
 SPEED = 0.5

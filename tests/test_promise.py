@@ -33,5 +33,6 @@ def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting):
     assert rms(met) == pytest.approx(rms(alone), rel=AGREE)
     # The zeta that suits all channels best gives z up for x.
     x, z = (drifting.channels.index(channel) for channel in "xz")
-    assert rms(met)[z] < 0.8 * rms(none.residual)[z]
+    # And by far: x has more samples to say so, and less noise.
+    assert rms(met)[z] < 0.5 * rms(none.residual)[z]
     assert rms(met)[x] > 3 * rms(none.residual)[x]

@@ -16,6 +16,13 @@ ZETAS = (0.74, 0.755)
 # Between two values that are told alike the best one value lies halfway; sums of squares that are
 # no parabolas move it by a few per cent of the way.
 HALFWAY = 0.1
+# 400 draws tell a standard deviation to 4 %; noise that follows itself scatters less over so short
+# a run than the formula for long ones says. And the scatter of two, less a fifth that errors make.
+SCATTER = 0.25
+# The error of a share of 5 % of 2,000 is 0.5 %; three times that.
+CHANCE = 0.015
+# The mean of 300 variances of eight values that count is told to 3 %; three times that.
+VARIANCE = 0.1
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +50,12 @@ def test_the_error_of_a_shared_zeta_counts_in_what_runs_scatter_by(together):
     # The error of a mean of two is half of what they differ by.
     assert zeta.error == pytest.approx(np.ptp(ZETAS) / 2, rel=HALFWAY)
     drawn = together.bootstrap(400, seed=3).bootstraps[0]
-    # 400 draws tell a standard deviation to 4 %; noise that follows itself scatters less over so
-    # short a run than the formula for long ones says. Without what runs scatter by it is 0.57.
-    assert drawn.error[0] == pytest.approx(zeta.error, rel=0.25)
+    # Without what runs scatter by it is 0.57 of that.
+    assert drawn.error[0] == pytest.approx(zeta.error, rel=SCATTER)
     (told,) = (each for each in together.findings if "scatter" in each)
     (size,) = re.findall(r"zeta of each run alone would scatter by (\S+) %, which the error", told)
-    # The scatter of two, less a fifth of it that their errors make.
     true = 100 * np.std(ZETAS, ddof=1) / np.mean(ZETAS)
-    assert float(size) == pytest.approx(true, rel=0.25)
+    assert float(size) == pytest.approx(true, rel=SCATTER)
     (floor,) = (each for each in together.findings if each.startswith("repeated runs"))
     assert floor.endswith("what their sands differ by included")
 
@@ -60,6 +65,7 @@ def test_a_zeta_of_each_run_counts_in_nothing(runs):
     for run, zeta in zip(apart.runs, ZETAS, strict=True):
         (found,) = run.values.values()
         assert abs(found.value - zeta) < 4 * found.error
+        # A twentieth of what they differ by, as alone.
         assert found.error < 0.1 * np.ptp(ZETAS)
     (floor,) = (each for each in apart.findings if each.startswith("repeated runs"))
     assert floor.endswith("beyond their own values: the noise floor")
@@ -78,8 +84,7 @@ def test_chance_alone_is_told_as_scatter_in_one_of_twenty_cases():
     random = np.random.default_rng(5)
     errors = np.geomspace(1.0, 30.0, 6)
     told = [spread_of(errors * random.standard_normal(6), errors).told for _ in range(2000)]
-    # The error of a share of 5 % of 2,000 is 0.5 %.
-    assert np.mean(told) == pytest.approx(0.05, abs=0.015)
+    assert np.mean(told) == pytest.approx(0.05, abs=CHANCE)
 
 
 def test_a_value_that_is_hardly_told_hides_no_scatter():
@@ -90,8 +95,7 @@ def test_a_value_that_is_hardly_told_hides_no_scatter():
         for _ in range(300)
     ]
     assert all(each.told for each in found)
-    # Nine values, of which eight count: the mean of 300 such variances is told to 3 %.
-    assert np.mean([each.variance for each in found]) == pytest.approx(1.0, rel=0.1)
+    assert np.mean([each.variance for each in found]) == pytest.approx(1.0, rel=VARIANCE)
 
 
 def test_values_that_agree_scatter_by_nothing():
