@@ -209,13 +209,6 @@ def test_damping_along_x_asks_for_the_pull_that_overcomes_it():
     assert pull > 0.9 * 200.0 * 0.150 * omega
 
 
-def test_damping_of_zero_is_no_damping():
-    np.testing.assert_array_equal(
-        drive(Simulator(rig=Rig(damping_x=0.0, damping_z=0.0)), 0.5, 0.5).z,
-        drive(Simulator(), 0.5, 0.5).z,
-    )
-
-
 def test_drive_power_is_what_the_sand_dissipates_and_the_axle_takes():
     # torque omega = F . v + dissipation holds plate by plate, at any instant; sand only takes.
     simulator = Simulator()
