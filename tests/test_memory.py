@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from identify import memory
+from identify.bootstrap import noise_chunks
 from identify.fitting import fit
 from identify.memory import LEAST, free_bytes, piece_bytes
 from identify.parameter import own, shared
@@ -47,11 +48,14 @@ def test_pieces_of_any_size_draw_the_same(monkeypatch):
         coarse(f"run {number}", recorded(setup_of(FAST, 0.75), seed=number)) for number in range(2)
     ]
     result = fit(runs, [own("zeta"), shared("lambda")])
-    found = []
+    found, pieces = [], []
     for free in (1e12, 0.0):
         monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
         monkeypatch.setattr(memory, "LEAST", 1.0)
+        random = np.random.default_rng(2)
+        pieces.append([len(each) for each in noise_chunks(result.optimum, 45, random)])
         found.append(result.bootstrap(45, seed=2).bootstraps[0])
+    assert pieces == [[45], [20, 20, 5]]
     np.testing.assert_allclose(found[0].draws, found[1].draws, rtol=ROUNDING)
     for name, channels in found[0].bands.items():
         for channel, band in channels.items():

@@ -1,5 +1,7 @@
 """The stress law: its anchors, its symmetry, its sources, and the wrench it adds up to."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -213,6 +215,18 @@ def test_sand_behind_the_axle_is_lower_by_the_height_decrease():
     load = Simulator().plate_load(motion[0], motion[1], motion[2], omega, motion[4])
     assert float(load.motion.height_decrease) == pytest.approx(0.63e-3, abs=LAST_DIGIT)
     np.testing.assert_array_equal(load.motion.behind, load.plates.x < 0)
+    # And that is what plates behind it lack of their depth.
+    loss = jnp.where(load.motion.behind, load.motion.height_decrease, 0.0)
+    lowered = dataclasses.replace(load.motion, depth=load.motion.depth - loss)
+    whole, level = (
+        Dynamic(inertial_coefficient=0.0, height_decrease=share) for share in (1.0, 0.0)
+    )
+    np.testing.assert_allclose(
+        whole.stress(load.motion, load.plates, motion[4]),
+        level.stress(lowered, load.plates, motion[4]),
+        rtol=ROUNDING,
+    )
+    assert float(jnp.max(loss)) > 0
 
 
 @pytest.mark.parametrize("law", [Dynamic, QuasiStatic])
