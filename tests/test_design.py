@@ -41,6 +41,8 @@ SCATTER = (0.2, 1.9)
 SLOPES = 5e-3
 # The logarithm of a standard error with rounded corners is another one by some percent.
 ROUNDED = 0.05
+# Ways and speeds that meet their limits do so but for a few roundings; in a file, speeds are sums.
+ROUNDING = 1e-12
 # Of the 8000 steps of these runs some hundreds of numbers each would be kept, with every tangent:
 # gigabytes. Their rows take half a megabyte.
 RECORD = 10e6
@@ -138,16 +140,19 @@ def test_another_run_of_the_same_wheel_compiles_nothing(compiled):
     assert not compiled
 
 
-def test_every_profile_keeps_the_limits():
-    limits = Limits(math.radians(300), math.radians(50), 24.0)
+@pytest.mark.parametrize(
+    "speed", [300, 100]
+)  # beyond what so short a run gets to, and far under it
+def test_every_profile_keeps_the_limits(speed):
+    limits = Limits(math.radians(speed), math.radians(50), 24.0)
     profile = Profile(8, limits.speed, limits.acceleration, limits.duration, limits.rest)
     random = np.random.default_rng(1)
     for size in (0.1, 3.0, 30.0):
         omega = np.asarray(profile.omega(jnp.asarray(size * random.normal(size=8))))
         slope = np.diff(omega) / np.diff(profile.time)
         assert omega.min() >= 0
-        assert omega.max() <= limits.speed + 1e-12
-        assert np.abs(slope).max() <= limits.acceleration + 1e-9
+        assert omega.max() <= limits.speed + ROUNDING
+        assert np.abs(slope).max() <= limits.acceleration + ROUNDING
         assert omega[[0, 1, -2, -1]].tolist() == [0, 0, 0, 0]
 
 
@@ -158,14 +163,14 @@ def test_no_run_goes_farther_than_the_rig(travel):
     turn = travel / radius
     for peak in (10.0, 100.0, 300.0):
         command = trapezoid(limits, radius, math.radians(peak)).build()
-        assert np.trapezoid(command.omega, command.time) <= turn * (1 + 1e-12)
+        assert np.trapezoid(command.omega, command.time) <= turn * (1 + ROUNDING)
         assert np.diff(command.omega) / np.diff(command.time) == pytest.approx(
-            [0, limits.acceleration, 0, -limits.acceleration, 0], abs=1e-9
+            [0, limits.acceleration, 0, -limits.acceleration, 0], abs=ROUNDING
         )
         assert command.time[-1] <= limits.duration
     profile = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest, turn)
     omega = profile.omega(jnp.asarray(3.0 * np.random.default_rng(1).normal(size=8)))
-    assert np.trapezoid(omega, profile.time) <= turn * (1 + 1e-12)
+    assert np.trapezoid(omega, profile.time) <= turn * (1 + ROUNDING)
     # Far enough is no limit at all.
     fast = jnp.full(8, 5.0)
     free = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest).omega(fast)
@@ -189,15 +194,15 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
     path = tmp_path / "design.toml"
     path.write_text(design_toml(found), encoding="utf-8")
     command = read_setup(path).command.build()
-    assert np.max(command.omega) <= LIMITS.speed + 1e-6
+    assert np.max(command.omega) <= LIMITS.speed + ROUNDING
     slope = np.diff(command.omega) / np.diff(command.time)
-    assert np.abs(slope).max() <= LIMITS.acceleration * (1 + 1e-3)
+    assert np.abs(slope).max() <= LIMITS.acceleration + ROUNDING
 
 
 def test_a_designed_run_keeps_the_way_and_says_it():
     limits = dataclasses.replace(LIMITS, travel=0.08)
     found = design(given(), limits=limits, search=SMALL)
-    assert max(each.way for each in (*found.found, *found.scan, *found.others)) <= 0.08 + 1e-9
+    assert max(each.way for each in (*found.found, *found.scan, *found.others)) <= 0.08 + ROUNDING
     # The speeds scanned are those that so short a way allows.
     assert found.peaks[-1] == max(found.scan[-1].setup.command.omega) < limits.speed
     assert f"over {found.best.way:.3g} m of the rim (the given profile's is" in found.summary()

@@ -28,6 +28,7 @@ from hils.wire import (
     encode,
 )
 
+# A demand is a sum of slews over ticks of a clock that is rounded to 1e-13 s.
 ROUNDING = 1e-9
 TICK, WATCHDOG = 0.01, 0.05
 BOOT = 77

@@ -203,7 +203,7 @@ def test_words_of_a_set_up_choose_the_parts(tmp_path):
     assert isinstance(law, QuasiStatic)
     loose = StressCoefficients.loose_poppy_seeds().values
     np.testing.assert_array_equal(law.coefficients.values, loose)
-    np.testing.assert_allclose(trial.omega, [0, np.pi / 2], rtol=1e-15)
+    np.testing.assert_allclose(trial.omega, [0, np.pi / 2], rtol=1e-15)  # a rounding
     np.testing.assert_array_equal(trial.time, [0, 1])
     np.testing.assert_array_equal(trial.vx, [0, 0.1])
 
