@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 from pathlib import Path
 
 import nbformat
@@ -12,9 +11,9 @@ from nbclient import NotebookClient
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
-# A notebook takes under a minute by itself. A machine that runs other tests beside it, and has
-# compiled nothing yet, is given four.
-TIME_LIMIT_S = 240.0
+# Only so that a cell that hangs ends: a whole notebook takes under a minute by itself, and some
+# more beside other tests where nothing is compiled yet. How fast it is, no test says.
+HANGS_S = 240.0
 
 
 def test_there_are_notebooks():
@@ -37,13 +36,11 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
     nbformat.validate(notebook)
     client = NotebookClient(
         notebook,
-        timeout=TIME_LIMIT_S,
+        timeout=HANGS_S,
         kernel_name="python3",
         resources={"metadata": {"path": str(copy.parent)}},
     )
-    began = time.monotonic()
     client.execute()
-    assert time.monotonic() - began < TIME_LIMIT_S
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     # A result shows itself once: its table is not printed beside.
