@@ -17,6 +17,8 @@ from identify.parameter import quantity
 
 # Of independent draws of a Gaussian one in 400,000 lies outside.
 FAR = 4.5
+# One short run tells a pull to a twenty-fifth of itself, and the others better.
+TOLD = 0.05
 # What is written and read again.
 ROUNDING = 1e-12
 
@@ -46,7 +48,7 @@ def test_fit_finds_a_number_of_an_effect_of_each_kind(model, name, truth):
     found = result.values[name]
     assert found.unit == quantity(name).unit
     assert abs(found.value - truth) < FAR * found.error
-    assert found.error < 0.2 * truth
+    assert found.error < TOLD * truth
     # The believed model is without it, and stays so.
     assert model.effects == []
 
@@ -72,7 +74,7 @@ def test_command_fits_a_number_of_an_effect_beside_those_of_a_model_file(drft, m
     assert "drawbar.force" in answer.out
     fitted = read_model(tmp_path / "fit.json")
     assert [each["name"] for each in fitted.effects] == ["surface_slope", "drawbar"]
-    assert fitted.effects[1]["force"] == pytest.approx(6.0, rel=0.2)
+    assert fitted.effects[1]["force"] == pytest.approx(6.0, rel=4 * TOLD)
 
 
 def test_names_that_no_effect_has_are_refused_with_what_there_is():

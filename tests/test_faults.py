@@ -57,6 +57,7 @@ def test_fault_of_rate_nought_does_nothing(kind):
 
 def test_frames_are_lost_twice_and_late_as_often_as_the_rate_says():
     assert struck(LostFrames()) == []
+    # A quarter of 1,000, to one and a half standard deviations of sqrt(1000 * 3 / 16) = 14.
     assert 230 < len(struck(LostFrames(rate=0.75), 1000)) < 270
     assert [each.data for each in struck(DuplicatedFrames())] == [FRAME, FRAME]
     assert struck(DelayedFrames(delay=0.25)) == [Packet(1.25, FRAME)]

@@ -22,10 +22,11 @@ from identify.fitting import fit as fit_candidates
 from identify.solve import solve
 
 # Two programs of one fit sum in another order, and stop within a small part of the errors.
-SAME_FIT = 0.5
-ROUNDING = 1e-9
+SAME_FIT = 0.1
+# Covariances of a few numbers, scaled in another order.
+ROUNDING = 1e-12
 # The toy problem is linear; its noise is 0.01, and solvers stop within a small part of the errors.
-LINEAR = 1e-4
+LINEAR = 2e-5
 
 BRACKETS = "sand [bold]x"
 
@@ -100,7 +101,7 @@ def test_covariance_residuals_and_predictions_belong_to_the_values(result, runs)
     np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), errors, rtol=ROUNDING)
     for name, run in runs.items():
         left = result.predictions[name]["z"] - run.measured.z
-        np.testing.assert_allclose(result.residuals[name]["z"], left, atol=ROUNDING)
+        np.testing.assert_allclose(result.residuals[name]["z"], left, rtol=0, atol=ROUNDING)
 
 
 def test_summaries_name_every_run_and_status(result):
@@ -218,8 +219,8 @@ def test_a_run_that_diverges_is_put_aside_and_the_others_converge():
     assert solution.active.tolist() == [True, False, True]
     shared, own = solution.coordinates
     assert float(shared[0]) == pytest.approx(1.0, abs=LINEAR)
-    np.testing.assert_allclose(own[[0, 2], 0], [0.5, 1.0], atol=LINEAR)
-    assert float(own[1, 0]) < 2.0
+    np.testing.assert_allclose(own[[0, 2], 0], [0.5, 1.0], rtol=0, atol=LINEAR)
+    assert float(own[1, 0]) < 2.0  # the edge that it goes over
     assert not np.any(solution.residual[1])
     assert np.isfinite(solution.blocks).all()
 
@@ -227,7 +228,7 @@ def test_a_run_that_diverges_is_put_aside_and_the_others_converge():
 def test_all_runs_count_where_none_diverges():
     solution = toy([0.5, 1.0], edge=2.0)
     assert solution.active.all()
-    np.testing.assert_allclose(solution.coordinates[1][:, 0], [0.5, 1.0], atol=LINEAR)
+    np.testing.assert_allclose(solution.coordinates[1][:, 0], [0.5, 1.0], rtol=0, atol=LINEAR)
 
 
 def test_a_run_at_its_bound_says_so(runs, model):

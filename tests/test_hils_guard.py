@@ -120,7 +120,7 @@ def test_sudden_demand_is_held_to_the_slew_limits_and_says_so():
     assert found is not None
     demand, held_back = found
     assert held_back
-    np.testing.assert_allclose(demand, (0.45, 0.09), atol=SAME)
+    np.testing.assert_allclose(demand, (0.45, 0.09), rtol=0, atol=SAME)
 
 
 # Profiles ----------------------------------------------------------------------------------------

@@ -15,6 +15,10 @@ EFFECTS = tuple(effect_class(name) for name in TERMS)
 # Top speeds [deg/s], and the time at them [s].
 FAST, SLOW = (120.0, 300.0, 300.0), (15.0, 30.0, 30.0)
 LASTING = 3.0
+# What is left of a gap that closes, in noise floors: the floor itself, and half of it for chance.
+FLOORS = 1.5
+# Three runs tell both strengths to a few hundredths, which make up for one another in part.
+STRENGTH = 0.05
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +32,7 @@ def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
 
 
 def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
-    assert unseen_floors(fast, TERMS) < 1.5
+    assert unseen_floors(fast, TERMS) < FLOORS
     assert min(unseen_floors(fast, [term]) for term in TERMS) > 20
 
 
@@ -38,8 +42,8 @@ def test_the_pair_has_the_strengths_of_the_dynamic_theory(fast):
         pair.names[free.index]: float(free.value(at))
         for free, at in zip(pair.model.free, pair.coordinates, strict=True)
     }
-    assert values["height_decrease"] == pytest.approx(1.0, abs=0.1)
-    assert values["momentum_flux"] == pytest.approx(1.1, abs=0.1)
+    assert values["height_decrease"] == pytest.approx(1.0, abs=STRENGTH)
+    assert values["momentum_flux"] == pytest.approx(1.1, abs=STRENGTH)
 
 
 def test_at_300_deg_a_second_both_terms_are_named(fast):

@@ -135,6 +135,7 @@ def test_dynamic_terms_make_a_fast_wheel_differ():
     rows = drive(Simulator(), 3.0, omega, interval=0.002)
     slow = drive(Simulator(terrain=Terrain(law=QuasiStatic())), 3.0, omega, interval=0.002)
     last = passages(rows, omega, 6)
+    # Ten times what that allows.
     apart = abs(float(jnp.mean(rows.vx[last] - slow.vx[last])))
     assert apart > 10 * RATE_INDEPENDENCE * 0.150 * omega
 

@@ -130,6 +130,7 @@ def test_arm_streams_the_command_at_rest_each_tick():
     with pytest.raises(InputError, match="does not answer ARM"):
         table.session.arm(HOLD)
     assert rig.said.count(3) == TRIES
+    # One more or less a try: at its first instant or its last.
     assert rig.said.count(4) == pytest.approx(TRIES * GAP / 0.01, abs=TRIES)
 
 

@@ -297,5 +297,6 @@ def test_a_driven_carriage_has_stages_too():
     shifted[driven.channels.index("torque")] += growing
     found = stages(driven, at, [reference - shifted])
     assert found[0].name == "reading torque"
-    assert found[0].signal[0][6] == pytest.approx(4.0, abs=3 * found[0].error[0][6] + 0.05)
+    # A bend's corner lies between two knots: a little of it, beside the error.
+    assert found[0].signal[0][6] == pytest.approx(4.0, abs=SIGMAS * found[0].error[0][6] + 0.05)
     assert "force_x" not in {each.name for each in found if each.evidence > TIED}

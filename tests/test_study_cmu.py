@@ -131,7 +131,8 @@ def test_force_on_a_plate_grows_faster_than_depth(folder):
     assert len(plates) == 6
     for run in plates:
         law = intrusion.power_law(run)
-        assert 1.3 < law.n < 1.7
+        # docs/measured.md has 1.40 to 1.61.
+        assert 1.395 < law.n < 1.615
         assert law.n - 2 * law.n_error > 1
 
 
@@ -148,7 +149,8 @@ def test_pushed_wheels_need_twice_the_zeta_at_40_mm_as_at_10_mm(folder):
     way = driving.circle()
     zetas = intrusion.wheel_intrusion(first, way.simulator, way.below_rim).zetas
     assert np.all(np.diff(zetas) > 0)
-    assert 1.7 < zetas[-1] / zetas[1] < 2.1
+    # 1.375 of 0.739.
+    assert zetas[-1] / zetas[1] == pytest.approx(1.86, rel=ZETA)
 
 
 def test_both_wheels_rim_speeds_were_set_by_one_radius(folder):

@@ -156,6 +156,7 @@ def test_effects_of_the_file_act():
 def test_physics_is_finer_than_the_loop_own():
     setup = VirtualSetUp()
     ours = Simulator(WheelSetUp().build())
+    # Plates half as long, and a step of less than half the default of 5e-4 s.
     assert len(setup.simulator().prepared().wheel.plates(jnp.zeros(())).x) > 1.8 * len(
         ours.prepared().wheel.plates(jnp.zeros(())).x
     )

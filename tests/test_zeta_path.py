@@ -224,6 +224,7 @@ def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
     said = path.contradiction()
     assert said is not None
     assert said.startswith("slope: a zeta(t) that meets the sinkage to 0.0")
+    # It lasts for as long as the run: seconds, of 20 ms each.
     assert path.noise["x"][1] > 0.99
 
 
