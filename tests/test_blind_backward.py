@@ -131,6 +131,7 @@ def test_every_mechanism_that_can_be_drawn_is_mirrored_here():
 def test_a_mechanism_goes_backward_as_its_mirror_image_goes_forward(name):
     parts = PARTS[name]
     forward = ran(parts[0], FORWARD)
+    # It gets somewhere.
     assert forward.x[-1] > 0.3
     assert apart(forward, ran(parts[-1], BACKWARD)) < CORNER
 

@@ -25,9 +25,9 @@ from tests.virtual_cases import case_with
 
 # One node's map stands for several steps, which is 2 to 5 % here.
 LINES = 0.05
-# Of the runs' noise of 20 um [m], half as much again for plates and steps; and of a zeta that runs
-# left out do not have.
-NOISE, LEFT, UNSEEN = 20e-6, 30e-6, 40e-6
+# The runs' noise is 20 um [m]: half as much again for plates and steps, and twice as much where a
+# run left out lends its zeta nothing.
+LEFT, UNSEEN = 30e-6, 40e-6
 # Three short runs with 20 um of noise tell a slope over 0.3 m to some tenths of a per cent.
 TOLD = 0.01
 # Sums of a few doubles, and of straight lines what their slight belief in nothing holds back.
@@ -35,7 +35,7 @@ ROUNDING, HELD_BACK = 1e-12, 1e-9
 # Four steps come within half a typical size of three of them; a bound in the unit of the size stops
 # them two sizes short.
 STEPS = 0.5 * 0.1
-# No close call.
+# No close call: a tenth for all else together.
 SURE = 0.9
 
 CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)

@@ -18,7 +18,7 @@ from tests.virtual_cases import case_with
 
 # Rounding of squares of misses of a millimetre.
 ROUNDING = 1e-20
-# No close call, and no doubt at all.
+# A tenth for all else together, which is no close call; and no doubt at all.
 LIKELY, SURE = 0.9, 0.99
 NOISE = {"x": 1e-6, "z": 1e-6}
 

@@ -23,7 +23,7 @@ from tests.virtual_cases import case_with
 ONE_STEP = 0.6e-3
 # The runs' own noise is 20 um, and plates and steps leave a part of it more [m].
 LEFT = 30e-6
-# No close call; and, of three short runs, more than all else together.
+# No close call, a tenth for all else together; and, of three short runs, less than half for it.
 SURE, LIKELIER = 0.9, 0.5
 # Three of a fit's own standard errors: of a wave's height 3e-4 and its length 1.4e-4 m; of a
 # scale's error of 0.06 6e-4; of a bump's height 17 um, its place 0.35 mm and its width 0.31 mm; of
