@@ -4,6 +4,7 @@ import functools
 import math
 
 from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
+from drftjax.stress import REST_SPEED
 from hils.clock import VirtualClock
 from hils.events import Event
 from hils.guard import CommandLimits
@@ -27,6 +28,9 @@ TICKS = 400
 CLOSE = 5e-4
 # Of a wheel's weight, what the force that bears it differs by while grousers come and go.
 BORNE = 0.05
+# A drive at rest turns nowhere, but for the last of a slew; sand at rest gives way no faster than
+# at its regulariser's speed [rad/s], [m/s].
+TURNS, CREEPS = 1e-6, REST_SPEED
 
 
 def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
@@ -130,4 +134,4 @@ def resting(made: Made) -> bool:
     """Whether the true rig stands still a second later."""
     made.soft.clock.sleep_until(made.soft.clock.now() + 1.0)
     motion = made.soft.rig.motion
-    return abs(motion.omega) < 1e-6 and abs(motion.vx) < 1e-3
+    return abs(motion.omega) < TURNS and abs(motion.vx) < CREEPS

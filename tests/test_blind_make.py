@@ -29,7 +29,7 @@ BENT = 5e-3
 # 200,000 numbers, of which a tenth lasts for some hundreds, tell their spread to a few per mille,
 # and the product of two far apart to as much.
 SPREAD, LASTING = 0.005, 0.003
-# A hundredth of a count of a micrometre is counted in doubles of 1e-17 m.
+# Readings of centimetres are whole micrometres, but for doubles that are rounded to 1e-17 m.
 COUNTED = 1e-10
 
 
@@ -113,6 +113,7 @@ def test_protocols_fit_the_rig():
     random = np.random.default_rng(0)
     for _ in range(50):
         for each in (*drawn_nine(random), *drawn_fresh(random)):
+            # At the shortest half a second at rest, two ramps and a few seconds at one speed.
             assert 7.9 < each.duration <= plant.LONGEST
             assert each.duration / (plant.EVERY * each.steady_step() / 2) <= plant.ROWS
 

@@ -129,6 +129,7 @@ def test_fits_scatter_by_the_standard_error_that_was_promised():
     option = promised(given(80.0), "lambda", ["zeta"])
     values = fitted(option.setup, seeds=4)
     assert SCATTER[0] < values.std(ddof=1) / option.knows.error < SCATTER[1]
+    # Three standard errors of a mean.
     assert abs(values.mean() - 1.1) < 3 * option.knows.error / math.sqrt(len(values))
 
 

@@ -323,8 +323,8 @@ def test_plates_can_be_looked_at_with_effects_and_without_a_run():
     load = sim.plate_load(state.position, state.velocity, state.angle, state.omega, jnp.ones(()))
     assert np.isfinite(load.stress_z).all()
     firm = replace(simulator(), effects=(KNOWN["cohesion"](depth=0.004),))
-    # 4 mm of depth more of stress, of a third of it at the middle of what is under the sand.
-    assert sinkage_under_load(firm, 0.7) < sinkage_under_load(simulator(), 0.7) - 1e-3
+    # Stress as of 4 mm of depth more lifts it by nearly as much.
+    assert sinkage_under_load(firm, 0.7) < sinkage_under_load(simulator(), 0.7) - 3e-3
 
 
 def test_effects_of_several_stages_act_at_once():

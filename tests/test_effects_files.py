@@ -97,6 +97,7 @@ def test_simulate_runs_the_effects(drft, tmp_path):
         answer = drft("simulate", written(tmp_path, text), "-o", tmp_path / f"{name}.h5")
         assert answer.code == 0, answer
         z[name] = read_run(tmp_path / f"{name}.h5").measured.z
+    # So short a way loosens little: a quarter of a millimetre.
     assert z["loose"][-1] < z["bare"][-1] - 1e-4
 
 
@@ -208,7 +209,8 @@ def test_a_file_may_hold_a_correction_that_comes_back_and_acts(drft, tmp_path):
     assert drft("simulate", written(tmp_path, HEAD), "-o", tmp_path / "bare.h5").code == 0
     z = {n: read_run(tmp_path / f"{n}.h5").measured.z for n in ("firm", "again", "bare")}
     assert (z["again"] == z["firm"]).all()
-    assert z["firm"][-1] > z["bare"][-1] + 1e-4
+    # Three quarters of a millimetre.
+    assert z["firm"][-1] > z["bare"][-1] + 5e-4
 
 
 def test_corrections_of_nothing_in_every_stage_are_the_reference_model_to_the_bit():
@@ -346,7 +348,8 @@ def test_the_pages_example_is_an_effect_like_any_other(package, tmp_path):
     bare = ask(package, "simulate", written(tmp_path, HEAD), "-o", tmp_path / "bare.h5")
     assert bare.returncode == 0, bare.stderr
     runs = [read_run(tmp_path / f"{name}.h5").measured.z[-1] for name in ("run", "bare")]
-    assert runs[0] > runs[1] + 1e-3
+    # Half as much zeta again: five millimetres.
+    assert runs[0] > runs[1] + 4e-3
 
 
 @pytest.mark.parametrize(

@@ -270,7 +270,8 @@ def test_slip_softening_takes_the_share_of_the_slip_speed():
 def test_terrain_variation_is_hardest_at_its_centre():
     output = held("terrain_variation", centre=0.6, width=0.1)
     at = int(np.argmax(output.zeta))
-    assert abs(output.x[at] - 0.6) < 0.3 * DT * EVERY
+    # The row nearest to it: half of what a wheel goes from row to row, at 0.3 m/s.
+    assert abs(output.x[at] - 0.6) < 0.3 * DT * EVERY / 2
     near(output.zeta[at], ZETA * (1 + size("terrain_variation")), CENTRE)
     patch = np.abs(output.x - 0.6) < 0.2
     assert np.mean((output.z - hold().z)[patch]) > 0  # firmer sand carries higher
@@ -414,6 +415,7 @@ def test_friction_of_the_guide_keeps_a_dropped_wheel_up_longer(name):
     slow = program()(jnp.asarray(values), above, still)
     free = program()(jnp.asarray(vector()), above, still)
     assert np.all(slow.z[1:] > free.z[1:])
+    # It has left where it was dropped from, 5 mm under the surface.
     assert free.z[5] < -0.006
 
 

@@ -44,6 +44,7 @@ def test_absurd_readings_between_rest_and_start_move_nothing():
     assert not late.report.completed
     assert re.search(ENDS["readings"][0], late.report.reason), late.report.reason
     if late.report.start is not None:
+        # The guard's slack: what a reading may be off by and still be believed.
         assert late.report.start.sinkage == pytest.approx(0.0165, abs=2e-3)
 
 

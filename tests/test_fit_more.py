@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from studies.coverage import LAMBDA, ZETA, coverage
-from virtual_runs import SLOW, coarse, recorded, setup_of
+from virtual_runs import NOISE, SLOW, coarse, recorded, setup_of
 
 from drftjax.command import Command
 from drftjax.errors import InputError
@@ -17,7 +17,7 @@ from drftjax.saved import FIT_SCHEMA, read_model
 from drftjax.setup import ZetaKnots
 from identify.bootstrap import noise_like, over_runs, refitted, stepped
 from identify.descent import Descent
-from identify.fitting import fit
+from identify.fitting import MODEL_ERROR, fit
 from identify.multistart import Starts, best_start, starting_points
 from identify.parameter import own, shared
 from identify.path_fit import fit_paths
@@ -25,7 +25,9 @@ from identify.phases import PhaseZeta, phases_of, with_phases, zeta_phases
 from identify.reach import _error, reach, with_reach
 from identify.uncertainty import Whitening
 
-NINETY = 1.645
+# Two-sided 90 % of a normal distribution, in standard errors; of three such values one lies farther
+# off than 2.5 in 30 cases, and here the draw is fixed.
+NINETY, FAR = 1.645, 2.5
 # One Gauss-Newton step and a whole refit differ by the bend of the simulation over the errors.
 LINEAR = 0.25
 # Where the simulation is straight over the errors, as here, the profile is the normal interval.
@@ -37,6 +39,12 @@ SAME_FIT = 0.5
 # A standard deviation of so many draws is known to 1 / sqrt(2 n) of itself; three times that.
 DRAWS = 400
 SCATTER = 3 / np.sqrt(2 * DRAWS)
+# Sums of a few products of doubles of order one.
+ROUNDING = 1e-14
+# Phases of a second tell zeta to a few thousandths, and the steady one to a thousandth.
+PHASE = 0.01
+# What a steady zeta is off by where a path of it is read between its phases' ends.
+ROUGHLY = 0.02
 
 # Speeds up, goes and slows down again.
 WHOLE = ([0.0, 0.25, 0.85, 1.45, 2.05, 2.3], [0.0, 0.0, 0.4, 0.4, 0.0, 0.0])
@@ -77,6 +85,7 @@ def test_starting_points_begin_with_the_usual_one_and_stay_in_bounds(result):
     assert len(np.unique(points[:, 0])) == 9
     loads = np.asarray(bounded.bijector.value(jnp.asarray(points[:, 1:])))
     assert np.all((loads > -1.0) & (loads < 5.0))
+    # Over most of the way between them.
     assert loads.min() < 0.5 < 3.5 < loads.max()
 
 
@@ -122,9 +131,9 @@ def test_whitening_gives_the_inverse_of_the_covariance_it_supposes():
     same = phase[0][:, None] == phase[0]
     supposed = np.eye(6) + np.where(same, np.outer(offset, offset), 0)
     root = whitening.apply(np.eye(6)[None, None])[0, 0]
-    np.testing.assert_allclose(root.T @ root, np.linalg.inv(supposed), atol=1e-12)
+    np.testing.assert_allclose(root.T @ root, np.linalg.inv(supposed), rtol=0, atol=ROUNDING)
     coloured = whitening.colour(np.eye(6)[None, None])[0, 0]
-    np.testing.assert_allclose(coloured.T @ coloured, supposed, atol=1e-12)
+    np.testing.assert_allclose(coloured.T @ coloured, supposed, rtol=0, atol=ROUNDING)
 
 
 # Bootstrap --------------------------------------------------------------------------------------
@@ -137,7 +146,7 @@ def test_linearised_draws_are_those_of_full_refits(result):
     step = (stepped(optimum, noise, np.random.default_rng(0)) - optimum.flat) / error
     full = (refitted(optimum, noise) - optimum.flat) / error
     assert np.abs(full).max() > 2 * LINEAR
-    np.testing.assert_allclose(step, full, atol=LINEAR)
+    np.testing.assert_allclose(step, full, rtol=0, atol=LINEAR)
 
 
 def test_bands_hold_the_readings_and_errors_are_the_fits(result):
@@ -150,9 +159,10 @@ def test_bands_hold_the_readings_and_errors_are_the_fits(result):
     for run in drawn.runs:
         low, high = drawn.bands[run.name]["z"]
         inside = (run.recorded[1] >= low) & (run.recorded[1] <= high)
-        # The band also allows for the model's own error, which these runs do not have.
-        assert inside[run.counts].mean() > 0.85
-        assert np.nanmax(high - low) < 20 * 20e-6
+        # The band also allows for the model's own error, which these runs do not have: nine in ten
+        # and more lie in it, and it is no wider than twice what noise and model ask for.
+        assert inside[run.counts].mean() > 0.9
+        assert np.nanmax(high - low) < 2 * 2 * NINETY * np.hypot(NOISE, MODEL_ERROR["z"])
     assert len(drawn.bootstraps) == 1  # two runs say nothing of the scatter between runs
 
 
@@ -163,7 +173,7 @@ def test_bootstrap_over_runs_sees_what_runs_differ_by():
     optimum = fit(runs, [shared("zeta")]).optimum
     moves = over_runs(optimum, DRAWS, np.random.default_rng(2))[:, 0]
     expected = np.std(np.log(zetas)) / np.sqrt(len(zetas))
-    assert moves.std() == pytest.approx(expected, rel=0.3)
+    assert moves.std() == pytest.approx(expected, rel=SCATTER)
 
 
 def test_too_few_draws_are_refused(result):
@@ -245,8 +255,8 @@ def test_zeta_of_every_phase_is_found(phased):
     (run,) = fit([phased], fitted).runs
     for name, truth in zip(names[1:], (0.72, 0.78, 0.74), strict=True):
         value = run.values[f"terrain.zeta.{name}"]
-        assert abs(value.value - truth) < 2.5 * value.error
-        assert value.error < 0.02 * truth
+        assert abs(value.value - truth) < FAR * value.error
+        assert value.error < PHASE * truth
     assert isinstance(run.setup.terrain.zeta, ZetaKnots)
     assert isinstance(run.setup.trial().simulator.terrain.zeta(jnp.asarray(1.2), None), jnp.ndarray)
 
@@ -263,10 +273,10 @@ def test_zeta_path_is_reported_like_a_fit(runs):
     assert run.status == "converged"
     assert run.rmse()["z"] < run.rmse(fitted=False)["z"]
     told = run.path.told
-    assert np.all(np.abs(run.path.value - 0.75)[told] < 3 * run.path.error[told] + 1e-3)
+    assert np.all(np.abs(run.path.value - 0.75)[told] < FAR * run.path.error[told])
     assert result.document()["runs"][0]["zeta_path"]["value"] == run.path.value.tolist()
     zeta = run.setup.terrain.zeta
-    np.testing.assert_allclose(zeta.value, run.path.at(np.array(zeta.time)), rtol=1e-12)
+    np.testing.assert_allclose(zeta.value, run.path.at(np.array(zeta.time)), rtol=ROUNDING)
 
 
 def test_a_start_that_rolls_is_found():
@@ -277,8 +287,9 @@ def test_a_start_that_rolls_is_found():
     assert each.setup.start.x == each.observation.values[0, 0]
     (run,) = fit([each], [own("zeta"), own("start.speed")]).runs
     speed = run.values["start.speed"]
-    assert abs(speed.value - 0.02) < 3 * speed.error
-    assert speed.error < 0.02
+    assert abs(speed.value - 0.02) < FAR * speed.error
+    # It slips for some ten readings, which tell a tenth of it.
+    assert speed.error < 0.2 * 0.02
     assert run.setup.start.speed == speed.value
 
 
@@ -342,6 +353,7 @@ def test_ninety_percent_intervals_hold_the_truth_about_as_often():
     assert found.share(ZETA) >= 10 / 16
     assert found.share(LAMBDA) >= 4 / 8
     # And intervals twice too wide would hold nearly all, with a scatter of half the error.
+    # (Sixteen draws tell a scatter of one to a fifth.)
     assert found.off[ZETA].std() > 0.5
 
 
@@ -381,7 +393,7 @@ def test_command_fits_zeta_over_time(drft, log, tmp_path, way):
     for ending in (".json", ".h5"):
         zeta = read_model(tmp_path / f"fit{ending}", "run").terrain.zeta
         assert isinstance(zeta, ZetaKnots)
-        assert np.interp(1.2, zeta.time, zeta.value) == pytest.approx(0.74, rel=0.02)
+        assert np.interp(1.2, zeta.time, zeta.value) == pytest.approx(0.74, rel=ROUGHLY)
 
 
 def test_command_carries_the_bounds_of_zeta_over_to_its_phases(drft, log, tmp_path):

@@ -51,8 +51,8 @@ from tests.hils_runs import (
 ROUNDING = 1e-15
 # Times of a clock that starts at 1000 s are rounded to 1e-13 of a second; ten of them.
 CLOCK = 1e-12
-# The virtual rig's zeta. The plates of 8 mm at either end, and a wheel that has come to rest,
-# carry some per cent otherwise.
+# The virtual rig's zeta. A wheel that has been let down stands some tenths of a millimetre deeper
+# than statics has it, at 25 mm a zeta, and coarse plates carry a per cent otherwise.
 RIGS_ZETA, STATICS = 0.7823, 0.04
 # A free wheel slips by a per cent at so even a speed: the rest is the ripple of its grousers.
 ROLLS = 0.02

@@ -47,8 +47,8 @@ TOLD = 3e-4
 ROUNDING = 1e-13
 # The inverse of a covariance whose eigenvalues are two orders apart.
 INVERSE = 1e-12
-# From the bend at its end, third derivatives of order ten over a millisecond; a curve with a bend
-# there would have a thousand times that.
+# Second differences over a millisecond, where third derivatives are of order ten; of a curve with a
+# bend at its end they would be a thousand times as large.
 UNBENT = 1e-7
 # Two-sided 90 % of a normal distribution, in standard errors.
 BAND = 1.645
