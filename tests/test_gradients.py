@@ -30,6 +30,7 @@ METHODS = 2e-2
 # Forward and reverse mode multiply the same matrices in another order.
 ORDER = 1e-9
 
+# What any machine has to spare [B].
 LARGEST_MEMORY = 1e9
 
 NAMES = ("zeta", "lambda", "radius", "grouser height", "mass_z")
