@@ -5,6 +5,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from drftjax.errors import InputError
 from identify.parameter import Parameter
 from identify.repeats import fast_scatter, noise_floor
 from identify.result import SHOWN, RunFit, Value
@@ -24,7 +25,6 @@ def findings(
     shared: dict[str, Value],
     runs: Sequence[RunFit],
     spread: np.ndarray,
-    bounded: Sequence[str],
     unseen: np.ndarray,
     scatter: Mapping[str, float] = NO_SCATTER,
 ) -> list[str]:
@@ -35,12 +35,12 @@ def findings(
         shared: Their values.
         runs: Fitted runs.
         spread: Covariance of all coordinates: shared, then each run's own.
-        bounded: Labels of values that ran into a bound.
         unseen: Directions that the runs do not see, in columns, of the same coordinates.
         scatter: Standard deviation from run to run of a shared value, by its name.
     """
     told = unidentified(shared, runs)
-    told += [f"{label} has run into its bound" for label in bounded]
+    told += at_bounds(shared, runs)
+    told += _impossible(runs)
     told += _collinear(parameters, len(shared), runs, spread)
     told += _confused(parameters, len(runs), unseen)
     told += [
@@ -66,6 +66,28 @@ def unidentified(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[st
         if not value.told
     ]
     return told
+
+
+def at_bounds(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
+    """Sentences on values that ended at a bound."""
+    of_runs = [value for run in runs if run.status != "diverged" for value in run.values.values()]
+    labels = {each.label: None for each in (*shared.values(), *of_runs) if each.at_bound}
+    return [f"{label} has run into its bound" for label in labels]
+
+
+def _impossible(runs: Sequence[RunFit]) -> list[str]:
+    """Sentences on values that a set-up refuses: what may be zero is fitted on both sides of it."""
+    told: dict[str, None] = {}
+    for run in runs:
+        if run.status == "diverged":
+            continue
+        for part in (run.setup.wheel, run.setup.terrain, run.setup.rig):
+            try:
+                part.build()
+            except InputError as problem:
+                why = f"as fitted, {problem}: no simulation takes it; give bounds, or leave it"
+                told[why] = None
+    return [*told]
 
 
 def between(runs: Sequence[RunFit]) -> list[str]:
@@ -149,7 +171,8 @@ def _scatter(runs: Sequence[RunFit]) -> list[str]:
     """
     told = []
     for name in runs[0].values if runs else ():
-        known = [run.values[name] for run in runs if run.values[name].told]
+        values_of_runs = [run.values[name] for run in runs]
+        known = [each for each in values_of_runs if each.told and not each.at_bound]
         values = np.array([each.value for each in known])
         found = spread_of(values, np.array([each.error for each in known]))
         if found.told and found.mean != 0:

@@ -217,10 +217,12 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     after = predicted(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
     states = run_states(optimum)
-
     runs = []
     for index, each in enumerate(candidates):
         own = values_of(problem.own, own_coordinates[index], own_error[index])
+        status = states[index]
+        if status != "diverged" and any(value.at_bound for value in own.values()):
+            status = "at a bound"
         setup = copy.deepcopy(each.setup)
         for parameter in problem.parameters:
             name = parameter.quantity.name
@@ -242,13 +244,10 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
                 recorded=recorded[index, picked, :length],
                 before=before[index, picked, :length],
                 after=after[index, picked, :length],
-                status=states[index],
+                status=status,
                 believed=(each.setup.wheel, each.setup.rig),
             )
         )
-    ends = [*zip(problem.shared, shared_coordinates, strict=True)]
-    ends += [*zip(problem.own, own_coordinates[: len(runs)].T, strict=True)]
-    bounded = [p.quantity.label for p, at in ends if np.any(p.near_bound(at))]
     size = len(optimum.ordered)
     spread = optimum.covariance[:size, :size]
     hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
@@ -262,7 +261,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         status=solution.status,
         steps=solution.steps,
         failures=failures,
-        findings=findings(problem.parameters, shared, runs, spread, bounded, hidden, scatter),
+        findings=findings(problem.parameters, shared, runs, spread, hidden, scatter),
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
         optimum=optimum,
@@ -270,12 +269,12 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
 
 
 def run_states(optimum: Optimum) -> list[str]:
-    """How each run ended: "converged", "at a bound", "stalled" or "diverged".
+    """How the solver left each run: "converged", "stalled" or "diverged".
 
     A run has stalled where a straight line still promises to lower its own sum of squares by a
     noticeable part, moving its own parameters by more than their errors.
     """
-    problem, solution = optimum.problem, optimum.solution
+    solution = optimum.solution
     _, own = map(np.asarray, solution.coordinates)
     counted = (optimum.whitening.scale > 0).sum(axis=(1, 2))
     beliefs = solution.belief[optimum.shared :].reshape(own.shape)
@@ -284,9 +283,6 @@ def run_states(optimum: Optimum) -> list[str]:
     for run in range(len(optimum.candidates)):
         if not solution.active[run]:
             states.append("diverged")
-            continue
-        if any(bool(p.near_bound(own[run, k])) for k, p in enumerate(problem.own)):
-            states.append("at a bound")
             continue
         if optimum.share is not None or not optimum.own:
             states.append("converged" if solution.status == "converged" else "stalled")

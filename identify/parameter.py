@@ -7,7 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from drftjax.errors import InputError
 from drftjax.stress import COEFFICIENT_NAMES
@@ -56,6 +56,8 @@ def _coefficient(number: int, name: str) -> Quantity:
     return Quantity(COEFFICIENT_PREFIX + name, "N/cm3", get, put, Scaled(0.1))
 
 
+# Coordinate of an interval's inner values up to a thousandth of it from either end.
+NEAR = math.log(1e3)
 # lambda may leave the physical range a little, so that a fit can say that it does not matter.
 LAMBDA_BOUNDS = Interval(-20.0, 50.0)
 
@@ -168,13 +170,17 @@ class Parameter(eqx.Module):
         """Residual of the prior: how many of its errors the value lies from its mean."""
         return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
 
-    def near_bound(self, coordinate: Float[Array, "*n"]) -> Bool[Array, "*n"]:
-        """Whether the value has run into one of its bounds."""
-        if not isinstance(self.bijector, Interval):
-            return jnp.zeros(coordinate.shape, bool)
-        low, high = self.bijector.low, self.bijector.high
-        value = self.bijector.value(coordinate)
-        return jnp.minimum(value - low, high - value) < 1e-3 * (high - low)
+    def at_bound(self, coordinate: float, error: float) -> bool:
+        """Whether the value has run into one of its bounds.
+
+        Near a bound a coordinate's unit is the way to it: a value whose error is less than one lies
+        inside, however wide the bounds are.
+
+        Args:
+            coordinate: The solver's.
+            error: Its standard error; 0 or infinite where the runs tell nothing of it there.
+        """
+        return isinstance(self.bijector, Interval) and abs(coordinate) > NEAR and not 0 < error < 1
 
 
 def quantity(name: str) -> Quantity:

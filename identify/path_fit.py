@@ -8,7 +8,7 @@ import numpy as np
 
 from drftjax.trial import Trial
 from identify.candidate import Candidate
-from identify.findings import unidentified
+from identify.findings import at_bounds, unidentified
 from identify.kinds import of_usable
 from identify.parameter import Parameter
 from identify.path_parameters import Progress, paths_beside
@@ -41,11 +41,7 @@ def fit_paths(
     kept, beside, left_out = of_usable(list(candidates), make)
     paths = [each.path() for each in beside.steps]
     shared, own = beside.values
-    bounded = [beside.bounded(number) for number in range(len(kept))]
-    runs = [
-        _run(each, path, values, at_bound=any(name in values for name in names))
-        for each, path, values, names in zip(kept, paths, own, bounded, strict=True)
-    ]
+    runs = [_run(*each) for each in zip(kept, paths, own, strict=True)]
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
         f"{int(path.told.sum())} of {len(path.told)} knots that the run tells"
@@ -54,13 +50,7 @@ def fit_paths(
     ]
     findings += [said for path in paths if (said := path.contradiction())]
     findings += unidentified(shared, runs)
-    labels = {
-        value.label
-        for values, names in zip(own, bounded, strict=True)
-        for name, value in (shared | values).items()
-        if name in names
-    }
-    findings += [f"{label} has run into its bound" for label in sorted(labels)]
+    findings += at_bounds(shared, runs)
     return FitResult(
         shared=shared,
         runs=runs,
@@ -73,8 +63,11 @@ def fit_paths(
     )
 
 
-def _run(each: Candidate, path: ZetaPath, values: dict[str, Value], *, at_bound: bool) -> RunFit:
+def _run(each: Candidate, path: ZetaPath, values: dict[str, Value]) -> RunFit:
     observation = each.observation
+    status = "converged" if path.converged else "stalled"
+    if any(value.at_bound for value in values.values()):
+        status = "at a bound"
     return RunFit(
         name=each.name,
         setup=path.setup,
@@ -85,7 +78,7 @@ def _run(each: Candidate, path: ZetaPath, values: dict[str, Value], *, at_bound:
         recorded=observation.values,
         before=_at(each.trial, each),
         after=_at(path.trial, each),
-        status="at a bound" if at_bound else "converged" if path.converged else "stalled",
+        status=status,
         path=path,
         believed=(each.setup.wheel, each.setup.rig),
     )

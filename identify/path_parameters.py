@@ -97,14 +97,6 @@ class Beside:
         common = {name: each[0][name] for name in shared}
         return common, [{name: found[name] for name in own} for found in each]
 
-    def bounded(self, run: int) -> list[str]:
-        """Names of the values that ran into a bound: shared ones, and this run's own."""
-        return [
-            p.quantity.name
-            for p, at in zip(self.parameters, self.coordinates[self.places[run]], strict=True)
-            if bool(p.near_bound(jnp.asarray(at)))
-        ]
-
     @property
     def covariance_of_values(self) -> np.ndarray:
         """Covariance of the values, in their units squared, ordered as `labels`."""

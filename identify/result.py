@@ -1,5 +1,6 @@
 """What a fit found: values with errors, residuals by run and channel, and the models as files."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -58,12 +59,14 @@ class Value:
         value, error: The number and its standard error, in `unit`.
         unit: "-" for none.
         label: Its short name in reports.
+        at_bound: Whether the fit ended at a bound of it, where it has no error (NaN).
     """
 
     value: float
     error: float
     unit: str
     label: str
+    at_bound: bool = False
 
     @property
     def size(self) -> float:
@@ -72,17 +75,21 @@ class Value:
 
     @property
     def told(self) -> bool:
-        """Whether the runs tell more than its order of size."""
-        return self.error <= UNTOLD * self.size
+        """Whether the runs tell more than its order of size: a bound that they lean on is told."""
+        return self.at_bound or self.error <= UNTOLD * self.size
 
     def cell(self) -> str:
         """Value and error, as a table shows them."""
+        if self.at_bound:
+            return f"{self.value:.5g}, at a bound"
         if not self.error < NOTHING_TOLD * self.size:
             return "not told"
         return f"{self.value:.5g} ± {self.error:.2g}"
 
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
+        if self.at_bound:
+            return f"{self.label} = {self.value:.5g}{unit}, at a bound"
         return f"{self.label} = {self.value:.5g} ± {self.error:.2g}{unit}"
 
 
@@ -97,11 +104,13 @@ def values_of(
     """
     found = {}
     for each, at, error in zip(parameters, coordinates, errors, strict=True):
+        bounded = each.at_bound(float(at), float(error))
         found[each.quantity.name] = Value(
             value=float(each.bijector.value(at)),
-            error=float(abs(each.bijector.slope(at)) * error),
+            error=math.nan if bounded else float(abs(each.bijector.slope(at)) * error),
             unit=each.quantity.unit,
             label=each.quantity.label,
+            at_bound=bounded,
         )
     return found
 

@@ -8,6 +8,7 @@ import sys
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pytest
 from virtual_runs import SLOW, recorded, setup_of
@@ -23,6 +24,8 @@ from identify.solve import solve
 
 # Two programs of one fit sum in another order, and stop within a small part of the errors.
 SAME_FIT = 0.1
+# A value at its bound is within a thousandth of the interval, 0.76 to 0.9.
+NEAR_BOUND = 1.4e-4
 # Covariances of a few numbers, scaled in another order.
 ROUNDING = 1e-12
 # The toy problem is linear; its noise is 0.01, and solvers stop within a small part of the errors.
@@ -235,8 +238,41 @@ def test_a_run_at_its_bound_says_so(runs, model):
     bounded = identify.own("zeta", bounds=(0.76, 0.9), start=0.8)
     result = fit_candidates(candidates_of(runs, model), [bounded])
     assert [run.status for run in result.runs] == ["at a bound", "converged"]
-    assert result.document()["runs"][0]["status"] == "at a bound"
-    assert "at a bound" in result.summary()
+    document = msgspec.json.decode(msgspec.json.encode(result.document()))
+    first = document["runs"][0]
+    assert first["status"] == "at a bound"
+    zeta = first["values"]["terrain.zeta"]
+    assert (zeta["at_bound"], zeta["error"]) == (True, None)
+    assert zeta["value"] == pytest.approx(0.76, abs=NEAR_BOUND)
+    assert "0.76, at a bound" in result.summary()
+    assert "zeta has run into its bound" in result.findings
+
+
+def test_bounds_far_away_are_no_bounds(runs, model, result):
+    """A thousandth of so wide an interval holds all values that there are."""
+    wide = identify.own("zeta", bounds=(1e-6, 1e6), start=0.8)
+    far = fit_candidates(candidates_of(runs, model), [wide])
+    assert [run.status for run in far.runs] == ["converged", "converged"]
+    assert not any("bound" in each for each in far.findings)
+    for run, plain in zip(far.runs, result.runs, strict=True):
+        zeta, alone = (each.values["terrain.zeta"] for each in (run, plain))
+        assert zeta.value == pytest.approx(alone.value, abs=SAME_FIT * alone.error)
+        assert zeta.error == pytest.approx(alone.error, rel=SAME_FIT)
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "error", "bounded"),
+    [
+        (-14.0, 1e-3, False),
+        (-14.0, 5.0, True),
+        (14.0, 0.0, True),
+        (9.0, np.inf, True),
+        (1, 9, False),
+    ],
+)
+def test_a_value_is_at_a_bound_where_its_error_reaches_it(coordinate, error, bounded):
+    assert identify.own("zeta", bounds=(0.1, 0.9)).at_bound(coordinate, error) == bounded
+    assert not identify.own("zeta").at_bound(coordinate, error)
 
 
 def test_a_run_that_cannot_be_met_leaves_the_others_as_they_are(runs, model, result):

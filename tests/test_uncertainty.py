@@ -46,7 +46,7 @@ def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
     }
     one = np.zeros((1, 1))
     run = RunFit("run", setup_of(), values, one[0], one[0] == 0, ("z",), one, one, one)
-    return findings(parameters, {}, [run], spread, [], unseen(blocks, 0, nothing))
+    return findings(parameters, {}, [run], spread, unseen(blocks, 0, nothing))
 
 
 def test_no_variance_is_negative_and_what_is_told_is_told_as_without_the_others():
@@ -124,7 +124,7 @@ def test_no_name_of_a_value_is_cut_off_in_a_narrow_table():
 def test_an_error_that_is_no_number_tells_nothing(error):
     value = Value(0.75, error, "-", "lambda")
     nothing = np.zeros((0, 0))
-    (sentence,) = findings([], {"terrain.inertial_coefficient": value}, [], nothing, [], nothing)
+    (sentence,) = findings([], {"terrain.inertial_coefficient": value}, [], nothing, nothing)
     assert sentence.startswith("lambda cannot be identified from these runs")
 
 
@@ -147,7 +147,18 @@ def test_an_error_is_held_against_the_value_or_what_it_typically_changes_by(
     each = Value(value, error, "-", label)
     assert each.told == told
     nothing = np.zeros((0, 0))
-    assert (findings([], {label: each}, [], nothing, [], nothing) == []) == told
+    assert (findings([], {label: each}, [], nothing, nothing) == []) == told
+
+
+def test_what_no_rig_has_is_told():
+    """A damping of zero is fitted on both sides of it."""
+    setup = setup_of()
+    setup.rig.damping_x = -0.3
+    time, z, nothing = np.arange(50.0), np.zeros((1, 50)), np.zeros((0, 0))
+    runs = [RunFit(name, setup, {}, time, time >= 0, ("z",), z, z, z) for name in "ab"]
+    told = [each for each in findings([], {}, runs, nothing, nothing) if "as fitted" in each]
+    assert len(told) == 1
+    assert "damping_x is -0.3, must lie between 0 and" in told[0]
 
 
 def test_a_value_near_zero_has_a_place_in_the_table():
