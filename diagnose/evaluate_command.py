@@ -1,6 +1,5 @@
 """`drft evaluate`: a diagnosis's model against runs that it was not found on."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,6 +72,7 @@ def evaluate(
     from diagnose.tuned import moves
     from drftjax.runlog.content import printable
     from drftjax.runlog.replace import replace_file, require_places
+    from drftjax.structfile import as_json
     from drftjax.tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
@@ -107,10 +107,7 @@ def evaluate(
         document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
         if moved:
             document["tuner"] = moves_document(found, moved, setting)
-        replace_file(
-            output,
-            (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
-        )
+        replace_file(output, as_json(document))
         say(f"written: {output}")
 
 

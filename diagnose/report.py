@@ -1,6 +1,5 @@
 """A diagnosis told: in sentences and tables for a terminal, and as files for a folder."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file, require_no_others_setup
+from drftjax.structfile import as_json
 from identify.result import SHOWN
 
 # So many noise floors off, a run is plainly not followed.
@@ -350,7 +350,7 @@ def write(found: Diagnosis, folder: Path) -> list[Path]:
     require_no_others_setup(folder / "model.toml", MARK)
     make_folder(folder)
     texts = {
-        "diagnosis.json": json.dumps(found.document(), indent=1, ensure_ascii=False) + "\n",
+        "diagnosis.json": as_json(found.document()).decode(),
         "model.toml": model_toml(found),
         "report.html": page(found),
     }

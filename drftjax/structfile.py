@@ -1,4 +1,4 @@
-"""Reading a TOML or JSON file into a typed structure, with errors that help."""
+"""TOML and JSON files: read into a typed structure, with errors that help; JSON written."""
 
 import json
 import re
@@ -62,6 +62,11 @@ def read_document(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: must hold named entries, holds a {type(document).__name__}")
     return document
+
+
+def as_json(document: dict[str, Any]) -> bytes:
+    """Plain values as the text of a file; null for what is not finite, as JSON demands."""
+    return msgspec.json.format(msgspec.json.encode(document, enc_hook=float), indent=1) + b"\n"
 
 
 def to_structure(document: dict[str, Any], kind: type[Structure], path: Path) -> Structure:

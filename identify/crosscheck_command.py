@@ -117,16 +117,13 @@ def write(result: "CrossCheck", stem: Path) -> list[Path]:
     Raises:
         InputError: where they cannot be written.
     """
-    import msgspec
-
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.structfile import as_json
 
     text, picture = result_files(stem)
     make_folder(stem.parent)
-    replace_file(
-        text, msgspec.json.format(msgspec.json.encode(result.document()), indent=1) + b"\n"
-    )
+    replace_file(text, as_json(result.document()))
     save_figure(plot(result), picture)
     return [text, picture]
 

@@ -148,16 +148,14 @@ def result_files(output: Path) -> list[Path]:
 
 
 def _write(result: "Design", output: Path) -> list[Path]:
-    import msgspec
-
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
+    from drftjax.structfile import as_json
 
     names = result_files(output)
     make_folder(output.parent)
     replace_file(names[0], design_toml(result).encode())
-    encoded = msgspec.json.format(msgspec.json.encode(design_document(result)), indent=1)
-    replace_file(names[1], encoded + b"\n")
+    replace_file(names[1], as_json(design_document(result)))
     save_figure(plot_design(result), names[2])
     return names
 

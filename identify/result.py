@@ -21,6 +21,7 @@ from drftjax.runlog.layout import UNITS
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.saved import FIT_SCHEMA, model_group, thinned
 from drftjax.setup import RigSetUp, SetUp, WheelSetUp
+from drftjax.structfile import as_json
 from identify.parameter import Parameter, typical
 from identify.quantity import of_zeta
 from identify.stem import files_of
@@ -389,8 +390,7 @@ class FitResult:
         """
         text, binary, _ = result_files(stem)
         make_folder(stem.parent)
-        encoded = msgspec.json.format(msgspec.json.encode(self.document()), indent=1)
-        replace_file(text, encoded + b"\n")
+        replace_file(text, as_json(self.document()))
         groups = {run.name: _group(run, self.bands.get(run.name, {})) for run in self.runs}
         numbers = {
             f"{n}_{k}": getattr(v, k) for n, v in self.shared.items() for k in ("value", "error")

@@ -1,6 +1,7 @@
 """Blind sets: seals, scores worked out by hand, and answers that never see a label."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -8,16 +9,26 @@ import time
 import types
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 from command_line import Drft
 
 from diagnose.blind import commands
 from diagnose.blind.answering import answer_sets, runs_of
-from diagnose.blind.answers import SCHEMA, Answer, FreshAnswer, GapAnswer
+from diagnose.blind.answers import (
+    SCHEMA,
+    Answer,
+    FreshAnswer,
+    GapAnswer,
+    read_answers,
+    write_answers,
+)
 from diagnose.blind.score import score
 from diagnose.blind.sealing import HASH, SEALED, open_labels, seal
 from diagnose.blind.share import Share
 from drftjax.errors import InputError
+from drftjax.structfile import as_json
 
 
 def told(effects, floors=None):
@@ -111,6 +122,22 @@ def test_shrinkage_is_held_against_the_promise():
     realised = [each["realised"] for each in found["sets"]]
     assert realised == pytest.approx([0.8 / 0.92, 1.0 / 1.92])
     assert (found["kept"]["hits"], found["in_interval"]["hits"]) == (1, 1)
+
+
+def test_effects_by_which_a_fresh_run_cannot_be_simulated_break_their_promise(tmp_path):
+    gap = {"x": GapAnswer(1.0, 0.1, 0.08, 0.9, (0.8, 1.0))}
+    fresh = {"x": {"before_mm": 1.0, "after_mm": math.nan}}
+    answer = {"verdict": ["drawbar"], "gap": msgspec.to_builtins(gap), "fresh": fresh}
+    write_answers(tmp_path / "answers.json", {"set_1": answer})
+    read = read_answers(tmp_path / "answers.json")
+    assert read["set_1"].fresh["x"].after_mm is None
+    found = score({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
+    assert (found["kept"]["hits"], found["kept"]["of"]) == (0, 1)
+
+
+def test_a_file_has_null_where_there_is_no_number():
+    document = {"a": math.nan, "b": [math.inf, 1.5], "c": np.float64(1e-5), "d": "ö"}
+    assert json.loads(as_json(document)) == {"a": None, "b": [None, 1.5], "c": 1e-5, "d": "ö"}
 
 
 def test_nothing_is_promised_of_a_gap_at_its_floor():

@@ -1,13 +1,12 @@
 """A file of answers to blind sets."""
 
-import json
 from pathlib import Path
 
 import msgspec
 
 from drftjax.errors import InputError
 from drftjax.runlog.replace import replace_file
-from drftjax.structfile import read_document, to_structure
+from drftjax.structfile import as_json, read_document, to_structure
 
 SCHEMA = "drft-blind-answers"
 
@@ -30,10 +29,13 @@ class GapAnswer(msgspec.Struct):
 
 
 class FreshAnswer(msgspec.Struct):
-    """One channel's misfit of fresh runs [mm], without and with the answer's effects."""
+    """One channel's misfit of fresh runs [mm], without and with the answer's effects.
+
+    None with effects by which a run cannot be simulated.
+    """
 
     before_mm: float
-    after_mm: float
+    after_mm: float | None
 
 
 class Answer(msgspec.Struct):
@@ -96,4 +98,4 @@ def answers_in(path: Path) -> dict[str, dict]:
 def write_answers(path: Path, answers: dict[str, dict]) -> None:
     """Write answers by set as a file."""
     document = {"schema": SCHEMA, "schema_version": 1, "answers": dict(sorted(answers.items()))}
-    replace_file(path, (json.dumps(document, indent=1) + "\n").encode())
+    replace_file(path, as_json(document))

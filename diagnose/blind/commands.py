@@ -146,7 +146,6 @@ def score(
     ] = None,
 ) -> None:
     """Open the labels of folders of sets and hold answers against them, all together."""
-    import json
 
     from rich.console import Console
 
@@ -154,6 +153,7 @@ def score(
     from diagnose.blind.score_table import tables
     from diagnose.blind.together import opened
     from drftjax.runlog.replace import replace_file, require_places
+    from drftjax.structfile import as_json
 
     if output is not None:
         require_places([output], answers)
@@ -165,7 +165,7 @@ def score(
         more = f" and {len(missing) - MOST_NAMES} more" if len(missing) > MOST_NAMES else ""
         typer.echo(f"without an answer: {', '.join(missing[:MOST_NAMES])}{more}")
     if output is not None:
-        replace_file(output, (json.dumps(found, indent=1) + "\n").encode())
+        replace_file(output, as_json(found))
         typer.echo(f"score written to {output}")
 
 

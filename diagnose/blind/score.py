@@ -1,5 +1,6 @@
 """How good answers to blind sets are, once their labels are open."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -192,7 +193,8 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
                 untried[channel] += 1
                 continue
             low, high = promise.shrinkage_interval
-            realised = gone(fresh.before_mm, fresh.after_mm, promise.floor_mm)
+            after = fresh.after_mm
+            realised = math.nan if after is None else gone(fresh.before_mm, after, promise.floor_mm)
             tried.append(
                 {
                     "set": case.name,

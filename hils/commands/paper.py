@@ -48,13 +48,13 @@ def paper(
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    import msgspec
     from rich.console import Console
 
     from drftjax.datafiles import data_file
     from drftjax.figures import save_figure
     from drftjax.runlog.replace import make_folder, replace_file
     from drftjax.setup import read_setup
+    from drftjax.structfile import as_json
     from hils.guard import CommandLimits
     from hils.loop_setup import LoopSetUp
     from hils.paper import Experiment, by_tick, loosening_rig, make
@@ -90,8 +90,7 @@ def paper(
         "fig8.png": trajectory_figure(result),
         "ripple.png": ripple_figure(result),
     }
-    whole = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-    replace_file(output / "paper.json", whole)
+    replace_file(output / "paper.json", as_json(document))
     replace_file(output / "paper.md", text.encode())
     for name, figure in figures.items():
         save_figure(figure, output / name)
