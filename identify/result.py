@@ -1,6 +1,5 @@
 """What a fit found: values with errors, residuals by run and channel, and the models as files."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -60,7 +59,7 @@ class Value:
         value, error: The number and its standard error, in `unit`.
         unit: "-" for none.
         label: Its short name in reports.
-        at_bound: Whether the fit ended at a bound of it, where it has no error (NaN).
+        at_bound: Whether the fit ended at a bound of it, where its error means nothing.
     """
 
     value: float
@@ -76,8 +75,8 @@ class Value:
 
     @property
     def told(self) -> bool:
-        """Whether the runs tell more than its order of size: a bound that they lean on is told."""
-        return self.at_bound or self.error <= UNTOLD * self.size
+        """Whether the runs tell more than its order of size."""
+        return self.error <= UNTOLD * self.size
 
     def cell(self) -> str:
         """Value and error, as a table shows them."""
@@ -105,13 +104,12 @@ def values_of(
     """
     found = {}
     for each, at, error in zip(parameters, coordinates, errors, strict=True):
-        bounded = each.at_bound(float(at), float(error))
         found[each.quantity.name] = Value(
             value=float(each.bijector.value(at)),
-            error=math.nan if bounded else float(abs(each.bijector.slope(at)) * error),
+            error=float(abs(each.bijector.slope(at)) * error),
             unit=each.quantity.unit,
             label=each.quantity.label,
-            at_bound=bounded,
+            at_bound=each.at_bound(float(at), float(error)),
         )
     return found
 
