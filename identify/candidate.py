@@ -12,7 +12,7 @@ from drftjax.errors import InputError, RunError
 from drftjax.integrator import steady_step
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.plausibility import require_upright
-from drftjax.runlog.record import RunLog
+from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.effect_parameter import put_effects
@@ -58,6 +58,7 @@ def candidate(
     method: str = FIT_METHOD,
     step: float | None = None,
     keep_rest: bool = False,
+    compare: Sequence[str] = CHANNELS,
 ) -> Candidate:
     """A recorded run made ready: its set-up as believed, its start as recorded.
 
@@ -69,7 +70,7 @@ def candidate(
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator.
         step: Its step [s]; where none is given, the longest that the command allows.
-        keep_rest: See `observe`.
+        keep_rest, compare: See `observe`.
 
     Raises:
         InputError: where the run cannot be simulated or compared.
@@ -78,7 +79,7 @@ def candidate(
         run = without_refused(run)
         require_upright(run)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
-        observation = observe(run, setup.wheel.radius, keep_rest=keep_rest)
+        observation = observe(run, setup.wheel.radius, keep_rest=keep_rest, compare=compare)
         put_effects(setup, fitted)
         setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
         setup.integrator.step = (

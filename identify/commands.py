@@ -25,6 +25,7 @@ Examples:
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
   drft fit runs/*.h5 --share drawbar.force     a number of an effect (drft effects)
   drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
+  drft fit runs/*.h5 --compare z               by the sinkage alone
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
   drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
   drft fit runs/*.h5 --zeta path --share lambda   and lambda of all beside it
@@ -102,6 +103,13 @@ def fit(
     keep_rest: Annotated[
         bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
     ] = False,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A channel that is compared: x, z, fx, fz or torque. [default: all that the "
+            "simulation predicts]"
+        ),
+    ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -124,12 +132,14 @@ def fit(
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.content import printable
     from drftjax.runlog.files import each_once, run_files
+    from drftjax.runlog.record import CHANNELS
     from drftjax.runlog.replace import require_places
     from drftjax.setup import read_setup
     from identify.candidate import candidate, names_of
     from identify.fitting import fit as fit_runs
     from identify.gathering import gather
     from identify.noise import Autoregressive, White
+    from identify.observation import require_channels
     from identify.path_fit import fit_paths
     from identify.phases import zeta_phases
     from identify.profile import require_fitted
@@ -138,7 +148,11 @@ def fit(
     from identify.zeta_smoother import KNOT_SPACING
 
     _require_method(method, start_zeta)
+    channels = CHANNELS if compare is None else tuple(compare)
+    require_channels(channels)
     _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
+    if zeta == "path" and "z" not in channels:
+        raise InputError("--zeta path follows the sinkage, so --compare must name z")
     path = zeta == "path"
     fitted = _named(own, share, parameters, path=path, apart=cluster is not None)
     for name in profile or []:
@@ -157,7 +171,9 @@ def fit(
                 "--cluster fits a constant zeta, each run alone and as its log has it; leave "
                 "--zeta, --starts, --profile, --bootstrap and --model out"
             )
-        alone = Settings(terms(fitted), autoregressive, start_zeta, method, step, keep_rest)
+        alone = Settings(
+            terms(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
+        )
         kept, left_out = each_once(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
         fit_on_cluster(cluster, named, alone, stem, left_out)
@@ -180,6 +196,7 @@ def fit(
             method=method,
             step=step,
             keep_rest=keep_rest,
+            compare=channels,
         )
         tell = partial(say, style="yellow")
         gathered = gather(runs, ready, sinkage=path, tell=tell)

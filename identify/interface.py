@@ -5,11 +5,13 @@ from collections.abc import Mapping, Sequence
 import jax
 
 from drftjax.errors import InputError
+from drftjax.runlog.record import CHANNELS
 from drftjax.setup import SetUp
 from identify.candidate import Run, candidates_of
 from identify.fitting import WHITE, Progress
 from identify.fitting import fit as fit_candidates
 from identify.noise import AbstractNoise
+from identify.observation import require_channels
 from identify.parameter import Parameter, parameter, require_once
 from identify.path_fit import fit_paths
 from identify.phases import zeta_phases
@@ -33,6 +35,7 @@ def fit(
     noise: AbstractNoise = WHITE,
     starts: int = 1,
     keep_rest: bool = False,
+    compare: str | Sequence[str] = CHANNELS,
     progress: Progress | None = None,
 ) -> FitResult:
     """Fit numbers of the simulator to recorded runs, as `drft fit` does.
@@ -56,6 +59,7 @@ def fit(
         noise: How residuals scatter.
         starts: Starting points to try; see `identify.multistart`.
         keep_rest: Whether samples after the last stop are compared too.
+        compare: Channels that are compared, such as "z", of those that the simulation predicts.
         progress: Called with the stage, the solver's step and the sum of squares.
 
     Raises:
@@ -74,9 +78,15 @@ def fit(
         raise InputError(
             "zeta='path' finds each channel's noise, from one start; leave noise and starts out"
         )
+    channels = (compare,) if isinstance(compare, str) else tuple(compare)
+    require_channels(channels)
     with jax.enable_x64(True):
         candidates = candidates_of(
-            runs, model, fitted=[each.quantity.name for each in wanted], keep_rest=keep_rest
+            runs,
+            model,
+            fitted=[each.quantity.name for each in wanted],
+            keep_rest=keep_rest,
+            compare=channels,
         )
         if zeta == "path":
             return fit_paths(candidates, knots, wanted, progress)

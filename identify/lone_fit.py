@@ -19,6 +19,7 @@ import numpy as np
 
 from drftjax import __version__
 from drftjax.errors import InputError
+from drftjax.runlog.record import CHANNELS
 
 if TYPE_CHECKING:
     from drftjax.runlog.guard import GuardedReader
@@ -53,6 +54,7 @@ class Settings(msgspec.Struct, frozen=True):
         method: Integrator.
         step: Its step [s]; where none is given, the longest that each command allows.
         keep_rest: Whether samples after the last stop are compared.
+        compare: Channels that are compared.
         software: Version of this package.
     """
 
@@ -62,6 +64,7 @@ class Settings(msgspec.Struct, frozen=True):
     method: str = "held pace"
     step: float | None = None
     keep_rest: bool = False
+    compare: tuple[str, ...] = CHANNELS
     software: str = __version__
 
     def named(self) -> dict[str, Any]:
@@ -169,6 +172,7 @@ def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer
             method=how.method,
             step=how.step,
             keep_rest=how.keep_rest,
+            compare=how.compare,
         )
         noise = Autoregressive() if how.autoregressive else White()
         result = fit([each], _parameters(settings), noise=noise)

@@ -1,5 +1,6 @@
 """What a recorded run offers to a fit: its channels at the recorded times."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,7 +113,23 @@ def comparable(driven: bool) -> tuple[str, ...]:
     return DRIVEN_CHANNELS if driven else FREE_CHANNELS
 
 
-def observe(run: RunLog, radius: float, *, keep_rest: bool = False) -> Observation:
+def require_channels(names: Sequence[str]) -> None:
+    """Refuse channels to compare that there are not, or none.
+
+    Raises:
+        InputError: names them, and what there is.
+    """
+    strange = [each for each in names if each not in CHANNELS]
+    if strange or not names:
+        given = ", ".join(strange) or "empty"
+        raise InputError(
+            f"the channels to compare are {given}, must be among {', '.join(CHANNELS)}"
+        )
+
+
+def observe(
+    run: RunLog, radius: float, *, keep_rest: bool = False, compare: Sequence[str] = CHANNELS
+) -> Observation:
     """The channels of a run that its simulation predicts.
 
     With a free carriage these are x, z and torque, with a driven one z, the forces and torque: x is
@@ -124,16 +141,25 @@ def observe(run: RunLog, radius: float, *, keep_rest: bool = False) -> Observati
         keep_rest: Whether the samples after the wheel has stopped for good are compared too. A
             standing wheel holds whatever sinkage it has reached, so they say nothing of the
             sand's parameters, and what a rig does at rest is not the model's matter.
+        compare: Channels that are compared, of those that the simulation predicts.
 
     Raises:
         InputError: where the run has none of them, never moves, or was not recorded meanwhile.
     """
-    wanted = comparable(driven=run.command.vx is not None)
+    require_channels(compare)
+    predicted = comparable(driven=run.command.vx is not None)
+    wanted = tuple(each for each in predicted if each in compare)
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)
     vx = run.command.vx
     # Torque alone does not say how deep a free wheel is.
-    needed = ("x", "z") if vx is None else wanted
+    needed = tuple(each for each in wanted if vx is not None or each in ("x", "z"))
+    if not needed:
+        enough = "x or z" if vx is None else " or ".join(predicted)
+        carriage = "free" if vx is None else "driven"
+        raise InputError(
+            f"of a {carriage} carriage {enough} must be compared, not {', '.join(compare)} alone"
+        )
     if not set(needed) & set(channels):
         raise InputError(f"nothing to compare; /measured has none of {', '.join(needed)}")
     if not np.any(run.command.omega) and (vx is None or not np.any(vx)):
