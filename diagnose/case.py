@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diagnose.path import Trace, steadied, steps_in_a_node, trace
-from diagnose.response import Model, predict
+from diagnose.response import COVERED, Model, predict
 from drftjax.arrays import as_real
 from drftjax.errors import InputError, RunError
 from drftjax.trial import Trial
+from drftjax.wheel import DEFAULT_REACH, GrouserWheel
 from identify.batch import Batch, Observed, make_batch, roomy
 from identify.candidate import Candidate
 from identify.observation import SMALLEST_NOISE, white_noise
@@ -35,6 +36,8 @@ MOST_TURNS = 12
 SMALLEST_SIZE = 2304
 # A step of log zeta that one straight line is trusted for.
 LONGEST_MOVE = 0.2
+# Plates are carried for a wheel that sinks this much deeper than was recorded.
+ROOM = 1.25
 # Part of the way, of all that a run turns and travels, over which sinkage is met at first.
 EARLY = (0.05, 0.4)
 # Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
@@ -89,19 +92,42 @@ class Case:
     @cached_property
     def trials(self) -> list[Trial]:
         """Each run's trial, padded."""
-        return [self._of_run(self.batch.trials, run) for run in range(len(self.candidates))]
+        return [self._of_run(self.batch.trials, run) for run in self._runs]
 
     @cached_property
     def observed(self) -> list[Observed]:
         """Each run's recording, padded."""
-        return [self._of_run(self.batch.observed, run) for run in range(len(self.candidates))]
+        return [self._of_run(self.batch.observed, run) for run in self._runs]
+
+    def narrowed(self) -> "Case":
+        """The same case without plates that stay above the sand: the same numbers, sooner.
+
+        What sinks far deeper than was recorded has none.
+        """
+        if not all(
+            isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.candidates
+        ):
+            return self
+        z = self.channels.index("z")
+        deepest = max(float(np.nanmax(-self.recorded(run)[z], initial=0)) for run in self._runs)
+        wheel = self.candidates[0].setup.wheel
+        for sectors in range(1, wheel.grouser_count // 2):
+            reach = sectors * 2 * math.pi / wheel.grouser_count
+            limit = float(wheel.build(reach).cut().sinkage_limit)
+            if reach < DEFAULT_REACH and COVERED * limit > ROOM * deepest:
+                return Case.of([_carried_within(reach, each) for each in self.candidates])
+        return self
+
+    @property
+    def _runs(self) -> range:
+        return range(len(self.candidates))
 
     def _of_run(self, stacked, run: int):
         return jax.tree.map(lambda leaf: leaf[run], stacked)
 
     def each_run(self, work: Callable[[int], Result]) -> list[Result]:
         """`work` done for every run, side by side."""
-        return list(self.threads.map(work, range(len(self.candidates))))
+        return list(self.threads.map(work, self._runs))
 
     def side_by_side(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """`work` done for every item, side by side, where it goes over runs itself.
@@ -198,6 +224,12 @@ class Case:
         """Length of a node of its trace [s]."""
         trial = self.trials[run]
         return float(trial.step) * steps_in_a_node(trial)
+
+
+def _carried_within(reach: float, each: Candidate) -> Candidate:
+    """A run whose wheel carries only the plates within an angle from straight down [rad]."""
+    wheel = each.setup.wheel.build(reach)
+    return replace(each, trial=eqx.tree_at(lambda t: t.simulator.wheel, each.trial, wheel))
 
 
 def thinned(each: Candidate) -> Candidate:

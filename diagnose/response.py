@@ -20,6 +20,10 @@ from drftjax.effects.stage import AbstractEffect
 from drftjax.trial import Trial
 from identify.batch import Observed, between_rows
 
+# Past this share of the sinkage that a wheel's plates are carried for a model gives no numbers, as
+# its own surface or radius may bring other plates into the sand.
+COVERED = 0.85
+
 
 @dataclass(frozen=True)
 class Free:
@@ -126,7 +130,17 @@ def _predicted(
     zeta = trial.simulator.terrain.zeta.value * jnp.exp(log_zeta)  # pyright: ignore
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
     trial = with_effects(trial, model.build(at, held))
-    return between_rows(trial.run_to(observed.compared_rows, channels), observed)
+    table = trial.run_to(observed.compared_rows, channels)
+    return between_rows(_covered(table, channels, trial), observed)
+
+
+def _covered(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
+    """The channels of a run, or no numbers where its wheel sinks past the plates it carries."""
+    if "z" not in channels:
+        return table
+    cut = trial.simulator.wheel.cut()
+    limit = jnp.where(cut.sinkage_limit < cut.radius, COVERED * cut.sinkage_limit, jnp.inf)
+    return jnp.where(jnp.max(-table[channels.index("z")]) > limit, jnp.nan, table)
 
 
 _predict = eqx.filter_jit(_predicted)

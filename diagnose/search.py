@@ -71,6 +71,7 @@ def search(
     """
     report("baseline: zeta of each run")
     log_zeta = baseline(case)
+    case = case.narrowed()
     report(f"linearising {len(case.candidates)} runs, and {len(effects)} effects along them")
     bench = Bench.of(case, log_zeta, effects)
     none = settled(bench, proposed(bench, []), 3)

@@ -34,7 +34,13 @@ from drftjax.stress import (
 from drftjax.structfile import read_document, to_structure
 from drftjax.terrain import Terrain
 from drftjax.trial import ROW_INTERVAL, Trial
-from drftjax.wheel import DEFAULT_PLATE_SIZE, AbstractWheel, GrouserWheel, PlainWheel
+from drftjax.wheel import (
+    DEFAULT_PLATE_SIZE,
+    DEFAULT_REACH,
+    AbstractWheel,
+    GrouserWheel,
+    PlainWheel,
+)
 
 # Hours of a run at the default step; more is a slip of units, and would fill the memory.
 MOST_STEPS = 2e7
@@ -67,7 +73,8 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
     points: list[tuple[float, float]] | None = None
     plate_size: float = DEFAULT_PLATE_SIZE
 
-    def build(self) -> AbstractWheel:
+    def build(self, reach: float = DEFAULT_REACH) -> AbstractWheel:
+        """The wheel; one with grousers carries those that come within `reach` [rad] of the sand."""
         if self.shape != "outline" and (self.outline is not None or self.points is not None):
             raise InputError(
                 f"[wheel] gives an outline, but its shape is {self.shape!r}; say shape = 'outline'"
@@ -86,6 +93,7 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
             self.grouser_thickness,
             self.grouser_fraction,
             plate_size=self.plate_size,
+            reach=reach,
         )
 
 

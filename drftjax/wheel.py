@@ -311,9 +311,16 @@ class GrouserWheel(AbstractWheel):
         sector = self._sector()
         turned = [turn(sector, jnp.asarray(-self._pitch * k, self.radius.dtype)) for k in sectors]
         outline = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *turned)
-        # The outermost sectors still cover this angle when the wheel stands half a pitch off.
-        whole = len(sectors) == self.grouser_count
-        covered = math.pi / 2 if whole else min(self._pitch * (len(sectors) // 2), math.pi / 2)
+        return TurningCut(self.radius, self._sinkage_limit(len(sectors)), outline, self._pitch)
+
+    def _sinkage_limit(self, sectors: int) -> Float[Array, ""]:
+        """Sinkage [m] at which the next plate would touch, were there more than these sectors."""
+        if sectors == self.grouser_count:
+            return self.radius
+        # The wheel may stand half a pitch off either way.
+        edge = min(self._pitch * (sectors // 2), math.pi / 2)
+        half_thickness = self.grouser_thickness / 2 / self.radius
+        grouser = jnp.minimum(self._pitch * (sectors // 2 + 0.5) - half_thickness, math.pi / 2)
         tip = self.radius + self.grouser_fraction * self.grouser_height
-        limit = self.radius - tip * math.cos(covered)
-        return TurningCut(self.radius, limit, outline, self._pitch)
+        rim_touches = self.radius * (1 - math.cos(edge))
+        return jnp.minimum(rim_touches, self.radius - tip * jnp.cos(grouser))

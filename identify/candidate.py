@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,11 +12,18 @@ from drftjax.errors import InputError, RunError
 from drftjax.integrator import steady_step
 from drftjax.runlog.hdf5 import read_run
 from drftjax.runlog.plausibility import require_upright
-from drftjax.runlog.record import CHANNELS, RunLog
+from drftjax.runlog.record import CHANNELS, Measured, RunLog
 from drftjax.setup import CommandSetUp, SetUp, setup_from_run
 from drftjax.trial import Trial
 from identify.effect_parameter import put_effects
-from identify.observation import ROUNDING, Observation, observe, without_refused
+from identify.observation import (
+    ROUNDING,
+    SMALLEST_NOISE,
+    Observation,
+    observe,
+    white_noise,
+    without_refused,
+)
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
 FIT_METHOD = "held pace"
@@ -93,7 +100,7 @@ def candidate(
         first = observation.time[begun][0]
         early = begun & (observation.time <= max(window, first))
         told = early.sum() > 1 or window < START_WINDOW
-        if _settles(observation, early):
+        if _settles(observation.time, run.measured, early):
             early = observation.time == first
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
@@ -119,18 +126,19 @@ def _sets_off(run: RunLog, radius: float) -> float:
     return float(command.time[last] - command.time[0])
 
 
-def _settles(observation: Observation, early: np.ndarray) -> bool:
+def _settles(time: np.ndarray, measured: Measured, early: np.ndarray) -> bool:
     """Whether the wheel moves by more than its instruments' noise in these samples."""
     if early.sum() < 3:
         return False
-    time = observation.time[early] - observation.time[early].mean()
+    time = time[early] - time[early].mean()
     spread = time @ time
-    for name, values, noise in zip(
-        observation.channels, observation.values, observation.noise, strict=True
-    ):
+    for name in ("x", "z"):
+        values = getattr(measured, name)
+        if values is None:
+            continue
+        noise = max(white_noise(values), SMALLEST_NOISE[name])
         slope = abs(time @ values[early]) / spread
-        least = max(SETTLING * noise / np.sqrt(spread), SETTLED / np.ptp(time))
-        if name in ("x", "z") and slope > least:
+        if slope > max(SETTLING * noise / np.sqrt(spread), SETTLED / np.ptp(time)):
             return True
     return False
 
@@ -205,7 +213,7 @@ def made_ready(name: str, run: object, model: SetUp | None = None, **options: An
         InputError: for what is no run.
     """
     if isinstance(run, Candidate):
-        return run
+        return replace(run, observation=run.observation.of(options.get("compare", CHANNELS)))
     if _is_pair(run):
         model, run = run  # pyright: ignore[reportGeneralTypeIssues]
     if isinstance(run, str | Path):

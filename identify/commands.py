@@ -148,8 +148,8 @@ def fit(
     from identify.zeta_smoother import KNOT_SPACING
 
     _require_method(method, start_zeta)
-    channels = CHANNELS if compare is None else tuple(compare)
-    require_channels(channels)
+    require_channels(CHANNELS if compare is None else compare)
+    channels = tuple(each for each in CHANNELS if compare is None or each in compare)
     _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
     if zeta == "path" and "z" not in channels:
         raise InputError("--zeta path follows the sinkage, so --compare must name z")

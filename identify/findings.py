@@ -6,6 +6,7 @@ from types import MappingProxyType
 import numpy as np
 
 from drftjax.errors import InputError
+from identify.outliers import begun_in_motion, odd_readings
 from identify.parameter import Parameter
 from identify.repeats import fast_scatter, noise_floor
 from identify.result import SHOWN, RunFit, Value
@@ -91,20 +92,23 @@ def _impossible(runs: Sequence[RunFit]) -> list[str]:
 
 
 def between(runs: Sequence[RunFit]) -> list[str]:
-    """Sentences on what runs differ by, each by its own values and repeats beyond them.
+    """Sentences on odd readings, and on what runs differ by: by own values, and repeats beyond.
 
     Runs that could not be simulated to the end are left out.
     """
     runs = [run for run in runs if run.status != "diverged"]
-    told = _scatter(runs)
+    told = [*begun_in_motion(runs), *odd_readings(runs), *_scatter(runs)]
     if not runs:
         return told
     floor = noise_floor(runs)
+    scatter = floor or fast_scatter(runs)
     each = ", ".join(
         f"{channel} {value * SHOWN[channel][1]:.3g} {SHOWN[channel][0]}"
-        for channel, value in (floor or fast_scatter(runs)).items()
+        for channel, value in scatter.items()
     )
-    if not floor:
+    if not scatter:
+        told.append("no run was repeated, and none has samples enough to tell its noise")
+    elif not floor:
         told.append(
             f"no run was repeated; what is left scatters by {each} from sample to sample: the "
             "noise floor as far as one run can tell it"

@@ -11,6 +11,7 @@ import numpy as np
 
 from drftjax.errors import InputError
 from identify.batch import Problem, device_mesh, make_batch
+from identify.bijector import Interval
 from identify.candidate import Candidate
 from identify.descent import Descent
 from identify.findings import findings
@@ -22,7 +23,7 @@ from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.phases import PhaseZeta, by_phase, with_phases
 from identify.result import FitResult, RunFit, values_of
-from identify.solve import LEAST_GAIN, NEGLIGIBLE, solve
+from identify.solve import LEAST_GAIN, NEGLIGIBLE, Coordinates, solve
 from identify.start import met_sinkage
 from identify.uncertainty import unseen
 from identify.weighed import weighed
@@ -37,6 +38,9 @@ ROUGHLY_LEAST = 10.0
 # A run whose residuals are so many times most runs' is weighed by its own: it was recorded or set
 # up amiss, and must not pass for what the others scatter by.
 ODD_MISFIT = 10.0
+
+# So far from where it starts a bounded number's coordinate leaves no slope to come back by.
+FARTHEST = 5.0
 
 WHITE = White()
 
@@ -88,19 +92,21 @@ def fit(
     solution = solve(
         problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
     )
-    if solution.status != "converged":
+    thrown = _thrown(problem, coordinates, solution.coordinates)
+    if thrown or solution.status != "converged":
         # A number that hardly bears on the runs may throw them far off on its way: short steps.
         descent = Descent(problem, len(kept), None, solution.active)
         ends = descent.run(
-            descent.flat(solution.coordinates)[None],
+            descent.flat(coordinates if thrown else solution.coordinates)[None],
             progress=lambda s, n: report("short steps", s, np.nan),
         )
-        solution = solve(
+        again = solve(
             problem,
             descent.coordinates(ends.points[0]),
             lambda s, v: report("fit again", s, v),
             solution.active,
         )
+        solution = again if not thrown or again.loss < solution.loss else solution
     for turn in range(REWEIGHTINGS):
         active = solution.active
         simulated = predicted(problem, solution.coordinates)
@@ -117,6 +123,16 @@ def fit(
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
     return replace(_result(optimum, before, failures), starts=tried)
+
+
+def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> bool:
+    """Whether a step has thrown a bounded number to its bound, where it hardly moves any more."""
+    (shared, own), (shared_there, own_there) = start, end
+    moved = np.abs(np.asarray(shared_there - shared)), np.abs(np.asarray(own_there - own)).max(0)
+    return any(
+        isinstance(each.bijector, Interval) and float(move) > FARTHEST
+        for each, move in zip(problem.shared + problem.own, np.concatenate(moved), strict=True)
+    )
 
 
 def _problem(

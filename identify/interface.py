@@ -80,6 +80,8 @@ def fit(
         )
     channels = (compare,) if isinstance(compare, str) else tuple(compare)
     require_channels(channels)
+    if zeta == "path" and "z" not in channels:
+        raise InputError("zeta='path' follows the sinkage, so compare must name z")
     with jax.enable_x64(True):
         candidates = candidates_of(
             runs,

@@ -55,6 +55,26 @@ class Observation:
         """Whole usual intervals from the sample before [-], infinite first, shape (samples,)."""
         return intervals_of(self.time)
 
+    def of(self, compare: Sequence[str]) -> "Observation":
+        """The same with no other channels compared than these, of those that are.
+
+        Raises:
+            InputError: where none is left.
+        """
+        kept = [number for number, name in enumerate(self.channels) if name in compare]
+        if len(kept) == len(self.channels):
+            return self
+        if not kept:
+            raise InputError(f"nothing to compare; it has {', '.join(self.channels)} alone")
+        others = tuple(name for name in self.channels if name not in compare)
+        return replace(
+            self,
+            channels=tuple(self.channels[number] for number in kept),
+            values=self.values[kept],
+            noise=self.noise[kept],
+            unused=(*self.unused, *others),
+        )
+
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
         """Values and noise by the channel's name."""
         return {

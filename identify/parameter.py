@@ -60,6 +60,8 @@ def _coefficient(number: int, name: str) -> Quantity:
 NEAR = math.log(1e3)
 # lambda may leave the physical range a little, so that a fit can say that it does not matter.
 LAMBDA_BOUNDS = Interval(-20.0, 50.0)
+# A prior's error is more than this share of its mean: a number known so well is no parameter.
+SHARPEST = 1e-9
 
 QUANTITIES: dict[str, Quantity] = {
     each.name: each
@@ -266,6 +268,9 @@ def parameter(
     elif start is not None and isinstance(bijector, Positive) and not 0 < start < math.inf:
         raise InputError(f"{name} starts at {start:g}, must be positive and finite")
     mean, error = prior or (0.0, math.inf)
-    if not error > 0 or not math.isfinite(mean):
-        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be positive")
+    if not math.isfinite(mean):
+        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its mean must be finite")
+    if not error > SHARPEST * abs(mean):
+        least = f"over {SHARPEST * abs(mean):g}" if error > 0 else "positive"
+        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be {least}")
     return Parameter(what, shared, bijector, mean, error, math.nan if start is None else start)

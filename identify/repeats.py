@@ -14,6 +14,8 @@ SAME, NOUGHT = 1e-6, 1e-9
 # Repeats were recorded over this share of each other's time at least. With more missing, the zeta
 # of one meets other parts of the run than the other's, and a misfit that grows passes for chance.
 LEAST_SHARED = 0.95
+# Samples that tell what noise they have: three second differences.
+LEAST_SAMPLES = 5
 # Each repeat is held against so many others at most, as hundreds have too many pairs.
 PARTNERS = 10
 
@@ -84,6 +86,9 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     for group in repeated(runs):
         for first, second in _pairs(group):
             a, b = runs[first], runs[second]
+            # A copy of a run repeats nothing.
+            if np.array_equal(a.recorded, b.recorded):
+                continue
             told = b.time[b.counts]
             both = a.counts & recorded_at(told, a.time)
             if both.sum() < LEAST_SHARED * max(a.counts.sum(), len(told)):
@@ -108,9 +113,14 @@ def _pairs(group: Sequence[int]) -> Iterator[tuple[int, int]]:
 
 
 def fast_scatter(runs: Sequence[RunFit]) -> dict[str, float]:
-    """White noise of what fits leave, by channel [m, N, N m]; root mean square over the runs."""
+    """White noise of what fits leave, by channel [m, N, N m]; root mean square over the runs.
+
+    Runs of too few samples to tell it are passed over.
+    """
     powers: dict[str, list[float]] = {}
     for run in runs:
+        if run.counts.sum() < LEAST_SAMPLES:
+            continue
         for channel, residual in run.residuals.items():
             powers.setdefault(channel, []).append(white_noise(residual[run.counts]) ** 2)
     return {channel: float(np.sqrt(np.mean(each))) for channel, each in powers.items()}

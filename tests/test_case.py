@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from diagnose.case import FASTEST, Case, _early, thinned
-from diagnose.response import Model, predict
+from diagnose.response import COVERED, Model, predict
 from drftjax.effects.catalogue import effect_class
 from identify.candidate import Candidate
 from identify.observation import white_noise
 from tests.virtual_cases import case_with
 from tests.virtual_runs import coarse, recorded, setup_of
+
+# A rounding decides which plates lead as a wheel sets off (docs/integrator.md): on plates of 10 mm
+# up to 11 um of travel. A plate that were missing makes millimetres [m].
+SETTING_OFF = 2e-5
 
 
 def logged(rate: float) -> Candidate:
@@ -56,3 +60,33 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
         for log_zeta in (0.0, np.float64(0.01)):
             case.predicted(filtering, run, log_zeta, np.array([0.02]))
     assert not compiled
+
+
+@pytest.mark.parametrize("name", ["loosening", "surface_slope", "grouser_height", "sinkage_gain"])
+def test_plates_that_stay_above_the_sand_change_no_number(name):
+    case = case_with()
+    narrow = case.narrowed()
+    carried, whole = (each.trials[0].simulator.wheel.cut() for each in (narrow, case))
+    assert carried.outline.x.size < whole.outline.x.size
+    model = Model((effect_class(name),))
+    at = model.null() + np.array([float(each.scale is not None) for each in model.free])
+    for run in range(len(case.candidates)):
+        ours, theirs = (each.predicted(model, run, -0.05, at) for each in (narrow, case))
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=SETTING_OFF)
+
+
+def test_what_sinks_past_the_plates_carried_has_no_numbers():
+    case = case_with()
+    narrow = case.narrowed()
+    limit = COVERED * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
+    z, nothing = case.channels.index("z"), np.zeros(0)
+    for log_zeta in (0.0, -1.0):
+        deepest = -case.predicted(Model(), 0, log_zeta, nothing)[z].min()
+        told = narrow.predicted(Model(), 0, log_zeta, nothing)
+        assert np.isnan(told).all() == (deepest > limit) == (log_zeta < 0)
+
+
+def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
+    each = coarse("deep", recorded(setup_of(zeta=0.2)))
+    case = Case.of([each])
+    assert case.narrowed() is case

@@ -22,6 +22,9 @@ PITCH_ROUNDING = 1e-10
 CUT_OTHERWISE = 1e-3
 # Flat tips for a curved rim, and plates of half a millimetre that lie elsewhere.
 FLAT_TIPS = 2e-3
+# A rim plate of 4 mm, inclined by 30 degrees or more, is all in the sand this much deeper [m], and
+# then carries more than this [N].
+DEEPER, MISSED = 4e-3, 0.1
 
 ANGLES = np.linspace(-1.0, 7.0, 33)
 FULL = math.pi
@@ -109,6 +112,18 @@ def test_sinkage_limit_is_where_the_next_plate_would_touch():
     some = jax.vmap(lambda angle: wrench(near, limit, angle))(ANGLES)
     whole = jax.vmap(lambda angle: wrench(GrouserWheel(reach=FULL), limit, angle))(ANGLES)
     np.testing.assert_allclose(some, whole, rtol=0, atol=FORCE_ROUNDING)
+
+
+@pytest.mark.parametrize("reach", [0.5, math.pi / 3])
+def test_past_the_sinkage_limit_a_plate_is_missing(reach):
+    near = GrouserWheel(reach=reach)
+    deeper = float(near.cut().sinkage_limit) + DEEPER
+    half_a_pitch_off = np.linspace(0.4, 0.6, 41) * 2 * math.pi / 12
+    some = jax.vmap(lambda angle: wrench(near, deeper, angle))(half_a_pitch_off)
+    whole = jax.vmap(lambda angle: wrench(GrouserWheel(reach=FULL), deeper, angle))(
+        half_a_pitch_off
+    )
+    assert np.abs(some - whole).max() > MISSED
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

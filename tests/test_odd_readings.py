@@ -1,0 +1,112 @@
+"""What a fit says of readings that stand out, of runs in motion, and of numbers thrown far off."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from virtual_runs import SLOW, coarse, recorded, setup_of
+
+import identify
+from drftjax.errors import InputError
+from drftjax.runlog.record import Measured
+from identify.fitting import fit
+from identify.observation import white_noise
+from identify.outliers import LEAST, STANDS_OUT, outlying
+from identify.parameter import parameter
+
+SPIKES = (30, 31, 60)
+# Of the true speed: readings of 20 um over the first tenths of a second, in which sand stops it.
+SPEED = 0.1
+# Noise of 20 um that a fit of a true model leaves, and its own steps and plates.
+LEFT = 3e-5
+# A wheel of 80 deg/s that stops: two steps of 2 ms pass the turn of the force.
+STOPPING = ([0.0, 0.25, 0.8, 1.9, 2.4, 3.0], [0.0, 0.0, 1.4, 1.4, 0.0, 0.0])
+
+
+def spiked(size: float):
+    run = recorded(setup_of(SLOW, 0.75), 3)
+    z = run.measured.z.copy()
+    z[list(SPIKES)] += size
+    return dataclasses.replace(run, measured=Measured(run.measured.time, x=run.measured.x, z=z))
+
+
+def own_zeta():
+    return [parameter("zeta", shared=False)]
+
+
+def test_readings_that_stand_out_are_told_with_their_place():
+    (run,) = fit([coarse("run", spiked(5e-3))], own_zeta()).runs
+    assert set(outlying(run)) == {"z"}
+    assert outlying(run)["z"].tolist() == run.time[list(SPIKES)].tolist()
+    told = fit([coarse("run", spiked(5e-3))], own_zeta()).findings
+    assert any(each.startswith("run: 3 readings of z stand out") for each in told)
+
+
+def test_noise_does_not_stand_out():
+    result = fit([coarse("run", spiked(0.0))], own_zeta())
+    assert outlying(result.runs[0]) == {}
+    assert not any("stand out" in each for each in result.findings)
+    # What is told is far beyond what the noise makes.
+    assert STANDS_OUT * LEAST["z"] > 10 * white_noise(result.runs[0].residuals["z"])
+
+
+def in_motion():
+    setup = setup_of(([0.0, 1.5], [1.0, 1.0]), 0.75)
+    setup.start.speed = 0.14
+    return recorded(setup, 4)
+
+
+def test_a_run_that_begins_in_motion_is_told_and_fitted_with_its_speed():
+    run = coarse("run", in_motion())
+    told = fit([run], own_zeta()).findings
+    assert any("begins in motion" in each and "start.speed" in each for each in told)
+    wanted = [*own_zeta(), parameter("start.speed", shared=False)]
+    result = fit([run], wanted)
+    assert not any("in motion" in each for each in result.findings)
+    assert result.runs[0].values["start.speed"].value == pytest.approx(0.14, rel=SPEED)
+    assert np.sqrt(np.mean(result.runs[0].residuals["x"] ** 2)) < LEFT
+
+
+def test_a_number_that_tells_nothing_does_not_leave_the_run_worse():
+    # Taken to start at rest, the run throws lambda far off before any step is damped.
+    run = coarse("run", in_motion())
+    without = fit([run], own_zeta()).runs[0]
+    beside = fit([run], [*own_zeta(), parameter("lambda", shared=True)]).runs[0]
+    left, before = (float(np.sum(each.residuals["z"] ** 2)) for each in (beside, without))
+    assert left < before
+
+
+def test_a_step_that_gains_part_of_the_way_is_taken():
+    # In steps of 2 ms the whole step does not gain, and optimistix's damping hardly shortens it.
+    runs = [
+        recorded(setup_of(STOPPING, zeta), seed, rate=100.0)
+        for seed, zeta in ((5, 0.76), (6, 0.763))
+    ]
+    result = fit(
+        [coarse(f"run {n}", run, step=2e-3) for n, run in enumerate(runs)],
+        [*own_zeta(), parameter("lambda", shared=True)],
+    )
+    assert [each.status for each in result.runs] == ["converged"] * 2
+
+
+def test_a_copy_of_a_run_is_no_repeat():
+    run = recorded(setup_of(SLOW, 0.75), 3)
+    result = identify.fit({"a": run, "b": run}, parameters="zeta")
+    assert not any(each.startswith("repeated runs") for each in result.findings)
+
+
+def test_a_run_of_two_samples_tells_no_noise():
+    run = recorded(setup_of(SLOW, 0.75), 3)
+    late = slice(-2, None)
+    few = Measured(run.measured.time[late], x=run.measured.x[late], z=run.measured.z[late])
+    result = identify.fit({"few": dataclasses.replace(run, measured=few)}, parameters="zeta")
+    assert any("none has samples enough" in each for each in result.findings)
+
+
+@pytest.mark.parametrize(
+    ("prior", "why"),
+    [((0.9, 1e-300), "its error must be over 9e-10"), ((np.inf, 0.1), "its mean must be finite")],
+)
+def test_priors_that_no_fit_can_hold_are_refused(prior, why):
+    with pytest.raises(InputError, match=why):
+        parameter("zeta", shared=False, prior=prior)
