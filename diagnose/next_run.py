@@ -25,8 +25,8 @@ from identify.candidate import STEPS_A_ROW
 from identify.observation import comparable
 from identify.result import SHOWN
 
-# What a force sensor and a torque sensor of a wheel test bed can be trusted to [N], [N m].
-FORCE_FLOOR, TORQUE_FLOOR = 1.0, 0.1
+# What the instruments of a wheel test bed can be trusted to, of channels not recorded [m, N, N m].
+TRUSTED = {"x": 5e-5, "z": 2e-5, "fx": 1.0, "fz": 1.0, "torque": 0.1}
 # A rig's limits: fastest wheel [rad/s], and the load over the one that was run.
 FASTEST = np.deg2rad(300.0)
 SPEEDS = (0.5, 2.0, 4.0, 8.0)
@@ -80,26 +80,31 @@ def next_run(
         Plain values: `tells` the two apart, `run` to make, and `channel` to record on a run as
         made, among those that a diagnosis compares; either is None where nothing helps.
     """
-    floor = {"fx": FORCE_FLOOR, "fz": FORCE_FLOOR, "torque": TORQUE_FLOOR} | dict(floors)
+    floor = TRUSTED | dict(floors)
     base = _typical(case)
+    compared = comparable(driven=case.candidates[base].setup.rig.carriage == "driven")
     variations = _variations(case, base)
     proposals: list[Proposal] = []
     # Compiled by the run as it was, before every thread needs the programs.
     parted = [_apart(variations[0], base, first, second)]
     parted += case.threads.map(lambda each: _apart(each, base, first, second), variations[1:])
     for variation, apart in zip(variations, parted, strict=True):
-        for channel, difference in apart.items():
+        for channel in compared if apart else ():
+            difference = apart[channel]
             unit, scale = SHOWN[channel]
             floors_apart = difference / floor[channel]
             proposals.append(
                 Proposal(variation.words, channel, scale * difference, unit, floors_apart)
             )
-    recorded = set(case.channels)
-    missing = (
-        set(comparable(driven=case.candidates[base].setup.rig.carriage == "driven")) - recorded
-    )
-    new = [p for p in proposals if p.channel in recorded and p.run != variations[0].words]
-    now = [p for p in proposals if p.channel in missing and p.run == variations[0].words]
+    recorded, as_it_was = set(case.channels), variations[0].words
+    told = [p.floors for p in proposals if p.channel in recorded and p.run == as_it_was]
+    new = [
+        p
+        for p in proposals
+        # What parts them no better than a run that is there tells nothing new.
+        if p.channel in recorded and p.run != as_it_was and p.floors > max(told, default=0.0)
+    ]
+    now = [p for p in proposals if p.channel not in recorded and p.run == as_it_was]
     return {
         "tells": ["+".join(spoken(each.names) or ("none",)) for each in (first, second)],
         "run": _best(new),

@@ -15,6 +15,8 @@ from identify.result import SHOWN
 # Repeats disagree where they differ by so many times what instruments and plates make, and by more
 # than this share of the gap.
 DISAGREE, OF_GAP = 3.0, 0.5
+# Words of every sentence on such repeats.
+REPEATS_DIFFER = "repeat each other and differ by"
 # A run's zeta is odd where it lies beyond the others' by so many of their scatters, and by so much
 # [of a logarithm]: sand that is prepared alike scatters by a per cent or a few.
 ODD_SCATTERS, ODD_ZETA = 5.0, 0.05
@@ -52,8 +54,8 @@ def of_repeats(
                     "instruments and plates make"
                 )
     return [
-        f"{' and '.join(case.candidates[run].name for run in pair)} repeat each other and differ "
-        f"by {'; by '.join(by)}: no effect of command, load or state does that. Was the sand "
+        f"{' and '.join(case.candidates[run].name for run in pair)} {REPEATS_DIFFER} "
+        f"{'; by '.join(by)}: no effect of command, load or state does that. Was the sand "
         "prepared alike, and z zeroed alike?"
         for pair, by in told.items()
     ]

@@ -13,6 +13,7 @@ from diagnose import where as location
 from diagnose.diagnosis import Diagnosis
 from diagnose.left_out import conditions
 from diagnose.model_file import MARK, model_toml, told
+from diagnose.odd_runs import REPEATS_DIFFER
 from diagnose.report_figures import (
     as_source,
     at_a_glance,
@@ -48,9 +49,17 @@ def verdict(found: Diagnosis) -> str:
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
         if missed := _missed_by_far(found):
+            tell = "tells" if alone else "tell"
             return (
-                f"The reference model misses {runs} by {missed}, but {runs} tell too little of "
-                f"why: no effect outweighs chance (weight of none {percent(weight)})."
+                f"The reference model misses {runs} by {missed}, but {runs} {tell} too little of "
+                "why: no effect outweighs chance by enough to be named (weight of none "
+                f"{percent(weight)})."
+            )
+        if any(REPEATS_DIFFER in note for note in found.notes):
+            return (
+                "No effect shows beyond what repeats of one command differ by, which is far more "
+                f"than instruments make (weight of none {percent(weight)}): these runs can say "
+                "nothing of the model until that is found."
             )
         follows = "its own zeta the model follows it" if alone else "a zeta each it follows them"
         if weight < 0.5:
@@ -109,10 +118,12 @@ def group_sentences(found: Diagnosis) -> list[str]:
     sentences = []
     for group in found.groups:
         first, others = group[0], " or ".join(map(_worded, group[1:]))
+        alone = len(found.case.candidates) == 1
+        runs, rule = ("this run", "rules") if alone else ("these runs", "rule")
         if others and first == NONE:
-            sentences.append(f"What these runs rule out least: {others}.")
+            sentences.append(f"What {runs} {rule} out least: {others}.")
         elif others:
-            sentences.append(f"These runs cannot tell {_worded(first)} from {others}.")
+            sentences.append(f"{runs.capitalize()} cannot tell {_worded(first)} from {others}.")
     return sentences
 
 
@@ -260,7 +271,8 @@ def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
             _rms_pair(found.before[number][place], found.added.after[number][place], channel)
             for place, channel in enumerate(found.case.channels)
         ]
-        duration = f"{found.case.time(number)[-1]:.1f}"
+        time = found.case.time(number)
+        duration = f"{len(time) * found.case.spacing(number):.1f}"
         rows.append((each.name, printable(each.setup.title), duration, f"{zeta:.4f}", *cells))
     return rows
 

@@ -315,10 +315,10 @@ class GrouserWheel(AbstractWheel):
 
     def _sinkage_limit(self, sectors: int) -> Float[Array, ""]:
         """Sinkage [m] at which the next plate would touch, were there more than these sectors."""
-        if sectors == self.grouser_count:
-            return self.radius
         # The wheel may stand half a pitch off either way.
-        edge = min(self._pitch * (sectors // 2), math.pi / 2)
+        edge = self._pitch * (sectors // 2)
+        if sectors == self.grouser_count or edge >= math.pi / 2:
+            return self.radius
         half_thickness = self.grouser_thickness / 2 / self.radius
         grouser = jnp.minimum(self._pitch * (sectors // 2 + 0.5) - half_thickness, math.pi / 2)
         tip = self.radius + self.grouser_fraction * self.grouser_height

@@ -8,9 +8,10 @@ from drftjax.errors import InputError
 from drftjax.runlog.files import each_once, run_files
 from drftjax.runlog.guard import GuardedReader
 from drftjax.runlog.layout import run_from
+from drftjax.runlog.plausibility import doubts
 from drftjax.runlog.record import RunLog
 from identify.candidate import Candidate, candidate, names_of
-from identify.observation import refused_readings
+from identify.observation import refused_readings, without_refused
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ def gather(
                 if sinkage and "z" not in each.observation.channels:
                     raise InputError("has no /measured/z, so its sinkage is not known")
                 candidates.append(each)
+                for doubt in doubts(without_refused(run)):
+                    tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
                     tell(f"{name}: {refused} readings, which the loop refused, are not compared")
             except InputError as problem:

@@ -62,7 +62,7 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
     assert not compiled
 
 
-@pytest.mark.parametrize("name", ["loosening", "surface_slope", "grouser_height", "sinkage_gain"])
+@pytest.mark.parametrize("name", ["loosening", "surface_slope", "wheel_radius", "sinkage_gain"])
 def test_plates_that_stay_above_the_sand_change_no_number(name):
     case = case_with()
     narrow = case.narrowed()

@@ -352,6 +352,20 @@ def test_the_pages_example_is_an_effect_like_any_other(package, tmp_path):
     assert runs[0] > runs[1] + 4e-3
 
 
+HALF_MADE = """
+
+from drftjax.effects.stage import AbstractZetaFactor
+
+
+class Nameless(AbstractZetaFactor):
+    pass
+
+
+class Idle(AbstractZetaFactor):
+    about = Settling.about
+"""
+
+
 @pytest.mark.parametrize(
     ("point", "said"),
     [
@@ -361,9 +375,13 @@ def test_the_pages_example_is_an_effect_like_any_other(package, tmp_path):
             "drftjax.effects.rig:Drawbar",
             "'drawbar' of drftjax.effects.rig:Drawbar is there already",
         ),
+        ("settling:Nameless", "the effect 'settling' of settling:Nameless has no `about`"),
+        ("settling:Idle", "the effect 'settling' of settling:Idle lacks "),
     ],
 )
 def test_a_package_that_adds_no_effect_is_named(package, tmp_path, point, said):
+    with (tmp_path / "site" / "settling.py").open("a") as module:
+        module.write(HALF_MADE)
     points = next((tmp_path / "site").glob("*.dist-info")) / "entry_points.txt"
     points.write_text(f"[drft.effects]\nsettling = {point}\n")
     answer = ask(package, "effects")

@@ -1,11 +1,16 @@
 """Run logs named on a command line: files and folders of them, each recording once."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
 import pytest
+from virtual_runs import SLOW, recorded, setup_of
 
 from drftjax.runlog.files import each_once, run_files
+from drftjax.runlog.hdf5 import read_run, write_run
+from drftjax.runlog.plausibility import doubts
+from drftjax.runlog.record import Command
 from identify.gathering import gather
 
 RUNS = Path(__file__).parents[1] / "data" / "runs"
@@ -62,3 +67,14 @@ def test_a_lone_file_that_cannot_be_used_is_one_sentence(drft, tmp_path, command
     answer = drft(command, path)
     assert answer.refusal == f"{path}: is not an HDF5 file"
     assert "left out" not in answer.out
+
+
+def test_likely_slips_of_unit_are_told(tmp_path):
+    run = recorded(setup_of(SLOW, 0.75), 1)
+    command = Command(time=run.command.time, omega=60 * run.command.omega)
+    path = tmp_path / "turning.h5"
+    write_run(path, dataclasses.replace(run, command=command))
+    told: list[str] = []
+    gather([path], tell=told.append)
+    assert told == [f"note: {path}: {doubt}" for doubt in doubts(read_run(path))]
+    assert "rad/s" in told[0]

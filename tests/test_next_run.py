@@ -11,6 +11,7 @@ from diagnose.search import search
 from drftjax.effects.catalogue import effect_class
 from drftjax.integrator import STEPS
 from tests.virtual_cases import case_with
+from tests.virtual_runs import SLOW, coarse, recorded, setup_of
 
 FLOORS = {"x": 80e-6, "z": 30e-6}
 # Sums of speeds over time, of metres.
@@ -94,3 +95,23 @@ def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):
     # What is simulated of it holds a start and a stop at least.
     until = time <= trial.rows * trial.every * float(trial.step)
     assert np.count_nonzero(np.diff(omega[until] > 0)) >= 2
+
+
+@pytest.mark.parametrize("channels", [("z",), ("z", "fz")])
+def test_runs_without_travel_are_advised_too(channels):
+    vx = [0.0, 0.0, 0.05, 0.05] if "fz" in channels else None
+    runs = [
+        coarse(
+            f"run {n}", recorded(setup_of(SLOW, zeta, vx), n, channels=channels, force_noise=1.0)
+        )
+        for n, zeta in enumerate((0.75, 0.76))
+    ]
+    case = Case.of(runs)
+    found = search(case, [effect_class("vertical_spring"), effect_class("loosening")])
+    floors = dict.fromkeys(case.channels, 1e-9)
+    first, second = found.none, found.singles[0]
+    told = next_run(case, first, second, floors)
+    compared = {"z", "fx", "fz", "torque"} if "fz" in channels else {"x", "z", "torque"}
+    asked = [each for each in (told["run"], told["channel"]) if each is not None]
+    assert told["tells"] == ["none", *second.names]
+    assert {each["channel"] for each in asked} <= compared

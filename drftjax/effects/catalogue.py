@@ -4,6 +4,7 @@ A package adds effects by the entry-point group `drft.effects`: a name, and wher
 """
 
 import dataclasses
+import inspect
 from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import cache
@@ -13,7 +14,7 @@ from drftjax.effects import correction
 from drftjax.effects.drive import DRIVE
 from drftjax.effects.rig import RIG
 from drftjax.effects.sensor import SENSOR
-from drftjax.effects.stage import AbstractEffect
+from drftjax.effects.stage import About, AbstractEffect
 from drftjax.effects.stress import STRESS
 from drftjax.effects.surface import SURFACE
 from drftjax.effects.terrain import TERRAIN
@@ -49,10 +50,30 @@ def catalogue() -> dict[str, type[AbstractEffect]]:
             raise InputError(f"the effect {entry.name!r} of {entry.value} fails: {error}") from None
         if not (isinstance(added, type) and issubclass(added, AbstractEffect)):
             raise InputError(f"the effect {entry.name!r} of {entry.value} is no effect class")
+        _require_whole(added, f"the effect {entry.name!r} of {entry.value}")
         if added.about.name in (*known, correction.NAME):
             raise InputError(f"the effect {added.about.name!r} of {entry.value} is there already")
         known[added.about.name] = added
+    for each in known.values():
+        if each.about.form_of and each.about.form_of not in known:
+            raise InputError(
+                f"the effect {each.about.name!r} is a form of {each.about.form_of!r}, and there is "
+                "no such effect"
+            )
     return known
+
+
+def _require_whole(effect: type[AbstractEffect], what: str) -> None:
+    """Refuse a class that lacks what every effect has.
+
+    Raises:
+        InputError: says what it lacks.
+    """
+    if not isinstance(getattr(effect, "about", None), About):
+        raise InputError(f"{what} has no `about`; it must say its name, stage, formula and meaning")
+    if inspect.isabstract(effect):
+        lacking = ", ".join(sorted(effect.__abstractmethods__))
+        raise InputError(f"{what} lacks {lacking}, which every effect of its stage has")
 
 
 def effect_class(name: str) -> type[AbstractEffect]:
