@@ -29,11 +29,8 @@ from identify.observation import (
 FIT_METHOD = "held pace"
 STEPS_A_ROW = 5
 
-# Recorded sinkage and travel are averaged over so much of the rest before the run [s]. A wheel
-# creeps into the sand: where it stands for longer, a straight line tells its sinkage at the start.
-START_WINDOW, CREEP_WINDOW = 0.2, 0.5
-# Fewer samples make no line that tells it better than their mean.
-LEAST_SAMPLES = 10
+# Recorded sinkage and travel are averaged over so much of the rest before the run [s].
+START_WINDOW = 0.2
 # A wheel still settles where a straight line through that rises by more than so many standard
 # errors (instruments' slow errors reach ten), and by more than so much in that time [m].
 SETTLING, SETTLED = 30.0, 2e-4
@@ -107,11 +104,6 @@ def candidate(
             early = observation.time == first
         if run.measured.z is not None and told:
             setup.start.sinkage = float(-run.measured.z[early].mean())
-            creeping = begun & (observation.time <= CREEP_WINDOW)
-            stands = _sets_off(run, setup.wheel.radius) >= CREEP_WINDOW
-            if stands and early.sum() > 1 and creeping.sum() >= LEAST_SAMPLES:
-                time = observation.time[creeping] - first
-                setup.start.sinkage = float(-np.polyfit(time, run.measured.z[creeping], 1)[1])
         if run.measured.x is not None and told:
             setup.start.x = float(run.measured.x[early].mean())
         if zeta is not None:
