@@ -87,7 +87,7 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
         for first, second in _pairs(group):
             a, b = runs[first], runs[second]
             # A copy of a run repeats nothing.
-            if np.array_equal(a.recorded, b.recorded):
+            if np.ptp(a.recorded) > 0 and np.array_equal(a.recorded, b.recorded):
                 continue
             told = b.time[b.counts]
             both = a.counts & recorded_at(told, a.time)

@@ -35,11 +35,11 @@ def own_zeta():
 
 
 def test_readings_that_stand_out_are_told_with_their_place():
-    (run,) = fit([coarse("run", spiked(5e-3))], own_zeta()).runs
+    result = fit([coarse("run", spiked(5e-3))], own_zeta())
+    (run,) = result.runs
     assert set(outlying(run)) == {"z"}
     assert outlying(run)["z"].tolist() == run.time[list(SPIKES)].tolist()
-    told = fit([coarse("run", spiked(5e-3))], own_zeta()).findings
-    assert any(each.startswith("run: 3 readings of z stand out") for each in told)
+    assert any(each.startswith("run: 3 readings of z stand out") for each in result.findings)
 
 
 def test_noise_does_not_stand_out():
