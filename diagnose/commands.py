@@ -50,15 +50,10 @@ def diagnose(
     from diagnose.report import gap_table, paragraphs, verdict, write
     from diagnose.runs import gather
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import (
-        require_folder,
-        require_no_others_setup,
-        require_places,
-    )
+    from drftjax.runlog.replace import require_no_others_setup, require_places
 
     chosen = effects_among(_names(effects))
     if output is not None:
-        require_folder(output)
         require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
         require_no_others_setup(output / "model.toml", MARK)
     console = Console()

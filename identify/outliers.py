@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from identify.observation import SMALLEST_NOISE, white_noise
+from identify.observation import white_noise
 from identify.pace import STANDS, pace
 from identify.result import RunFit
 
@@ -27,7 +27,7 @@ def outlying(run: RunFit) -> dict[str, np.ndarray]:
         values, time = residual[run.counts], run.time[run.counts]
         if len(values) < AROUND:
             continue
-        noise = max(white_noise(values), SMALLEST_NOISE[channel], LEAST[channel])
+        noise = max(white_noise(values), LEAST[channel])
         out = np.abs(values - median_filter(values, AROUND)) > STANDS_OUT * noise
         if out.any():
             found[channel] = time[out]

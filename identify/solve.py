@@ -130,7 +130,8 @@ def solve(
             refused += 1
             if refused < MOST_REFUSED:
                 continue
-            nearer = _on_the_way(task, coordinates, state, loss, least_gain)
+            least = least_gain * loss / max(counted[moving].sum(), 1)
+            nearer = _on_the_way(task, coordinates, state, loss - least)
             if nearer is not None:
                 coordinates = nearer
                 task, state, loss, each, refused = begun()
@@ -194,10 +195,11 @@ def _whole_step(
     return float(-slope @ step / whole), step
 
 
-def _on_the_way(
-    task: "Task", coordinates: Coordinates, state, loss: float, least_gain: float
-) -> Coordinates | None:
-    """A part of the way along the whole step that gains, where that step promises some."""
+def _on_the_way(task: "Task", coordinates: Coordinates, state, under: float) -> Coordinates | None:
+    """A part of the way along the whole step where the sum of squares is `under` so much.
+
+    None where there is none, or the step promises nothing noticeable.
+    """
     problem, _ = task
     residual, blocks, belief, belief_slope = map(
         np.asarray, _ending(coordinates, coordinates, state)
@@ -211,10 +213,8 @@ def _on_the_way(
         there = problem.everywhere(
             (shared + part * step[:number], own + part * step[number:].reshape(own.shape))
         )
-        found = float(_loss(task, there))
-        counted = (np.asarray(problem.batch.observed.weight) > 0).sum()
-        # `found` is not finite where a run cannot be simulated there.
-        if loss - found > least_gain * found / counted:
+        # Not finite, so not under, where a run cannot be simulated.
+        if float(_loss(task, there)) < under:
             return there
     return None
 
