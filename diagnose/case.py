@@ -100,9 +100,9 @@ class Case:
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
     def narrowed(self) -> "Case":
-        """The same case without plates that stay above the sand: the same numbers, sooner.
+        """The same case without plates that stay above the sand: sooner, the same but for roundings.
 
-        What sinks far deeper than was recorded has none.
+        What sinks far deeper than was recorded has no numbers.
         """
         if not all(
             isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.candidates

@@ -13,9 +13,10 @@ from identify.observation import white_noise
 from tests.virtual_cases import case_with
 from tests.virtual_runs import coarse, recorded, setup_of
 
-# A rounding decides which plates lead as a wheel sets off (docs/integrator.md): on plates of 10 mm
-# up to 11 um of travel. A plate that were missing makes millimetres [m].
-SETTING_OFF = 2e-5
+# A sum over plates of which some carry nothing, in another order, over a run at 0.5 rad/s [m]. At
+# 0.9 rad/s plates of 10 mm have amplified that to 37 um by the end, which is no plate's part.
+ROUNDING = 1e-9
+SLOW_RUNS = (0, 1)
 
 
 def logged(rate: float) -> Candidate:
@@ -62,7 +63,9 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
     assert not compiled
 
 
-@pytest.mark.parametrize("name", ["loosening", "surface_slope", "wheel_radius", "sinkage_gain"])
+@pytest.mark.parametrize(
+    "name", ["loosening", "surface_slope", "grouser_height", "wheel_radius", "sinkage_gain"]
+)
 def test_plates_that_stay_above_the_sand_change_no_number(name):
     case = case_with()
     narrow = case.narrowed()
@@ -70,9 +73,9 @@ def test_plates_that_stay_above_the_sand_change_no_number(name):
     assert carried.outline.x.size < whole.outline.x.size
     model = Model((effect_class(name),))
     at = model.null() + np.array([float(each.scale is not None) for each in model.free])
-    for run in range(len(case.candidates)):
+    for run in SLOW_RUNS:
         ours, theirs = (each.predicted(model, run, -0.05, at) for each in (narrow, case))
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=SETTING_OFF)
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=ROUNDING)
 
 
 def test_what_sinks_past_the_plates_carried_has_no_numbers():
