@@ -100,7 +100,7 @@ class Case:
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
     def narrowed(self) -> "Case":
-        """The same case without plates that stay above the sand: sooner, the same but for roundings.
+        """The same case without plates that stay above the sand: but for roundings no change.
 
         What sinks far deeper than was recorded has no numbers.
         """

@@ -24,7 +24,8 @@ SPEED = 0.1
 # Noise of 20 um that a fit of a true model leaves, and its own steps and plates.
 LEFT = 3e-5
 # A wheel of 80 deg/s that stops: two steps of 2 ms pass the turn of the force.
-STOPPING = ([0.0, 0.25, 0.8, 1.9, 2.4, 3.0], [0.0, 0.0, 1.4, 1.4, 0.0, 0.0])
+TOP = float(np.deg2rad(80))
+STOPPING = ([0.0, 0.25, 0.8, 1.9, 2.4, 3.0], [0.0, 0.0, TOP, TOP, 0.0, 0.0])
 
 
 def spiked(size: float):
@@ -60,10 +61,11 @@ def in_motion():
     return recorded(setup, 4)
 
 
-def rigged(command, zetas, seed: int, speed: float = 0.0):
+def rigged(command, seed: int, speed: float = 0.0):
     """Runs of 4 mm plates and fine steps, the second a little slower than the first."""
     random = np.random.default_rng(seed)
-    for number, zeta in enumerate(zetas):
+    for number in range(2):
+        zeta = 0.75 * (1 + 0.02 * random.standard_normal())
         setup = SetUp(
             command=CommandSetUp(command[0], [(1 - 0.15 * number) * w for w in command[1]])
         )
@@ -91,26 +93,11 @@ def test_a_run_that_begins_in_motion_is_told_and_fitted_with_its_speed():
     assert np.sqrt(np.mean(result.runs[0].residuals["x"] ** 2)) < LEFT
 
 
-def test_a_number_thrown_to_its_bound_is_looked_for_again():
-    # Taken to start at rest, these runs throw lambda to its bound before any step is damped.
-    runs = [*rigged(([0.0, 2.0], [1.047, 1.047]), (0.77, 0.764), 508, speed=0.157)]
-    named = {f"run {number}": run for number, run in enumerate(runs)}
-    without, beside = (
-        identify.fit(named, parameters=names) for names in ("zeta", ("zeta", "lambda"))
-    )
-    assert not beside.values["lambda"].at_bound
-    left, before = (
-        sum(float(np.sum(run.residuals["z"] ** 2)) for run in each.runs)
-        for each in (beside, without)
-    )
-    assert left < before
-
-
 def test_a_step_that_gains_part_of_the_way_is_taken():
     # In steps of 2 ms the whole step does not gain, and optimistix's damping hardly shortens it.
     runs = [
         candidate(f"run {number}", run, step=2e-3)
-        for number, run in enumerate(rigged(STOPPING, (0.76, 0.763), 500))
+        for number, run in enumerate(rigged(STOPPING, 500))
     ]
     result = fit(runs, [*own_zeta(), parameter("lambda", shared=True)])
     assert [each.status for each in result.runs] == ["converged"] * 2
