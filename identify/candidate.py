@@ -29,8 +29,13 @@ from identify.observation import (
 FIT_METHOD = "held pace"
 STEPS_A_ROW = 5
 
-# Recorded sinkage and travel are averaged over so much of the rest before the run [s].
-START_WINDOW = 0.2
+# Recorded sinkage and travel are averaged over so much of the rest before the run [s]. A wheel
+# creeps into the sand: where it stands for longer, a straight line tells its sinkage at the start.
+START_WINDOW, CREEP_WINDOW = 0.2, 0.5
+# Fewer samples make no line that tells it better than their mean.
+LEAST_SAMPLES = 10
+# Creep is no straight line where its curvature is so many standard errors.
+CURVED = 4.0
 # A wheel still settles where a straight line through that rises by more than so many standard
 # errors (instruments' slow errors reach ten), and by more than so much in that time [m].
 SETTLING, SETTLED = 30.0, 2e-4
@@ -103,7 +108,11 @@ def candidate(
         if _settles(observation.time, run.measured, early):
             early = observation.time == first
         if run.measured.z is not None and told:
-            setup.start.sinkage = float(-run.measured.z[early].mean())
+            height = float(run.measured.z[early].mean())
+            creeping = begun & (observation.time <= CREEP_WINDOW)
+            if early.sum() > 1 and _sets_off(run, setup.wheel.radius) >= CREEP_WINDOW:
+                height = _crept_from(observation.time[creeping], run.measured.z[creeping], height)
+            setup.start.sinkage = -height
         if run.measured.x is not None and told:
             setup.start.x = float(run.measured.x[early].mean())
         if zeta is not None:
@@ -141,6 +150,23 @@ def _settles(time: np.ndarray, measured: Measured, early: np.ndarray) -> bool:
         if slope > max(SETTLING * noise / np.sqrt(spread), SETTLED / np.ptp(time)):
             return True
     return False
+
+
+def _crept_from(time: np.ndarray, height: np.ndarray, mean: float) -> float:
+    """Height [m] at the first of these times of a wheel that creeps; the mean, where none shows."""
+    if len(time) < LEAST_SAMPLES:
+        return mean
+    time = time - time[0]
+    curvature, error = _curvature(time, height)
+    return mean if abs(curvature) > CURVED * error else float(np.polyfit(time, height, 1)[1])
+
+
+def _curvature(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Curvature of a parabola through these values, and its standard error."""
+    powers = np.vander(time, 3)
+    fitted, square, *_ = np.linalg.lstsq(powers, values)
+    noise = max(float(np.sqrt(square.sum() / (len(time) - 3))), SMALLEST_NOISE["z"])
+    return float(fitted[0]), noise * float(np.sqrt(np.linalg.inv(powers.T @ powers)[0, 0]))
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:
