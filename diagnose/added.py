@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from diagnose.hypothesis import Hypothesis
+from diagnose.mean_sinkage import Followed, residuals_of
 from diagnose.response import Model
 from diagnose.shrinkage import Gap
 from drftjax.effects.stage import AbstractEffect
@@ -24,15 +25,19 @@ class Added:
     Attributes:
         effects: None of them where the reference model stays as it is.
         log_zeta: Each run's log zeta over its set-up's beside them, shape (runs,).
-        after: By run, simulated less recorded while its condition was left out, with the zeta that
-            meets its mean sinkage, shape (channels, samples) [m, N, N m].
+        met: Each run while its condition was left out, with the zeta that meets its mean sinkage.
         gap: Before, and after on these runs left out, by channel.
     """
 
     effects: tuple[AbstractEffect, ...]
     log_zeta: np.ndarray
-    after: list[np.ndarray]
+    met: Sequence[Followed]
     gap: Mapping[str, Gap]
+
+    @property
+    def after(self) -> list[np.ndarray]:
+        """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
+        return residuals_of(self.met)
 
     @property
     def before(self) -> float:

@@ -19,6 +19,7 @@ from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, beliefs, foremost, left_of
 from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
+from diagnose.mean_sinkage import residuals_of
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
@@ -208,11 +209,12 @@ def diagnose(
     share = _weights(found, leading, unseen)
     verdict, groups = verdict_of(share)
     chosen = stands_for(found, leading, share, verdict)
-    before = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
-    after = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else before
+    alone = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
+    met = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else alone
+    before, after = residuals_of(alone), residuals_of(met)
     own = own_errors(case, found.none.log_zeta)
     floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
-    known = Added(effects_of(chosen), chosen.log_zeta, after, gaps(case, before, after, floors))
+    known = Added(effects_of(chosen), chosen.log_zeta, met, gaps(case, before, after, floors))
     rival = rival_of(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
@@ -231,7 +233,7 @@ def diagnose(
             report("what an effect that explains it would look like")
             signal = unwritten(case, lies, found.none, before, floors)
         curve = None if signal is None or signal.tried is None else signal.tried.added
-        reference = Added((), found.none.log_zeta, before, gaps(case, before, before, floors))
+        reference = Added((), found.none.log_zeta, alone, gaps(case, before, before, floors))
         added = most_helpful([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
         notes += odd_runs.alone_in_the_gap(case, places, before, floors)

@@ -93,7 +93,8 @@ def evaluate(
         task = bar.add_task("reading runs", total=None)
         gathered = gather(runs, origin=added.origin)
         bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
-        found = evaluated(Case.of(gathered.candidates), added.effects, gathered.left_out)
+        caveats = added.caveats(gathered.candidates)
+        found = evaluated(Case.of(gathered.candidates), added.effects, gathered.left_out, caveats)
         if tuner:
             bar.update(task, description="replaying the tuner")
             moved = moves(found, setting)

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from diagnose import odd_runs
 from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.floor import noise_floors
-from diagnose.mean_sinkage import Followed, followed
+from diagnose.mean_sinkage import Followed, followed, residuals_of
 from diagnose.plates import APART, own_errors
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
@@ -38,6 +39,7 @@ class Evaluation:
         gap: Pooled over the runs, by channel.
         floors: Noise floor of each channel [m, N, N m].
         how: On what the floors rest.
+        doubts: What speaks against the comparison, in sentences.
         left_out: Why other runs are not among them, by name.
     """
 
@@ -48,6 +50,7 @@ class Evaluation:
     gap: Mapping[str, Gap]
     floors: Mapping[str, float]
     how: str
+    doubts: Sequence[str] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -60,7 +63,12 @@ class Evaluation:
             for run, each in enumerate(runs)
             if not each.met and not (model == WITH and not self.effects)
         ]
-        return [self.how, *off, *(f"Left out: {why}" for why in self.left_out.values())]
+        return [
+            self.how,
+            *self.doubts,
+            *off,
+            *(f"Left out: {why}" for why in self.left_out.values()),
+        ]
 
     def summary(self, width: int = 110) -> str:
         """Table and notes as text, so many columns wide."""
@@ -147,7 +155,10 @@ def _named(channel: str, **values: float) -> dict[str, float | str]:
 
 
 def evaluated(
-    case: Case, effects: Sequence[AbstractEffect], left_out: Mapping[str, str] | None = None
+    case: Case,
+    effects: Sequence[AbstractEffect],
+    left_out: Mapping[str, str] | None = None,
+    caveats: Sequence[str] = (),
 ) -> Evaluation:
     """The gap of runs without and with effects whose numbers stay as they are.
 
@@ -155,6 +166,7 @@ def evaluated(
         case: The runs.
         effects: Added to what each run's set-up says.
         left_out: Why other runs are not among them, by name.
+        caveats: What is known to speak against the comparison, in sentences.
 
     Raises:
         InputError: where a wheel leaves what the model covers, with or without the effects.
@@ -164,7 +176,7 @@ def evaluated(
     after = followed(case, model, coordinates) if effects else before
     _require_covered(case, before, "the reference model")
     _require_covered(case, after, WITH)
-    residuals = [each.residual for each in before], [each.residual for each in after]
+    residuals = residuals_of(before), residuals_of(after)
     own = own_errors(case, np.array([each.log_zeta for each in before]))
 
     def by_zeta(run: int) -> np.ndarray:
@@ -175,7 +187,8 @@ def evaluated(
 
     floors, how = noise_floors(case, *residuals, own, by_zeta)
     gap = gaps(case, *residuals, floors)
-    return Evaluation(case, tuple(effects), before, after, gap, floors, how, left_out or {})
+    doubts = [*caveats, *odd_runs.of_repeats(case, residuals, own, by_zeta)]
+    return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
 
 
 def _require_covered(case: Case, runs: Sequence[Followed], model: str) -> None:

@@ -13,7 +13,8 @@ def sentences(found: Evaluation) -> list[str]:
     if not names:
         return ["The model has no effect: it is the reference model.", *found.notes]
     return [
-        f"before: the reference model; after: with {names}. zeta is each run's own.",
+        f"before: the reference model; after: with {names}. zeta is each run's own, and all else "
+        "what its log believes.",
         *found.notes,
     ]
 

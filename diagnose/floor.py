@@ -6,6 +6,7 @@ import numpy as np
 
 from diagnose.case import Case
 from diagnose.chance import Response, apart, averaged_away, repeats
+from identify.observation import SMALLEST_NOISE, white_noise
 
 
 def noise_floors(
@@ -29,14 +30,14 @@ def noise_floors(
         response: Change of a run's channels by its log zeta; see `diagnose.chance.apart`.
     """
     pairs = {each: repeats(case, each, from_one_start=False) for each in case.channels}
-    floors = {}
+    floors: dict[str, float] = {}
     for index, channel in enumerate(case.channels):
         powers = [
             averaged_away(case, pair, channel) / 2
             + min(_power(apart(case, pair, each, response)[index]) for each in (before, after))
             for pair in pairs[channel]
         ]
-        power = np.mean(powers) if powers else _noise_power(case, channel)
+        power = np.mean(powers) if powers else _noise_power(case, channel, (before, after))
         floors[channel] = float(np.sqrt(power + own[channel] ** 2))
     return floors, _in_words(case, pairs)
 
@@ -68,7 +69,17 @@ def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str
     return f"{told}change; that of {', '.join(lacking)}, which no repeats have, from fast scatter."
 
 
-def _noise_power(case: Case, channel: str) -> float:
-    """Mean square of the instrument's white noise, over the runs that have the channel."""
-    known = [each.observation.by_channel() for each in case.candidates]
-    return float(np.mean([each[channel][1] ** 2 for each in known if channel in each]))
+def _noise_power(case: Case, channel: str, residuals: Sequence[Sequence[np.ndarray]]) -> float:
+    """Mean square of the instrument's white noise, over the runs that have the channel.
+
+    Read seldom, a wheel's own motion passes for noise in readings, and less in what a model leaves.
+    """
+    index = case.channels.index(channel)
+    found = []
+    for run, each in enumerate(case.candidates):
+        known = each.observation.by_channel()
+        if channel in known:
+            left = (white_noise(residual[run][index]) for residual in residuals)
+            least = min(known[channel][1], *left)
+            found.append(max(least, SMALLEST_NOISE[channel]) ** 2)
+    return float(np.mean(found))

@@ -12,13 +12,18 @@ from diagnose.diagnosis import Diagnosis
 from diagnose.diagnosis import diagnose as diagnose_case
 from diagnose.evaluation import Evaluation, evaluated
 from diagnose.model_file import read_model_file
+from diagnose.response import Model
 from diagnose.runs import gather, of_one_rig, usable
 from diagnose.search import Report
-from drftjax.effects.catalogue import catalogue, effect_class
+from drftjax.effects.catalogue import OURS, catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
 from drftjax.errors import InputError, RunError
-from identify.candidate import Run, made_ready, named_runs
+from identify.candidate import Candidate, Run, made_ready, named_runs
 from identify.gathering import Gathered
+
+# An effect with strengths of zero leaves a run as it is but for the roundings of another program
+# [m, N, N m].
+SAME = 1e-6
 
 
 def diagnose(
@@ -63,7 +68,7 @@ def evaluate(
         InputError: where no run can be used, or the model cannot.
     """
     with jax.enable_x64(True):
-        origin = None
+        origin, added = None, None
         if isinstance(model, str | Path):
             added = read_model_file(Path(model))
             effects, origin = added.effects, added.origin
@@ -72,7 +77,8 @@ def evaluate(
         else:
             effects = _numbered(model)
         gathered = gathered_from(runs, origin)
-        return evaluated(Case.of(gathered.candidates), effects, gathered.left_out)
+        caveats = [] if added is None else added.caveats(gathered.candidates)
+        return evaluated(Case.of(gathered.candidates), effects, gathered.left_out, caveats)
 
 
 def _numbered(given: object) -> tuple[AbstractEffect, ...]:
@@ -105,6 +111,14 @@ def effects_among(
     for each in classes:
         if not (isinstance(each, type) and issubclass(each, AbstractEffect)):
             raise InputError(f"{each!r} is given as an effect; give names, or classes of effects")
+    taken = dict(catalogue())
+    for each in dict.fromkeys(classes):
+        name = each.about.name
+        if taken.setdefault(name, each) is not each:
+            raise InputError(
+                f"the effect {name!r} of {each.__module__} has the name of another; give it one "
+                "of its own"
+            )
     return tuple(dict.fromkeys(classes))
 
 
@@ -138,6 +152,26 @@ def gathered_from(
     return Gathered(kept.candidates, {**left_out, **told.left_out, **kept.left_out})
 
 
+def _require_null(candidates: Sequence[Candidate], effects: Sequence[type[AbstractEffect]]) -> None:
+    """Refuse effects of other packages that act where their strengths are zero.
+
+    Raises:
+        InputError: names the effect.
+    """
+    for effect in effects:
+        if effect in OURS:
+            continue
+        case, model = Case.of(candidates[:1]), Model((effect,))
+        without = case.predicted(Model(), 0, 0.0, np.zeros(0))
+        apart = np.abs(case.predicted(model, 0, 0.0, model.null()) - without).max()
+        if np.isfinite(without).all() and not apart <= SAME:
+            raise InputError(
+                f"the effect {effect.about.name!r} of {effect.__module__} acts where all its "
+                f"strengths are zero (by {apart:.2g} m or N in {candidates[0].name}); it must be "
+                "null there"
+            )
+
+
 def diagnosed(
     gathered: Gathered,
     effects: Sequence[type[AbstractEffect]],
@@ -156,6 +190,7 @@ def diagnosed(
         InputError: where no run can be followed.
     """
     kept, notes = gathered.candidates, list(gathered.left_out.values())
+    _require_null(kept, effects)
     while True:
         try:
             found = diagnose_case(Case.of(kept), effects, report)

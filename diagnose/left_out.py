@@ -131,23 +131,20 @@ def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
     return Unseen(hypothesis, log_zeta, coordinates, case.each_run(of))
 
 
-def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[np.ndarray]:
-    """Simulated less recorded where each run's own zeta meets its mean sinkage.
+def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[Followed]:
+    """Every run where its own zeta meets its mean sinkage.
 
     A run whose mean sinkage no step of zeta leads to stays as it is.
-
-    Returns:
-        By run, shape (channels, samples) [m, N, N m].
     """
     here, z = unseen.hypothesis, bench.case.channels.index("z")
 
-    def of(run: int) -> np.ndarray:
+    def of(run: int) -> Followed:
         start = Followed(unseen.residual[run], unseen.log_zeta[run], met=False)
         slope = here.by_zeta(run)[z].mean()
         if not slope > 0:
-            return start.residual
+            return start
         found = met_from(bench.case, here.model, run, unseen.coordinates[run], start, slope)
-        return found.residual if found.met else start.residual
+        return found if found.met else start
 
     return bench.case.each_run(of)
 

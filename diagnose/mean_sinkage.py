@@ -4,6 +4,7 @@ The zeta that suits all channels best may give one up for another, and which is 
 This one is what sinkage alone tells, as on runs that no effect was fitted to.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,11 @@ def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed
         return met_from(case, model, run, at, Followed(first, 0.0, met=False))
 
     return case.each_run(of)
+
+
+def residuals_of(runs: Sequence[Followed]) -> list[np.ndarray]:
+    """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
+    return [each.residual for each in runs]
 
 
 def met_from(

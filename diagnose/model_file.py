@@ -1,7 +1,7 @@
 """A diagnosis as a model: a set-up file with the effects that were found."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from diagnose.diagnosis import SCHEMA, Diagnosis, Number
 from diagnose.left_out import conditions
+from diagnose.runs import kind_of
 from diagnose.shrinkage import Gap
 from diagnose.weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import spoken_of
@@ -21,6 +22,7 @@ from drftjax.saved import thinned
 from drftjax.setup import read_setup
 from drftjax.setup_toml import setup_toml
 from drftjax.structfile import read_document
+from identify.candidate import Candidate
 
 # What every model file's first comment begins with.
 MARK = "From a diagnosis of"
@@ -112,10 +114,22 @@ class ModelFile:
     Attributes:
         effects: With their numbers.
         origin: Recorded x that the effects' x = 0 stands for [m]; None where the file says nothing.
+        kind: Its wheel and carriage, in words.
     """
 
     effects: tuple[AbstractEffect, ...]
     origin: float | None
+    kind: str
+
+    def caveats(self, candidates: Sequence[Candidate]) -> list[str]:
+        """What these runs' rig has otherwise than the model, in sentences."""
+        kind = kind_of(candidates[0].setup)
+        if kind == self.kind or not self.effects:
+            return []
+        return [
+            f"The model was found for {self.kind}, these runs are of {kind}: whether the effects "
+            "are the same there is not known."
+        ]
 
 
 def read_model_file(path: Path) -> ModelFile:
@@ -128,4 +142,4 @@ def read_model_file(path: Path) -> ModelFile:
         raise InputError(f"{path}: is a diagnosis; give its model.toml")
     setup = read_setup(path)
     effects = tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
-    return ModelFile(effects, setup.start.origin)
+    return ModelFile(effects, setup.start.origin, kind_of(setup))

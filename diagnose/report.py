@@ -266,7 +266,7 @@ def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """By run: name, title, duration, zeta, and the gap before and after by channel."""
     rows = []
     for number, each in enumerate(found.case.candidates):
-        zeta = float(each.setup.terrain.zeta) * np.exp(found.added.log_zeta[number])  # pyright: ignore
+        zeta = float(each.setup.terrain.zeta) * np.exp(found.added.met[number].log_zeta)  # pyright: ignore
         cells = [
             _rms_pair(found.before[number][place], found.added.after[number][place], channel)
             for place, channel in enumerate(found.case.channels)

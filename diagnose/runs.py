@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drftjax.errors import InputError
-from drftjax.setup import ZetaKnots
+from drftjax.setup import SetUp, ZetaKnots
 from identify.candidate import STEPS_A_ROW, Candidate
 from identify.gathering import Gathered
 from identify.gathering import gather as gather_runs
@@ -112,7 +112,7 @@ def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
     """
     kinds: dict[str, list[Candidate]] = {}
     for each in candidates:
-        kinds.setdefault(_kind(each), []).append(each)
+        kinds.setdefault(kind_of(each.setup), []).append(each)
     ranked = sorted(kinds.items(), key=lambda kind: -len(kind[1]))
     kind, kept = ranked[0]
     if len(ranked) > 1 and len(ranked[1][1]) == len(kept):
@@ -172,15 +172,16 @@ def _has_x(each: Candidate) -> bool:
     return "x" in (*each.observation.channels, *each.observation.unused)
 
 
-def _kind(each: Candidate) -> str:
-    wheel = each.setup.wheel
+def kind_of(setup: SetUp) -> str:
+    """Wheel and carriage in words: runs of one rig have the same."""
+    wheel = setup.wheel
     words = f"a wheel of radius {_mm(wheel.radius)}, width {_mm(wheel.width)}, "
     if wheel.shape == "grouser":
         tip = f"{_mm(wheel.grouser_height)} x {_mm(wheel.grouser_thickness)}"
         words += f"{wheel.grouser_count} grousers of {tip}"
     else:
         words += "no grousers"
-    return f"{words}, on a {each.setup.rig.carriage} carriage"
+    return f"{words}, on a {setup.rig.carriage} carriage"
 
 
 def _mm(length: float) -> str:

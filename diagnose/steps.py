@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnose.hypothesis import Hypothesis
 from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
+from diagnose.mean_sinkage import residuals_of
 from diagnose.search import Found
 from diagnose.shrinkage import Gap, gaps
 from drftjax.effects.catalogue import spoken
@@ -57,7 +58,8 @@ def one_by_one(
     bench, case = found.bench, found.bench.case
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
-        return at_mean_sinkage(bench, unseen.get(alone.names) or predicted_unseen(bench, alone))
+        given = unseen.get(alone.names) or predicted_unseen(bench, alone)
+        return residuals_of(at_mean_sinkage(bench, given))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
     tried = [(each.names, left(each)) for each in parts]

@@ -20,6 +20,7 @@ from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
 from diagnose.left_out import at_mean_sinkage, conditions, predicted_unseen
+from diagnose.mean_sinkage import residuals_of
 from diagnose.response import Model, predict
 from diagnose.shrinkage import gaps
 from diagnose.stages import Stage
@@ -226,13 +227,14 @@ def _corrected(
     floors: Mapping[str, float],
 ) -> Correction | None:
     """What a curve, fitted by simulation, leaves of the gap on runs left out; None if one fails."""
-    after = at_mean_sinkage(bench, predicted_unseen(bench, found))
+    met = at_mean_sinkage(bench, predicted_unseen(bench, found))
+    after = residuals_of(met)
     if not bench.case.sound(after):
         return None
     (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    added = Added((plain,), found.log_zeta, after, gaps(bench.case, before, after, floors))
+    added = Added((plain,), found.log_zeta, met, gaps(bench.case, before, after, floors))
     return Correction(plain, explained, added)
 
 

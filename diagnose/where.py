@@ -123,18 +123,22 @@ def sentence(shares: Sequence[Share]) -> str:
     if not chosen:
         return "The gap is spread about evenly over runs, phases and states."
     said = []
+    of_travel = any(each.label == "x" for each in axes.get("channel", ()))
     for much, least, below in (("Most", MOST, np.inf), ("Much", LEAST_TOLD, MOST)):
-        places = [_in_words(each) for each in chosen.values() if least <= each.share < below]
+        places = [
+            _in_words(each, of_travel) for each in chosen.values() if least <= each.share < below
+        ]
         if places:
             whole = f"{much.lower()} of it" if said else f"{much} of the gap lies"
             said.append(f"{whole} {'; '.join(places)}")
     return "; ".join(said) + "."
 
 
-def _in_words(part: Share) -> str:
+def _in_words(part: Share, of_travel: bool) -> str:
+    beside = ", beside the changes of x," if of_travel and part.label != "x" else ""
     place = {
         "phase": f"in the phase “{part.label}”",
-        "channel": f"in {part.label}",
+        "channel": f"in {part.label}{beside}",
         "order": f"{part.label}",
         "load": f"at {part.label}",
         "profile": f"in the profile {part.label}",

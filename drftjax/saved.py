@@ -67,7 +67,10 @@ def read_model(path: str | Path, run: str | None = None) -> SetUp:
 def _from_json(path: Path) -> dict[str, SetUp]:
     document = read_document(path)
     if document.get("schema") != FIT_SCHEMA:
-        raise InputError(f"{path}: is not a fit's result; its schema must be {FIT_SCHEMA!r}")
+        raise InputError(
+            f"{path}: is not a fit's result; its schema must be {FIT_SCHEMA!r} (of a diagnosis "
+            "give model.toml)"
+        )
     if document.get("schema_version") != 1:
         raise InputError(
             f"{path}: schema_version {document.get('schema_version')} is not known here (1 is)"

@@ -34,7 +34,7 @@ STEPS_A_ROW = 5
 START_WINDOW, CREEP_WINDOW = 0.2, 0.5
 # Fewer samples make no line that tells it better than their mean.
 LEAST_SAMPLES = 10
-# Creep is no straight line where its curvature is so many standard errors.
+# Where the curvature of its creep is so many standard errors, a parabola does.
 CURVED = 4.0
 # A wheel still settles where a straight line through that rises by more than so many standard
 # errors (instruments' slow errors reach ten), and by more than so much in that time [m].
@@ -110,8 +110,9 @@ def candidate(
         if run.measured.z is not None and told:
             height = float(run.measured.z[early].mean())
             creeping = begun & (observation.time <= CREEP_WINDOW)
-            if early.sum() > 1 and _sets_off(run, setup.wheel.radius) >= CREEP_WINDOW:
-                height = _crept_from(observation.time[creeping], run.measured.z[creeping], height)
+            stands = _sets_off(run, setup.wheel.radius) >= CREEP_WINDOW
+            if stands and early.sum() > 1 and creeping.sum() >= LEAST_SAMPLES:
+                height = _crept_from(observation.time[creeping], run.measured.z[creeping])
             setup.start.sinkage = -height
         if run.measured.x is not None and told:
             setup.start.x = float(run.measured.x[early].mean())
@@ -152,21 +153,15 @@ def _settles(time: np.ndarray, measured: Measured, early: np.ndarray) -> bool:
     return False
 
 
-def _crept_from(time: np.ndarray, height: np.ndarray, mean: float) -> float:
-    """Height [m] at the first of these times of a wheel that creeps; the mean, where none shows."""
-    if len(time) < LEAST_SAMPLES:
-        return mean
-    time = time - time[0]
-    curvature, error = _curvature(time, height)
-    return mean if abs(curvature) > CURVED * error else float(np.polyfit(time, height, 1)[1])
-
-
-def _curvature(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Curvature of a parabola through these values, and its standard error."""
-    powers = np.vander(time, 3)
-    fitted, square, *_ = np.linalg.lstsq(powers, values)
+def _crept_from(time: np.ndarray, height: np.ndarray) -> float:
+    """Height [m] at the first of these times of a wheel that creeps."""
+    powers = np.vander(time - time[0], 3)
+    (curvature, _, at_first), square, *_ = np.linalg.lstsq(powers, height)
     noise = max(float(np.sqrt(square.sum() / (len(time) - 3))), SMALLEST_NOISE["z"])
-    return float(fitted[0]), noise * float(np.sqrt(np.linalg.inv(powers.T @ powers)[0, 0]))
+    error = noise * np.sqrt(np.linalg.inv(powers.T @ powers)[0, 0])
+    if abs(curvature) < CURVED * error:
+        at_first = np.polyfit(powers[:, 1], height, 1)[1]
+    return float(at_first)
 
 
 def _commanded(model: SetUp, run: RunLog) -> SetUp:

@@ -241,6 +241,25 @@ def test_a_model_without_effects_is_the_reference_model(logs, drft):
     assert "it is the reference model" in answer.out
 
 
+def test_evaluate_says_of_which_wheel_the_model_was_and_that_repeats_disagree(
+    diagnosed, logs, drft, tmp_path
+):
+    model = tmp_path / "model.toml"
+    text = (diagnosed[0] / "model.toml").read_text()
+    model.write_text(text.replace("radius = 0.15", "radius = 0.12"))
+    for number in (0, 1):
+        # Of one command and load: the second sinks by millimetres from its middle on.
+        first = read_run(logs / "run_0.h5")
+        z = first.measured.z - number * 4e-3 * (first.measured.time > 2)
+        measured = dataclasses.replace(first.measured, z=z)
+        write_run(tmp_path / f"like_{number}.h5", dataclasses.replace(first, measured=measured))
+    answer = drft("evaluate", tmp_path, "--model", model)
+    assert answer.code == 0
+    assert "radius 120 mm" in answer.out
+    assert "these runs are of a wheel of radius 150 mm" in answer.out
+    assert "like_0 and like_1 repeat each other and differ by" in answer.out
+
+
 def test_evaluate_refuses_what_is_no_model(logs, drft, tmp_path):
     bad = tmp_path / "bad.toml"
     bad.write_text('[command]\ntime = [0, 1]\nomega = [0, 1]\n[[effect]]\nname = "slopes"\n')

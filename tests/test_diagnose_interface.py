@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 import diagnose
 from diagnose import interface
+from diagnose.mean_sinkage import MET
+from diagnose.report import run_rows
 from drftjax.effects.sensor import TravelGain
 from drftjax.effects.stage import About, MemorylessSurface, strength
 from drftjax.effects.surface import SurfaceSlope
@@ -32,6 +34,8 @@ TOLD = 0.005
 TUNED = 0.3e-3
 # Programs compiled apart sum in another order, which a search's steps carry on.
 ROUNDING = 1e-6
+# The table has four places.
+ROUNDED = 5.1e-5
 
 
 class Tilt(MemorylessSurface):
@@ -42,6 +46,21 @@ class Tilt(MemorylessSurface):
 
     def height(self, axle, ahead, memory):
         return self.slope * (axle + ahead)
+
+
+class Shifted(Tilt):
+    """Acts where its strength is zero: no effect."""
+
+    about: ClassVar = About("shifted", "terrain", "h = 1 mm + slope x", "the bed lies higher")
+
+    def height(self, axle, ahead, memory):
+        return 1e-3 + super().height(axle, ahead, memory)
+
+
+class Namesake(Tilt):
+    """An effect by the name of one of the list."""
+
+    about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the bed is tilted")
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +103,23 @@ def test_an_effect_of_the_users_own_is_told_as_any_other(runs):
     found = diagnose.diagnose(runs, [Tilt])
     assert found.verdict == ("tilt",)
     assert found.summary().startswith("These runs show tilt (the bed is tilted)")
+
+
+def test_an_effect_that_is_not_null_at_zero_or_takes_a_name_is_refused(runs):
+    with pytest.raises(InputError, match=r"'shifted' .*acts where all its strengths are zero"):
+        diagnose.diagnose(runs, [Shifted])
+    with pytest.raises(InputError, match=r"'surface_slope' .*has the name of another"):
+        diagnose.diagnose(runs, [Namesake])
+
+
+def test_the_zeta_of_the_run_table_meets_each_runs_mean_sinkage(found):
+    case, z = found.case, found.case.channels.index("z")
+    for number, row in enumerate(run_rows(found)):
+        zeta = float(row[3])
+        each, near = found.added.met[number], case.candidates[number].setup.terrain.zeta
+        assert each.met
+        assert zeta == pytest.approx(near * np.exp(each.log_zeta), abs=ROUNDED)
+        assert abs(each.residual[z].mean()) < MET
 
 
 def test_it_tells_and_shows_itself(found):

@@ -291,6 +291,7 @@ def test_one_effect_is_told_in_full_with_lines_that_a_set_up_understands(drft, t
 
 def test_an_unknown_effect_is_refused_with_the_nearest(drft):
     assert "did you mean eccentricity or" in drft("effects", "excentricity").refusal
+    assert "there is no effect 'q7'; `drft effects` lists" in drft("effects", "q7").refusal
 
 
 def test_a_plot_shows_what_an_effect_does(drft, tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from diagnose.case import Case, baseline
+from diagnose.floor import noise_floors
 from diagnose.mean_sinkage import followed
 from diagnose.plates import on_finer_plates, own_errors
 from diagnose.reachable import gone
@@ -18,6 +19,9 @@ PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
 # Two ways to the zeta that meets a mean sinkage: a straight line over 1 %, and secant steps to the
 # end. On plates as long as these sinkage bends by a fifth over 2 % of zeta.
 AGREE = 0.15
+# Speeds up to 3 rad/s within 1.4 s. Of a dozen readings noise is told to a factor of two.
+FAST = ([0.0, 0.3, 1.7, 2.5], [0.0, 0.0, 3.0, 3.0])
+NOISE, MOTION = 20e-6, 4.0
 # Draws of two commands, and of 90 % of them: shares are told to a hundredth or two.
 DRAWS = 0.03
 # Of intervals that are asked to hold 90 %, and see only a part of how much chance swings.
@@ -88,3 +92,17 @@ def test_an_interval_holds_what_a_few_runs_more_show():
         narrow += high - low < 0.02
     assert HELD[0] * cases < held < HELD[1] * cases
     assert narrow == 0
+
+
+def test_without_repeats_a_wheel_that_is_read_seldom_is_no_noise():
+    """At 8 Hz the readings of a wheel that speeds up bend by far more than their noise."""
+    run = coarse("run", recorded(setup_of(FAST), rate=8.0, noise=NOISE))
+    case = Case.of([run])
+    readings = run.observation.by_channel()["x"][1]
+    assert readings > MOTION * NOISE
+    (left,) = followed(case, Model(), np.zeros(0))
+    floors, how = noise_floors(
+        case, [left.residual], [left.residual], {"x": 0.0, "z": 0.0}, lambda run: np.zeros(0)
+    )
+    assert "No run was repeated" in how
+    assert floors["x"] < MOTION / 2 * NOISE

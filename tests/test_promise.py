@@ -7,7 +7,7 @@ from diagnose.bench import Bench
 from diagnose.case import Case, baseline
 from diagnose.hypothesis import proposed, settled
 from diagnose.left_out import at_mean_sinkage, predicted_unseen
-from diagnose.mean_sinkage import followed
+from diagnose.mean_sinkage import followed, residuals_of
 from diagnose.response import Model
 from tests.virtual_cases import case_with
 
@@ -28,7 +28,7 @@ def rms(residual: list[np.ndarray]) -> np.ndarray:
 def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting):
     bench = Bench.of(drifting, baseline(drifting), ())
     none = settled(bench, proposed(bench, []), 3)
-    met = at_mean_sinkage(bench, predicted_unseen(bench, none))
+    met = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, none)))
     alone = [each.residual for each in followed(drifting, Model(), np.zeros(0))]
     assert rms(met) == pytest.approx(rms(alone), rel=AGREE)
     # The zeta that suits all channels best gives z up for x.

@@ -84,8 +84,9 @@ def effect_class(name: str) -> type[AbstractEffect]:
     """
     known = catalogue()
     if name not in known:
-        near = get_close_matches(name, known, n=3, cutoff=0.4) or list(known)
-        raise InputError(f"there is no effect {name!r}; did you mean {' or '.join(near)}?")
+        near = get_close_matches(name, known, n=3, cutoff=0.4)
+        hint = f"did you mean {' or '.join(near)}?" if near else "`drft effects` lists them"
+        raise InputError(f"there is no effect {name!r}; {hint}")
     return known[name]
 
 

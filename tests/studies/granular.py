@@ -21,6 +21,7 @@ from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.hypothesis import Hypothesis
 from diagnose.left_out import at_mean_sinkage, predicted_unseen
+from diagnose.mean_sinkage import residuals_of
 from drftjax.commands.runtime import configure_jax
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stage import AbstractEffect
@@ -117,7 +118,7 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
     bench = found.found.bench
-    left = at_mean_sinkage(bench, predicted_unseen(bench, found.chosen))
+    left = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, found.chosen)))
     leading = " + ".join(found.chosen.names) or "the reference model"
     added = " + ".join(each.about.name for each in found.added.effects) or "nothing"
     for channel, gap in found.gap.items():

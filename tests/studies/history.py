@@ -16,6 +16,7 @@ import numpy as np
 from diagnose.case import Case
 from diagnose.diagnosis import Diagnosis, diagnose
 from diagnose.left_out import at_mean_sinkage, predicted_unseen
+from diagnose.mean_sinkage import residuals_of
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.stage import AbstractEffect
 from drftjax.runlog.record import Measured, RunLog
@@ -81,7 +82,7 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
     for each in (*found.found.singles, *found.found.pairs):
         if set(each.names) == set(names):
             bench = found.found.bench
-            unseen = at_mean_sinkage(bench, predicted_unseen(bench, each))
+            unseen = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, each)))
             index = found.case.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]
