@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from drftjax.arrays import require_between
+from drftjax.arrays import as_real, require_between
 from drftjax.ensemble import map_runs
 from drftjax.errors import InputError
 from drftjax.runlog.layout import UNITS
@@ -36,6 +36,8 @@ SMALLEST_SHARE = 1e-5
 SMALLEST_EFFECT = 1e-9
 # Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
 MARGIN = 0.01
+# As far as any wheel turns [rad]: by infinity, where no way is the farthest, is no derivative.
+FARTHEST = 1e9
 
 
 def scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
@@ -227,6 +229,10 @@ def stackable(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
     return of_lengths(trial, math.ceil(duration / (trial.every * step) - 1e-9), knots)
 
 
+def _at_most_farthest(turn: float) -> Float[Array, ""]:
+    return jnp.minimum(as_real(turn), FARTHEST)
+
+
 class Profile(eqx.Module):
     """Speeds at even knots, as a smooth function of free coordinates, inside a rig's limits.
 
@@ -242,21 +248,22 @@ class Profile(eqx.Module):
         turn: Farthest that the wheel may turn [rad].
     """
 
+    # Arrays, so that one compiled program serves all limits.
     knots: int = eqx.field(static=True)
-    speed: float = eqx.field(static=True)
-    acceleration: float = eqx.field(static=True)
-    duration: float = eqx.field(static=True)
-    rest: float = eqx.field(static=True)
-    turn: float = eqx.field(static=True, default=math.inf)
+    speed: Float[Array, ""] = eqx.field(converter=as_real)
+    acceleration: Float[Array, ""] = eqx.field(converter=as_real)
+    duration: Float[Array, ""] = eqx.field(converter=as_real)
+    rest: Float[Array, ""] = eqx.field(converter=as_real)
+    turn: Float[Array, ""] = eqx.field(converter=_at_most_farthest, default=FARTHEST)
 
     @property
-    def time(self) -> np.ndarray:
-        moving = np.linspace(self.rest, self.duration - self.rest, self.knots + 2)
-        return np.concatenate([[0.0], moving, [self.duration]])
+    def time(self) -> Float[Array, " all"]:
+        moving = jnp.linspace(self.rest, self.duration - self.rest, self.knots + 2)
+        return jnp.concatenate([jnp.zeros(1, moving.dtype), moving, self.duration[None]])
 
     def _reach(self, index: int, last: Array) -> tuple[Array, Array]:
         change = self.acceleration * (self.duration - 2 * self.rest) / (self.knots + 1)
-        stop = min(self.speed, change * (self.knots - index))
+        stop = jnp.minimum(self.speed, change * (self.knots - index))
         return jnp.maximum(0.0, last - change), jnp.minimum(stop, last + change)
 
     def omega(self, coordinates: Float[Array, " knots"]) -> Float[Array, " all"]:
@@ -267,9 +274,9 @@ class Profile(eqx.Module):
             speeds.append(low + (high - low) * jax.nn.sigmoid(coordinates[index]))
         nought = jnp.zeros((), coordinates.dtype)
         omega = jnp.stack([nought, *speeds, nought, nought])
-        if self.turn == math.inf:
-            return omega
-        return omega * jnp.minimum(1.0, self.turn / jnp.trapezoid(omega, self.time))
+        # A wheel that hardly turns may turn as far as it does.
+        way = jnp.maximum(jnp.trapezoid(omega, self.time), 1.0 / FARTHEST)
+        return omega * jnp.minimum(1.0, self.turn / way)
 
     def coordinates(self, wanted: np.ndarray) -> np.ndarray:
         """Coordinates of the profile nearest to these speeds at the free knots [rad/s]."""

@@ -118,7 +118,7 @@ def descended(judge: Judge, search: Search, starts: list[Option], report: Progre
     points = []
     for each in starts:
         command = each.setup.command
-        speeds = np.interp(profile.time[2:-2], command.time, command.omega)
+        speeds = np.asarray(np.interp(profile.time[2:-2], command.time, command.omega))
         extra = [judge.base.start.angle]
         if judge.limits.loads is not None:
             low, high = judge.limits.loads

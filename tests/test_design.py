@@ -211,7 +211,7 @@ def test_a_designed_run_keeps_the_way_and_says_it():
 
 
 def test_a_run_that_tells_less_is_not_called_smaller():
-    limits = Limits(math.radians(10), math.radians(50), 2.0)
+    limits = dataclasses.replace(LIMITS, speed=math.radians(10))
     told = design(given(), limits=limits, search=SMALL).summary()
     assert "times larger, as the given profile cannot be run: its speed of" in told
     assert "is beyond 10 deg/s" in told
@@ -221,13 +221,13 @@ def test_the_run_that_is_made_already_may_be_the_best():
     """A search that begins from trapezoids with longer rests does not find it."""
     setup = given()
     top = math.radians(60)
-    setup.command = CommandSetUp([0.0, 0.02, 1.22, 4.78, 5.98, 6.0], [0.0, 0.0, top, top, 0.0, 0.0])
-    limits = Limits(top, math.radians(50), 6.0)
+    setup.command = CommandSetUp([0.0, 0.02, 1.22, 2.78, 3.98, 4.0], [0.0, 0.0, top, top, 0.0, 0.0])
+    limits = dataclasses.replace(LIMITS, speed=top)
     found = design(setup, limits=limits, search=SMALL)
     assert found.beyond == ()
     assert found.best.knows.error <= found.now.knows.error
     short = design(setup, limits=dataclasses.replace(limits, travel=0.2), search=SMALL)
-    assert short.beyond == ("its way of 0.748 m is beyond 0.2 m",)
+    assert short.beyond == ("its way of 0.434 m is beyond 0.2 m",)
     assert short.best is not short.now
 
 
