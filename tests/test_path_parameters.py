@@ -19,7 +19,8 @@ from tests.test_zeta_path import made
 LAMBDA = "terrain.inertial_coefficient"
 TRUE_LAMBDA = 1.1
 STEP = 5e-4
-# Up to 45 deg/s that step takes (`drftjax.integrator.steady_step`), and half of it up to 90.
+# Up to 45 deg/s that step takes (`drftjax.integrator.steady_step`), half of it up to 90, and twice
+# that up to 22.
 TIME = (0.0, 0.2, 1.7, 2.1, 3.6, 3.8)
 KNOTS = np.linspace(0.0, 3.6, 5)
 SPACING = KNOTS[1]
@@ -106,9 +107,9 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
 
 def pulled(number: int, force: float) -> Candidate:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
-    each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
+    each = run(number, 20.0, 2 * STEP, effects=[{"name": "drawbar", "force": force}])
     put_effects(each.setup, ["drawbar.force"])
-    return dataclasses.replace(each, trial=each.setup.trial(5 * STEP))
+    return dataclasses.replace(each, trial=each.setup.trial(10 * STEP))
 
 
 def test_each_run_may_have_a_number_of_its_own():
@@ -128,7 +129,7 @@ def test_each_run_may_have_a_number_of_its_own():
 
 
 def test_a_prior_holds_what_the_runs_do_not_tell():
-    slow = run(3, 5.0)
+    slow = run(3, 5.0, 2 * STEP)
     untold = fit_paths([slow], SPACING, [shared("lambda")])
     assert not untold.shared[LAMBDA].told
     assert any("lambda cannot be identified" in each for each in untold.findings)
@@ -151,7 +152,8 @@ def test_what_a_path_finds_itself_is_refused(runs, name, said):
         fit_paths(runs, SPACING, [own(name)])
 
 
-def test_a_value_at_its_bound_is_said_to_be_and_a_run_outside_is_left_out(runs):
+def test_a_value_at_its_bound_is_said_to_be_and_a_run_outside_is_left_out():
+    runs = [run(number, 45.0) for number in range(2)]
     write = shared("lambda").quantity.write
     within, beyond = (
         dataclasses.replace(each, trial=write(each.trial, jnp.asarray(value)))
