@@ -23,7 +23,7 @@ from identify.optimum import Optimum, predicted
 from identify.parameter import Parameter
 from identify.phases import PhaseZeta, by_phase, with_phases
 from identify.result import FitResult, RunFit, values_of
-from identify.solve import LEAST_GAIN, NEGLIGIBLE, Coordinates, solve
+from identify.solve import LEAST_GAIN, NEGLIGIBLE, Coordinates, Solution, solve
 from identify.start import met_sinkage
 from identify.uncertainty import unseen
 from identify.weighed import weighed
@@ -92,47 +92,74 @@ def fit(
     solution = solve(
         problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
     )
-    thrown = _thrown(problem, coordinates, solution.coordinates)
-    if thrown or solution.status != "converged":
-        # A number that hardly bears on the runs may throw them far off on its way: short steps.
-        descent = Descent(problem, len(kept), None, solution.active)
-        ends = descent.run(
-            descent.flat(coordinates if thrown else solution.coordinates)[None],
-            progress=lambda s, n: report("short steps", s, np.nan),
-        )
-        again = solve(
-            problem,
-            descent.coordinates(ends.points[0]),
-            lambda s, v: report("fit again", s, v),
-            solution.active,
-        )
-        solution = again if not thrown or again.loss < solution.loss else solution
+    if solution.status != "converged" or any(_thrown(problem, coordinates, solution.coordinates)):
+        solution = _in_short_steps(problem, len(kept), coordinates, solution, report)
     for turn in range(REWEIGHTINGS):
-        active = solution.active
-        simulated = predicted(problem, solution.coordinates)
-        problem = _reweighted(problem, simulated, noise, active)
+        active, start = solution.active, solution.coordinates
+        problem = _reweighted(problem, predicted(problem, start), noise, active)
         stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
         solution = solve(
             problem,
-            solution.coordinates,
+            start,
             lambda s, v, stage=stage: report(stage, s, v),
             active,
             LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
         )
+        if any(_thrown(problem, start, solution.coordinates)):
+            solution = _in_short_steps(problem, len(kept), start, solution, report)
     optimum = Optimum.of(problem, solution, tuple(kept), model_error)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
     return replace(_result(optimum, before, failures), starts=tried)
 
 
-def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> bool:
-    """Whether a step has thrown a bounded number to its bound, where it hardly moves any more."""
+def _in_short_steps(
+    problem: Problem, runs: int, start: Coordinates, solution: Solution, report: Progress
+) -> Solution:
+    """Where short steps lead to: a number that hardly bears on the runs may be thrown far off.
+
+    Args:
+        problem: Runs and parameters.
+        runs: Number of true runs.
+        start: Where the solver began.
+        solution: Where it ended. From there short steps go on. Where a number was thrown they go
+            from the start, with that number held first and then free, so that they come to no
+            worse an end than without it; the better end counts.
+        report: Called with the stage, the step and the sum of squares.
+    """
+    thrown = _thrown(problem, start, solution.coordinates)
+    descent = Descent(problem, runs, None, solution.active)
+    point = descent.flat(start if any(thrown) else solution.coordinates)[None]
+
+    def said(step: int, _: int) -> None:
+        report("short steps", step, np.nan)
+
+    if any(thrown):
+        shared, own = thrown[: descent.shared], thrown[descent.shared :]
+        held = np.array([*shared, *own * runs])
+        point = descent.run(point, held, progress=said).points
+    ends = descent.run(point, progress=said)
+    again = solve(
+        problem,
+        descent.coordinates(ends.points[0]),
+        lambda s, v: report("fit again", s, v),
+        solution.active,
+    )
+    return again if not any(thrown) or again.loss < solution.loss else solution
+
+
+def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool]:
+    """Which bounded numbers steps have thrown to their bounds, where they hardly move any more.
+
+    Returns:
+        For each shared number, then for each of the runs' own.
+    """
     (shared, own), (shared_there, own_there) = start, end
     moved = np.abs(np.asarray(shared_there - shared)), np.abs(np.asarray(own_there - own)).max(0)
-    return any(
-        isinstance(each.bijector, Interval) and float(move) > FARTHEST
+    return [
+        isinstance(each.bijector, Interval) and bool(move > FARTHEST)
         for each, move in zip(problem.shared + problem.own, np.concatenate(moved), strict=True)
-    )
+    ]
 
 
 def _problem(

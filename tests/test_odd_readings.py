@@ -13,10 +13,12 @@ from drftjax.saved import simulated_run
 from drftjax.setup import CommandSetUp, SetUp
 from drftjax.statics import sinkage_under_load
 from identify.candidate import candidate
-from identify.fitting import fit
+from identify.fitting import FARTHEST, _in_short_steps, _problem, fit
 from identify.observation import white_noise
 from identify.outliers import LEAST, STANDS_OUT, outlying
 from identify.parameter import parameter
+from identify.solve import solve
+from identify.start import met_sinkage
 
 SPIKES = (30, 31, 60)
 # Of the true speed: readings of 20 um over the first tenths of a second, in which sand stops it.
@@ -25,6 +27,8 @@ SPEED = 0.1
 LEFT = 3e-5
 # A wheel of 80 deg/s that stops: two steps of 2 ms pass the turn of the force.
 TOP = float(np.deg2rad(80))
+STEADY = float(np.deg2rad(60))
+STOPPED = 1 + 1e-3
 STOPPING = ([0.0, 0.25, 0.8, 1.9, 2.4, 3.0], [0.0, 0.0, TOP, TOP, 0.0, 0.0])
 
 
@@ -101,6 +105,23 @@ def test_a_step_that_gains_part_of_the_way_is_taken():
     ]
     result = fit(runs, [*own_zeta(), parameter("lambda", shared=True)])
     assert [each.status for each in result.runs] == ["converged"] * 2
+
+
+def test_a_number_that_is_thrown_to_its_bound_is_looked_for_without_it_first():
+    """Steady runs whose carriage's speed at the start is unknown tell next to nothing of lambda."""
+    runs = rigged(([0.0, 2.0], [STEADY, STEADY]), 1, 0.3 * STEADY)
+    candidates = [candidate(f"run {number}", run) for number, run in enumerate(runs)]
+    alone, _, _ = _problem(candidates, tuple(own_zeta()))
+    without = solve(alone, met_sinkage(alone, alone.start()))
+    problem, _, _ = _problem(candidates, (*own_zeta(), parameter("lambda", shared=True)))
+    start = met_sinkage(problem, problem.start())
+    shared, own = start
+    far = (shared - 2 * FARTHEST, own)
+    thrown = dataclasses.replace(without, coordinates=far, residual=np.full((2, 1, 1), np.inf))
+    end = _in_short_steps(problem, len(candidates), start, thrown, lambda *_: None)
+    # Two ways to one least square stop within a tenth of a residual's variance of it.
+    assert end.loss <= without.loss * STOPPED
+    assert abs(float((end.coordinates[0] - shared)[0])) < FARTHEST
 
 
 def test_a_copy_of_a_run_is_no_repeat():
