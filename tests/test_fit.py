@@ -347,7 +347,7 @@ def test_the_sinkage_that_a_standing_wheel_creeps_by_is_none_of_its_start():
     assert -z[:10].mean() - 0.0176 > LINE
     assert start.x == run.measured.x[:10].mean()
     # Where it creeps ever slower, a straight line would be off by as much as the mean.
-    curved = -0.0176 - SLOWING * (1 - np.exp(-time / 0.2)) + noise
+    curved = -0.0176 - SLOWING * (1 - np.exp(-time / 0.2)) + noise / 2
     assert -np.polyfit(time[:26], curved[:26], 1)[1] - 0.0176 > 2 * LINE
     slowing = dataclasses.replace(run, measured=Measured(time, x=run.measured.x, z=curved))
     assert candidate("run", slowing).setup.start.sinkage == pytest.approx(0.0176, abs=LINE)
