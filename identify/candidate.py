@@ -34,8 +34,8 @@ STEPS_A_ROW = 5
 START_WINDOW, CREEP_WINDOW = 0.2, 0.5
 # Fewer samples make no line that tells it better than their mean.
 LEAST_SAMPLES = 10
-# Where the curvature of its creep is so many standard errors, a parabola does; noise that lasts over
-# a few samples makes four.
+# Where the curvature of its creep is so many standard errors, a parabola does; noise that lasts
+# over a few samples makes four.
 CURVED = 6.0
 # A wheel still settles where a straight line through that rises by more than so many standard
 # errors (instruments' slow errors reach ten), and by more than so much in that time [m].
