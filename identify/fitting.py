@@ -13,6 +13,7 @@ from drftjax.errors import InputError
 from identify.batch import Problem, device_mesh, make_batch
 from identify.bijector import Interval
 from identify.candidate import Candidate
+from identify.contradiction import contradicted
 from identify.descent import Descent
 from identify.findings import findings
 from identify.kinds import of_one_kind
@@ -304,7 +305,10 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         status=solution.status,
         steps=solution.steps,
         failures=failures,
-        findings=findings(problem.parameters, shared, runs, spread, hidden, scatter),
+        findings=[
+            *findings(problem.parameters, shared, runs, spread, hidden, scatter),
+            *contradicted(optimum),
+        ],
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
         optimum=optimum,

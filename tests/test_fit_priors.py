@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drftjax.errors import InputError
+from identify.contradiction import CONTRADICT
 from identify.fitting import fit
 from identify.parameter import own, shared
 from tests.virtual_runs import SLOW, coarse, recorded, setup_of
@@ -53,6 +54,20 @@ def test_a_belief_as_good_as_the_runs_meets_them_half_way(runs):
     both = fit(runs[:1], [own("zeta", prior=(mean, alone.error))]).runs[0].values[ZETA]
     assert both.error == pytest.approx(alone.error / np.sqrt(2), rel=ALIKE)
     assert (both.value - alone.value) / alone.error == pytest.approx(1.0, abs=ALIKE)
+
+
+def test_a_belief_that_runs_contradict_is_told_with_how_far_they_are_apart(runs):
+    alone = fit(runs[:1], [own("zeta", prior=(0.75, 10.0))])
+    zeta = alone.runs[0].values[ZETA]
+    assert not any("contradict" in each for each in alone.findings)
+    for far in (2.0, 10.0):
+        prior = (zeta.value + far * np.sqrt(2) * zeta.error, zeta.error)
+        told = [e for e in fit(runs[:1], [own("zeta", prior=prior)]).findings if "contradict" in e]
+        assert len(told) == (far > CONTRADICT)
+        for each in told:
+            assert each.startswith("zeta of run_0: its prior and the runs contradict each other")
+            apart = float(each.split(" by ")[1].split()[0])
+            assert apart == pytest.approx(far, rel=ALIKE)
 
 
 def test_a_belief_that_says_nothing_changes_nothing(runs):
