@@ -33,7 +33,7 @@ demo: $(INSTALLED) ## Simulate the paper's run, fit the example runs, diagnose a
 	$(BIN)/drft diagnose data/blind/demo -o out/demo/diagnosis
 
 test: check ## Check, then run the tests
-	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 check: $(INSTALLED) ## Lint, formatting, types and layers
 	$(BIN)/ruff check

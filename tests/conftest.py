@@ -34,6 +34,29 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
+# Files that take a minute and more: they start first, so that no worker is left alone with one.
+LONGEST = (
+    "test_design",
+    "test_fit_more",
+    "test_path_parameters",
+    "test_cluster",
+    "test_history",
+    "test_notebooks",
+    "test_gradients",
+    "test_search",
+    "test_pairs",
+    "test_null_runs",
+    "test_fit_interface",
+    "test_diagnosis",
+    "test_fit_priors",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The reference runs and measurements, in a folder `shared` beside the repository."""

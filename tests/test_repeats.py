@@ -223,7 +223,10 @@ def test_without_repeats_the_floor_is_the_noise_of_the_runs_that_have_the_channe
     )
     other = dataclasses.replace(changed(whole, rig_mass_z=25.0), observation=lacking)
     case = SimpleNamespace(candidates=[whole, other], channels=("x", "z"))
-    residual = [np.zeros((2, len(observation.time))) for _ in range(2)]
+    # What is left scatters by more than the readings do.
+    random = np.random.default_rng(0)
+    scale = 10 * np.array(observation.noise)[:, None]
+    residual = [scale * random.standard_normal((2, len(observation.time))) for _ in range(2)]
     own = {"x": 0.0, "z": 0.0}
     floors, how = noise_floors(case, residual, residual, own, of_one_length)  # pyright: ignore
     assert floors == pytest.approx(dict(zip(("x", "z"), observation.noise, strict=True)))
