@@ -135,7 +135,7 @@ def sentence(shares: Sequence[Share]) -> str:
 
 
 def _in_words(part: Share, of_travel: bool) -> str:
-    beside = ", beside the changes of x," if of_travel and part.label != "x" else ""
+    beside = " beside the changes of x" if of_travel and part.label != "x" else ""
     place = {
         "phase": f"in the phase “{part.label}”",
         "channel": f"in {part.label}{beside}",

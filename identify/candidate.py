@@ -155,7 +155,11 @@ def _settles(time: np.ndarray, measured: Measured, early: np.ndarray) -> bool:
 
 
 def _crept_from(time: np.ndarray, height: np.ndarray) -> float:
-    """Height [m] at the first of these times of a wheel that creeps."""
+    """Height at the first of these times of a wheel that creeps [m].
+
+    Args:
+        time, height: What was recorded while it stood [s, m], shape (samples,).
+    """
     powers = np.vander(time - time[0], 3)
     (curvature, _, at_first), square, *_ = np.linalg.lstsq(powers, height)
     noise = max(float(np.sqrt(square.sum() / (len(time) - 3))), SMALLEST_NOISE["z"])

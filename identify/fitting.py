@@ -93,8 +93,9 @@ def fit(
     solution = solve(
         problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
     )
-    if solution.status != "converged" or any(_thrown(problem, coordinates, solution.coordinates)):
-        solution = _in_short_steps(problem, len(kept), coordinates, solution, report)
+    thrown = _thrown(problem, coordinates, solution.coordinates)
+    if solution.status != "converged" or any(thrown):
+        solution = _in_short_steps(problem, len(kept), coordinates, solution, thrown, report)
     for turn in range(REWEIGHTINGS):
         active, start = solution.active, solution.coordinates
         problem = _reweighted(problem, predicted(problem, start), noise, active)
@@ -106,8 +107,9 @@ def fit(
             active,
             LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
         )
-        if any(_thrown(problem, start, solution.coordinates)):
-            solution = _in_short_steps(problem, len(kept), start, solution, report)
+        thrown = _thrown(problem, start, solution.coordinates)
+        if any(thrown):
+            solution = _in_short_steps(problem, len(kept), start, solution, thrown, report)
     optimum = Optimum.of(problem, solution, tuple(kept), model_error)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
@@ -115,7 +117,12 @@ def fit(
 
 
 def _in_short_steps(
-    problem: Problem, runs: int, start: Coordinates, solution: Solution, report: Progress
+    problem: Problem,
+    runs: int,
+    start: Coordinates,
+    solution: Solution,
+    thrown: list[bool],
+    report: Progress,
 ) -> Solution:
     """Where short steps lead to: a number that hardly bears on the runs may be thrown far off.
 
@@ -126,9 +133,9 @@ def _in_short_steps(
         solution: Where it ended. From there short steps go on. Where a number was thrown they go
             from the start, with that number held first and then free, so that they come to no
             worse an end than without it; the better end counts.
+        thrown: Which numbers were thrown, by `_thrown`.
         report: Called with the stage, the step and the sum of squares.
     """
-    thrown = _thrown(problem, start, solution.coordinates)
     descent = Descent(problem, runs, None, solution.active)
     point = descent.flat(start if any(thrown) else solution.coordinates)[None]
 

@@ -36,7 +36,7 @@ SMALLEST_SHARE = 1e-5
 SMALLEST_EFFECT = 1e-9
 # Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
 MARGIN = 0.01
-# As far as any wheel turns [rad]: by infinity, where no way is the farthest, is no derivative.
+# No wheel turns farther [rad]; infinity, for no limit, would leave no derivative.
 FARTHEST = 1e9
 
 

@@ -4,6 +4,7 @@
 asked for the two terms alone, so that the answer takes a minute of computing.
 """
 
+import numpy as np
 import pytest
 
 from diagnose.diagnosis import Diagnosis
@@ -15,6 +16,8 @@ EFFECTS = tuple(effect_class(name) for name in TERMS)
 # Top speeds [deg/s], and the time at them [s].
 FAST, SLOW = (120.0, 200.0, 300.0, 300.0), (15.0, 30.0, 30.0)
 LASTING = 3.0
+# What is left of a gap that closes, in noise floors: the floor itself, and half of it for chance.
+CLOSED = 1.5
 # What is left in x at a speed that the strengths were not fitted at, in noise floors: noise alone
 # makes it 0.7 to 4.4 (seeds 0 to 3) with both terms, and with one of them it is 30 and more.
 FLOORS = 6.0
@@ -33,6 +36,10 @@ def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
 
 
 def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
+    pair = next(each for each in fast.found.pairs if set(each.names) == set(TERMS))
+    x = fast.case.channels.index("x")
+    left = np.concatenate([run[x] for run in pair.residual])
+    assert np.sqrt(np.mean(left**2)) < CLOSED * fast.floors["x"]
     assert unseen_floors(fast, TERMS) < FLOORS
     assert min(unseen_floors(fast, [term]) for term in TERMS) > 20
 

@@ -21,7 +21,7 @@ RISES = 3.0
 SUPPORT = 0.05
 
 
-@pytest.mark.parametrize(("name", "runs"), [("set_03", "bd"), ("set_08", "ac")])
+@pytest.mark.parametrize(("name", "runs"), [("set_03", "bdf"), ("set_08", "acg")])
 def test_one_zeta_leaves_little_more_than_the_scale_s_noise(shared, name, runs):
     folder = shared / "blind" / "practice" / name
     found = list(left([folder / f"run_{run}.h5" for run in runs]))
