@@ -49,13 +49,14 @@ def diagnose(
     from diagnose.model_file import MARK
     from diagnose.report import gap_table, paragraphs, verdict, write
     from diagnose.runs import gather
+    from drftjax.own_setup import require_own_setup
     from drftjax.runlog.content import printable
-    from drftjax.runlog.replace import require_no_others_setup, require_places
+    from drftjax.runlog.replace import require_places
 
     chosen = effects_among(_names(effects))
     if output is not None:
         require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
-        require_no_others_setup(output / "model.toml", MARK)
+        require_own_setup(output / "model.toml", MARK)
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:

@@ -26,8 +26,9 @@ from diagnose.weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
+from drftjax.own_setup import replace_own_setup, require_own_setup
 from drftjax.runlog.content import printable
-from drftjax.runlog.replace import make_folder, replace_file, require_no_others_setup
+from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.structfile import as_json
 from identify.result import SHOWN
 
@@ -359,13 +360,13 @@ def write(found: Diagnosis, folder: Path) -> list[Path]:
     Raises:
         InputError: where one cannot be written, or would replace a set-up that somebody wrote.
     """
-    require_no_others_setup(folder / "model.toml", MARK)
+    document, model, report = (
+        folder / name for name in ("diagnosis.json", "model.toml", "report.html")
+    )
+    require_own_setup(model, MARK)
+    numbers, setup, shown = as_json(found.document()), model_toml(found), page(found)
     make_folder(folder)
-    texts = {
-        "diagnosis.json": as_json(found.document()).decode(),
-        "model.toml": model_toml(found),
-        "report.html": page(found),
-    }
-    for name, text in texts.items():
-        replace_file(folder / name, text.encode())
-    return [folder / name for name in texts]
+    replace_file(document, numbers)
+    replace_own_setup(model, setup, MARK)
+    replace_file(report, shown.encode())
+    return [document, model, report]

@@ -94,7 +94,8 @@ def design(
         raise InputError(f"name one set-up file, or --like RUN{both}")
     configure_jax(devices=os.cpu_count())
     from drftjax.like import setup_like
-    from drftjax.runlog.replace import require_no_others_setup, require_places
+    from drftjax.own_setup import require_own_setup
+    from drftjax.runlog.replace import require_places
     from drftjax.setup import read_setup
     from identify.design import design as design_run
     from identify.information import Instrument
@@ -104,7 +105,7 @@ def design(
     if output is not None:
         names = result_files(output)
         require_places(names, [each for each in (setup, like) if each is not None])
-        require_no_others_setup(names[0], DESIGNED)
+        require_own_setup(names[0], DESIGNED)
     if setup is not None:
         chosen = read_setup(setup)
     else:
@@ -149,12 +150,13 @@ def result_files(output: Path) -> list[Path]:
 
 def _write(result: "Design", output: Path) -> list[Path]:
     from drftjax.figures import save_figure
+    from drftjax.own_setup import replace_own_setup
     from drftjax.runlog.replace import make_folder, replace_file
     from drftjax.structfile import as_json
 
     names = result_files(output)
     make_folder(output.parent)
-    replace_file(names[0], design_toml(result).encode())
+    replace_own_setup(names[0], design_toml(result), DESIGNED)
     replace_file(names[1], as_json(design_document(result)))
     save_figure(plot_design(result), names[2])
     return names

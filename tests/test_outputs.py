@@ -9,9 +9,10 @@ import pytest
 
 from diagnose.model_file import MARK
 from drftjax.errors import InputError
+from drftjax.own_setup import replace_own_setup
 from drftjax.runlog.check import require_no_recording
 from drftjax.runlog.hdf5 import read_run, write_result, write_run
-from drftjax.runlog.replace import require_no_others_setup, require_places
+from drftjax.runlog.replace import require_places
 from drftjax.saved import FIT_SCHEMA
 from identify.design_command import DESIGNED
 
@@ -103,12 +104,23 @@ def test_a_set_up_that_somebody_wrote_is_never_replaced(drft, tmp_path, monkeypa
     assert (tmp_path / name).read_text() == "# mine\n"
 
 
-def test_an_earlier_design_or_diagnosis_is_replaced(tmp_path):
-    for mark in (DESIGNED, MARK):
-        path = tmp_path / "earlier.toml"
-        path.write_text(f"# {mark} something")
-        require_no_others_setup(path, mark)
-        require_no_others_setup(tmp_path / "none.toml", mark)
+@pytest.mark.parametrize("mark", [DESIGNED, MARK])
+def test_an_earlier_design_or_diagnosis_is_replaced_until_it_is_edited(tmp_path, mark):
+    path = tmp_path / "earlier.toml"
+    replace_own_setup(path, f"# {mark} something\nzeta = 1\n", mark)
+    replace_own_setup(path, f"# {mark} something\nzeta = 2\n", mark)
+    edited = path.read_text().replace("zeta = 2", "zeta = 3")
+    path.write_text(edited)
+    with pytest.raises(InputError, match=r"earlier\.toml is there and has been edited since"):
+        replace_own_setup(path, f"# {mark} something\nzeta = 4\n", mark)
+    assert path.read_text() == edited
+
+
+def test_a_design_is_no_earlier_diagnosis(tmp_path):
+    path = tmp_path / "model.toml"
+    replace_own_setup(path, f"# {DESIGNED} something\n", DESIGNED)
+    with pytest.raises(InputError, match="no earlier result of this command"):
+        replace_own_setup(path, f"# {MARK} something\n", MARK)
 
 
 def test_a_design_never_replaces_its_set_up(drft, tmp_path):

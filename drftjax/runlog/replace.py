@@ -114,23 +114,6 @@ def require_places(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
             raise InputError(f"{path} is read here and would be replaced; give another name")
 
 
-def require_no_others_setup(path: Path, mark: str) -> None:
-    """Refuse to replace a set-up file that somebody wrote by hand.
-
-    Args:
-        path: A set-up file to be.
-        mark: Words that the set-up files of this command hold.
-
-    Raises:
-        InputError: names the file, where one stands there without these words.
-    """
-    if path.is_file() and mark not in path.read_text(encoding="utf-8", errors="replace"):
-        raise InputError(
-            f"{path} is there and is no earlier result of this command; give another name, or "
-            "move it away"
-        )
-
-
 def _require_ordinary(path: Path) -> None:
     if path.exists() and not path.is_file():
         # A rename would put a plain file in the place of a folder or a device.
