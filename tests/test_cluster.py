@@ -30,10 +30,8 @@ from identify.store import Finished, Store
 
 # Two programs compiled for other numbers of devices may round otherwise.
 SAME = 1e-9
-# A fit that stalls on rough ground, where this process, whose compiler is set otherwise than a
-# worker's, rounds its way to an error 6e-8 of itself away.
-STALLED = 1e-6
-STEP = 2e-3
+# So short that fits converge; where they stall on rough ground, their end hangs on the last bit.
+STEP = 5e-4
 PROFILE = ([0.0, 0.1, 0.6, 0.8], [0.0, 0.0, 0.5, 0.5])
 PRIOR = (0.8, 0.01)
 START = 0.79
@@ -135,10 +133,7 @@ def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
         check_same(decoded(store.result(logs[0].digest)), alone(logs[0].path))
         last, here = decoded(store.result(logs[-1].digest)), alone(logs[-1].path)
         assert (last.status, last.steps) == (here.status, here.steps)
-        for name, value in here.runs[0].values.items():
-            assert last.run.values[name].value == pytest.approx(value.value, rel=SAME, abs=0)
-            assert last.run.values[name].error == pytest.approx(value.error, rel=STALLED, abs=0)
-        np.testing.assert_allclose(last.run.after, here.runs[0].after, rtol=0, atol=SAME)
+        check_same(last, here)
 
 
 def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, logs, tmp_path):

@@ -19,8 +19,9 @@ from tests.test_zeta_path import made
 LAMBDA = "terrain.inertial_coefficient"
 TRUE_LAMBDA = 1.1
 STEP = 5e-4
-# Up to 45 deg/s that step takes (`drftjax.integrator.steady_step`), half of it up to 90, and twice
-# that up to 22.
+# Up to 45 deg/s that step takes (`drftjax.integrator.steady_step`), and half of it up to 90. Twice
+# that, which it takes up to 22, is too rough for a drawbar of each run: where its fit ends there
+# hangs on how the compiler rounds.
 TIME = (0.0, 0.2, 1.7, 2.1, 3.6, 3.8)
 KNOTS = np.linspace(0.0, 3.6, 5)
 SPACING = KNOTS[1]
@@ -107,7 +108,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
 
 def pulled(number: int, force: float) -> Candidate:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
-    each = run(number, 20.0, 2 * STEP, effects=[{"name": "drawbar", "force": force}])
+    each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
     put_effects(each.setup, ["drawbar.force"])
     return dataclasses.replace(each, trial=each.setup.trial(10 * STEP))
 

@@ -26,7 +26,8 @@ from identify.lone_fit import Answer, Settings, Term, _set_up, answers, fit_logs
 from identify.lone_result import decoded, encoded
 from identify.store import Store
 
-SETTINGS = Settings((Term("terrain.zeta", None, None, None),), step=2e-3)
+# The step is the one that a fit takes by itself.
+SETTINGS = Settings((Term("terrain.zeta", None, None, None),), step=5e-4)
 SANDS = 50
 PROFILE = ([0.0, 0.2, 0.7, 1.0], [0.0, 0.0, 0.5, 0.5])
 
