@@ -41,21 +41,22 @@ os.environ.setdefault(
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
-# Files that take a minute and more: they start first, so that no worker is left alone with one.
+# Files that take about a minute and more: they start first, lest a worker is left alone with one.
 LONGEST = (
-    "test_design",
     "test_fit_more",
-    "test_path_parameters",
-    "test_cluster",
-    "test_history",
+    "test_design",
     "test_notebooks",
-    "test_gradients",
-    "test_search",
-    "test_pairs",
-    "test_null_runs",
-    "test_fit_interface",
-    "test_diagnosis",
+    "test_cluster",
+    "test_path_parameters",
+    "test_hils_run",
     "test_fit_priors",
+    "test_search",
+    "test_history",
+    "test_null_runs",
+    "test_odd_readings",
+    "test_fit",
+    "test_zeta_path",
+    "test_pairs",
 )
 
 
