@@ -26,7 +26,7 @@ from diagnose.weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.effects.catalogue import spoken
 from drftjax.effects.correction import VARIABLES
-from drftjax.own_setup import replace_own_setup, require_own_setup
+from drftjax.own_setup import replace_own_setup
 from drftjax.runlog.content import printable
 from drftjax.runlog.replace import make_folder, replace_file
 from drftjax.structfile import as_json
@@ -363,10 +363,10 @@ def write(found: Diagnosis, folder: Path) -> list[Path]:
     document, model, report = (
         folder / name for name in ("diagnosis.json", "model.toml", "report.html")
     )
-    require_own_setup(model, MARK)
     numbers, setup, shown = as_json(found.document()), model_toml(found), page(found)
     make_folder(folder)
-    replace_file(document, numbers)
+    # First, as it may be refused: all three stay as they were then.
     replace_own_setup(model, setup, MARK)
+    replace_file(document, numbers)
     replace_file(report, shown.encode())
     return [document, model, report]

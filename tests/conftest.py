@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from drftjax.commands.runtime import WHOLE_LOOPS  # which imports no JAX
+
 if TYPE_CHECKING:
     from command_line import Drft
 
@@ -34,8 +36,7 @@ os.environ |= {
 # first.
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
-    " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
+    f"--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 {WHOLE_LOOPS}",
 )
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
