@@ -19,7 +19,7 @@ from diagnose.evidence import FLOOR
 from diagnose.floor import noise_floors
 from diagnose.hypothesis import Hypothesis, beliefs, foremost, left_of
 from diagnose.left_out import Unseen, at_mean_sinkage, predicted_unseen
-from diagnose.mean_sinkage import residuals_of
+from diagnose.mean_sinkage import REFERENCE, WITH, not_met, residuals_of
 from diagnose.next_run import next_run
 from diagnose.plates import own_errors
 from diagnose.search import Found, Report, search
@@ -27,7 +27,7 @@ from diagnose.shrinkage import Gap, gaps
 from diagnose.stages import stages
 from diagnose.steps import Step, one_by_one
 from diagnose.unwritten import Correction, Unwritten, unwritten
-from diagnose.verdict import by_name, in_another_form, rival_of, stands_for, verdict_of
+from diagnose.verdict import by_name, in_another_form, rivals_of, stands_for, verdict_of
 from diagnose.weights import NONE, UNKNOWN, Judged, weights
 from diagnose.where import by_stage, where
 from drftjax.effects.catalogue import effect_class, numbers, spoken, spoken_of
@@ -215,7 +215,7 @@ def diagnose(
     own = own_errors(case, found.none.log_zeta)
     floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
     known = Added(effects_of(chosen), chosen.log_zeta, met, gaps(case, before, after, floors))
-    rival = rival_of(found, leading, share, verdict)
+    rivals = rivals_of(found, leading, share, verdict)
     report("where the gap lies")
     places = list(where(case, before, dict(floors)))
     notes = [
@@ -231,7 +231,7 @@ def diagnose(
     if verdict == (UNKNOWN,):
         if lies:
             report("what an effect that explains it would look like")
-            signal = unwritten(case, lies, found.none, before, floors)
+            signal = unwritten(case, lies, found.none, before, floors, places)
         curve = None if signal is None or signal.tried is None else signal.tried.added
         reference = Added((), found.none.log_zeta, alone, gaps(case, before, before, floors))
         added = most_helpful([known] if curve is None else [known, curve], reference)
@@ -241,8 +241,10 @@ def diagnose(
         if meant in {spoken_of(each.about.name) for each in effects}:
             share = in_another_form(share, meant)
             verdict, groups = (meant,), [[meant]]
+    notes += not_met(case, alone, REFERENCE)
+    notes += not_met(case, added.met, WITH) if added.effects else []
     report("what to run next")
-    advice = next_run(case, chosen, rival, floors) if rival is not None else {}
+    advice = next_run(case, chosen, rivals, floors) if rivals else {}
     return Diagnosis(
         verdict=spoken(verdict),
         weights=by_name(share),

@@ -11,7 +11,7 @@ from diagnose import odd_runs
 from diagnose.added import as_model
 from diagnose.case import Case
 from diagnose.floor import noise_floors
-from diagnose.mean_sinkage import Followed, followed, residuals_of
+from diagnose.mean_sinkage import REFERENCE, WITH, Followed, followed, not_met, residuals_of
 from diagnose.plates import APART, own_errors
 from diagnose.response import Model
 from diagnose.shrinkage import Gap, gaps
@@ -23,9 +23,6 @@ from identify.summary import summary_html, summary_text
 
 if TYPE_CHECKING:
     from diagnose.tuned import Moves
-
-# What reports call the model that is held against the reference model.
-WITH = "the model with the effects"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,17 +53,12 @@ class Evaluation:
     @property
     def notes(self) -> list[str]:
         """What else must be known, in sentences."""
-        off = [
-            f"{self.case.candidates[run].name}: no zeta was found at which {model} meets its mean "
-            "sinkage; what is told of it is at the last that was tried."
-            for model, runs in (("the reference model", self.before), (WITH, self.after))
-            for run, each in enumerate(runs)
-            if not each.met and not (model == WITH and not self.effects)
-        ]
+        with_them = not_met(self.case, self.after, WITH) if self.effects else []
         return [
             self.how,
             *self.doubts,
-            *off,
+            *not_met(self.case, self.before, REFERENCE),
+            *with_them,
             *(f"Left out: {why}" for why in self.left_out.values()),
         ]
 
@@ -129,7 +121,7 @@ class Evaluation:
                 channel: {
                     **_named(channel, before=gap.before, after=gap.after, floor=gap.floor),
                     "shrinkage": gap.shrinkage,
-                    "shrinkage_interval": list(gap.interval),
+                    "shrinkage_interval": None if gap.interval is None else list(gap.interval),
                 }
                 for channel, gap in self.gap.items()
             },
@@ -168,14 +160,20 @@ def evaluated(
         left_out: Why other runs are not among them, by name.
         caveats: What is known to speak against the comparison, in sentences.
 
+    A run whose wheel leaves what the model covers, with or without the effects, is left out.
+
     Raises:
-        InputError: where a wheel leaves what the model covers, with or without the effects.
+        InputError: where no run is left.
     """
     model, coordinates = as_model(effects)
     before = followed(case, Model(), np.zeros(0))
     after = followed(case, model, coordinates) if effects else before
-    _require_covered(case, before, "the reference model")
-    _require_covered(case, after, WITH)
+    if lost := _not_covered(case, after, WITH) | _not_covered(case, before, REFERENCE):
+        kept = [each for run, each in enumerate(case.candidates) if run not in lost]
+        if not kept:
+            raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
+        why = {case.candidates[run].name: each for run, each in lost.items()}
+        return evaluated(Case.of(kept), effects, {**(left_out or {}), **why}, caveats)
     residuals = residuals_of(before), residuals_of(after)
     own = own_errors(case, np.array([each.log_zeta for each in before]))
 
@@ -191,23 +189,21 @@ def evaluated(
     return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
 
 
-def _require_covered(case: Case, runs: Sequence[Followed], model: str) -> None:
-    """Refuse runs whose wheel takes off, or sinks deeper than its plates cover."""
-    z = case.channels.index("z")
+def _not_covered(case: Case, runs: Sequence[Followed], model: str) -> dict[int, str]:
+    """Runs whose wheel takes off, or sinks deeper than its plates cover, by number, and why."""
+    z, found = case.channels.index("z"), {}
     for run, each in enumerate(runs):
+        name = case.candidates[run].name
         limit = float(case.candidates[run].trial.simulator.wheel.cut().sinkage_limit)
         farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
         if not np.isfinite(farthest):
-            raise InputError(
-                f"{case.candidates[run].name}: its simulation by {model} diverges; leave the run "
-                "out, or look at the numbers of the model"
+            found[run] = f"{name}: its simulation by {model} diverges"
+        elif not farthest < limit:
+            found[run] = (
+                f"{name}: by {model} its z reaches {1e3 * farthest:.4g} mm, must stay within "
+                f"{1e3 * limit:.4g} mm, which the wheel's plates cover"
             )
-        if not farthest < limit:
-            raise InputError(
-                f"{case.candidates[run].name}: by {model} its z reaches {1e3 * farthest:.4g} mm, "
-                f"must stay within {1e3 * limit:.4g} mm, which the wheel's plates cover; leave the "
-                "run out, or look at the numbers of the model"
-            )
+    return found
 
 
 def _rms(values: np.ndarray) -> float:

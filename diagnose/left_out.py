@@ -15,7 +15,7 @@ import numpy as np
 from diagnose.bench import Bench
 from diagnose.evidence import Products, fit_line
 from diagnose.hypothesis import Hypothesis, changes
-from diagnose.mean_sinkage import Followed, met_from
+from diagnose.mean_sinkage import MET, Followed, met_from
 from identify.candidate import Candidate
 
 # Loads [kg, N] and commands [rad/s] are the same within this.
@@ -139,7 +139,9 @@ def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[Followed]:
     here, z = unseen.hypothesis, bench.case.channels.index("z")
 
     def of(run: int) -> Followed:
-        start = Followed(unseen.residual[run], unseen.log_zeta[run], met=False)
+        residual = unseen.residual[run]
+        near = abs(float(residual[z].mean())) < MET
+        start = Followed(residual, unseen.log_zeta[run], met=near)
         slope = here.by_zeta(run)[z].mean()
         if not slope > 0:
             return start

@@ -17,6 +17,8 @@ MOST_TURNS = 8
 CLOSE_ENOUGH = 2e-5
 # A mean sinkage is met within this [m], half the noise of a good scale, or where steps end.
 MET = 1e-5
+# What reports call the two models.
+REFERENCE, WITH = "the reference model", "the model with the effects"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,16 @@ def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed
 def residuals_of(runs: Sequence[Followed]) -> list[np.ndarray]:
     """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
     return [each.residual for each in runs]
+
+
+def not_met(case: Case, runs: Sequence[Followed], model: str) -> list[str]:
+    """The runs whose mean sinkage no zeta was found to meet, in sentences."""
+    return [
+        f"{case.candidates[run].name}: no zeta was found at which {model} meets its mean sinkage; "
+        "what is told of it is at another zeta."
+        for run, each in enumerate(runs)
+        if not each.met
+    ]
 
 
 def met_from(

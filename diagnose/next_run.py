@@ -1,7 +1,7 @@
-"""What to run or record next, so that two explanations of the same runs part.
+"""What to run or record next, so that explanations of the same runs part.
 
-Both are simulated, with the numbers fitted to the runs there are, on variations of those runs; the
-one where their readings differ by most noise floors is the one to make.
+They are simulated, with the numbers fitted to the runs there are, on variations of those runs; the
+one where their readings differ by most noise floors, of the two that differ least, is to be made.
 """
 
 import math
@@ -67,36 +67,60 @@ class Proposal:
 
 
 def next_run(
-    case: Case, first: Hypothesis, second: Hypothesis, floors: Mapping[str, float]
+    case: Case, first: Hypothesis, others: Sequence[Hypothesis], floors: Mapping[str, float]
 ) -> dict:
-    """The variation of a run that parts two hypotheses, and the channel that would part them now.
+    """The variation of a run that parts hypotheses, and the channel that would part them now.
 
     Args:
         case: The runs there are.
-        first, second: Hypotheses settled on them.
+        first, others: Hypotheses settled on them, the likeliest first: one is to be told from all
+            others, or, where no variation does that, from the likeliest of them.
         floors: Noise floor of each recorded channel [m, N, N m].
 
     Returns:
-        Plain values: `tells` the two apart, `run` to make, and `channel` to record on a run as
-        made, among those that a diagnosis compares; either is None where nothing helps.
+        Plain values: `tells` the hypotheses apart, `run` to make, and `channel` to record on a run
+        as made, among those that a diagnosis compares; either is None where nothing helps.
     """
-    floor = TRUSTED | dict(floors)
     base = _typical(case)
-    compared = comparable(driven=case.candidates[base].setup.rig.carriage == "driven")
     variations = _variations(case, base)
-    proposals: list[Proposal] = []
     # Compiled by the run as it was, before every thread needs the programs.
-    parted = [_apart(variations[0], base, first, second)]
-    parted += case.threads.map(lambda each: _apart(each, base, first, second), variations[1:])
-    for variation, apart in zip(variations, parted, strict=True):
-        for channel in compared if apart else ():
-            difference = apart[channel]
-            unit, scale = SHOWN[channel]
-            floors_apart = difference / floor[channel]
-            proposals.append(
-                Proposal(variation.words, channel, scale * difference, unit, floors_apart)
-            )
-    recorded, as_it_was = set(case.channels), variations[0].words
+    parted = [_apart(variations[0], base, first, others)]
+    parted += case.threads.map(lambda each: _apart(each, base, first, others), variations[1:])
+    floor = TRUSTED | dict(floors)
+    driven = case.candidates[base].setup.rig.carriage == "driven"
+    advice = {}
+    for count in sorted({len(others), 1}, reverse=True):
+        proposals = []
+        for variation, apart in zip(variations, parted, strict=True):
+            proposals += _proposals(variation.words, apart[:count], comparable(driven), floor)
+        told = (first, *others[:count])
+        advice = {"tells": ["+".join(spoken(each.names) or ("none",)) for each in told]}
+        advice |= _best_of(proposals, variations[0].words, set(case.channels))
+        if advice["run"] or advice["channel"]:
+            break
+    return advice
+
+
+def _proposals(
+    words: str,
+    apart: Sequence[Mapping[str, float]],
+    compared: Sequence[str],
+    floor: Mapping[str, float],
+) -> list[Proposal]:
+    """A run, by channel, with how far it parts the one of several that it parts least."""
+    if not all(apart):
+        return []
+    found = []
+    for channel in compared:
+        difference = min(each[channel] for each in apart)
+        unit, scale = SHOWN[channel]
+        floors = difference / floor[channel]
+        found.append(Proposal(words, channel, scale * difference, unit, floors))
+    return found
+
+
+def _best_of(proposals: Sequence[Proposal], as_it_was: str, recorded: set[str]) -> dict:
+    """The run to make, and the channel to record on a run as made."""
     told = [p.floors for p in proposals if p.channel in recorded and p.run == as_it_was]
     new = [
         p
@@ -105,11 +129,7 @@ def next_run(
         if p.channel in recorded and p.run != as_it_was and p.floors > max(told, default=0.0)
     ]
     now = [p for p in proposals if p.channel not in recorded and p.run == as_it_was]
-    return {
-        "tells": ["+".join(spoken(each.names) or ("none",)) for each in (first, second)],
-        "run": _best(new),
-        "channel": _best(now),
-    }
+    return {"run": _best(new), "channel": _best(now)}
 
 
 def _best(proposals: Sequence[Proposal]) -> dict | None:
@@ -229,11 +249,12 @@ def _simulated(model: Model, trial: Trial, coordinates, rows):
 
 
 def _apart(
-    variation: Variation, base: int, first: Hypothesis, second: Hypothesis
-) -> dict[str, float]:
-    """Root mean square of the difference of two hypotheses' readings, by channel [m, N, N m].
+    variation: Variation, base: int, first: Hypothesis, others: Sequence[Hypothesis]
+) -> list[dict[str, float]]:
+    """Root mean square of how each of the others' readings differ, by channel [m, N, N m].
 
-    The second one's zeta is moved so that both sink alike on the mean: a new run has its own.
+    Its zeta is moved so that both sink alike on the mean: a new run has its own. Nothing is told of
+    one that cannot be simulated.
     """
     trial = variation.trial
     rows = min(trial.rows, math.ceil(variation.lasts / (STEPS_A_ROW * float(trial.step))))
@@ -245,15 +266,19 @@ def _apart(
         return np.asarray(jax.block_until_ready(found))[:, : rows + 1]
 
     z = CHANNELS.index("z")
-    one, two = of(first), of(second)
-    moved = of(second, 0.01)
-    slope = (moved[z].mean() - two[z].mean()) / 0.01
-    if slope > 0:
-        two = of(second, float(np.clip((one[z] - two[z]).mean() / slope, -0.2, 0.2)))
-    power = np.mean((one - two) ** 2, axis=1)
-    if not np.isfinite(power).all():
-        return {}
-    return dict(zip(CHANNELS, np.sqrt(power).tolist(), strict=True))
+    one = of(first)
+
+    def apart(other: Hypothesis) -> dict[str, float]:
+        two, moved = of(other), of(other, 0.01)
+        slope = (moved[z].mean() - two[z].mean()) / 0.01
+        if slope > 0:
+            two = of(other, float(np.clip((one[z] - two[z]).mean() / slope, -0.2, 0.2)))
+        power = np.mean((one - two) ** 2, axis=1)
+        if not np.isfinite(power).all():
+            return {}
+        return dict(zip(CHANNELS, np.sqrt(power).tolist(), strict=True))
+
+    return [apart(each) for each in others]
 
 
 def _end(trial: Trial) -> float:

@@ -66,6 +66,9 @@ def simulated_pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothe
     """
     starts: dict[frozenset[str], dict[bool, Proposal]] = {}
     for each in proposals(bench, singles):
+        # Two forms of one effect are no pair: the verdict would name one, with two sets of numbers.
+        if len(spoken(each.names)) == 1:
+            continue
         starts.setdefault(each.names, {}).setdefault(each.from_null, each)
     ways = list(starts.values())
     found: list[Hypothesis] = []

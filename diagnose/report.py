@@ -134,11 +134,11 @@ def _worded(name: str) -> str:
     )
 
 
-def shrunk(found: Diagnosis, gap: Gap) -> str:
+def shrunk(gap: Gap) -> str:
     """How far a gap shrinks; with the interval, where there are conditions to draw from."""
     if not gap.can_shrink:
         return "at the floor"
-    if len(conditions(found.case.candidates)) == 1:
+    if gap.interval is None:
         return f"{gap.shrinkage:.0%}"
     low, high = gap.interval
     return f"{gap.shrinkage:.0%} ({low:.0%} to {high:.0%})"
@@ -189,7 +189,7 @@ def step_sentences(found: Diagnosis) -> list[str]:
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
     gaps = found.gap if gaps is None else gaps
     return ", ".join(
-        f"{channel} {shrunk(found, gap)}" for channel, gap in gaps.items() if gap.can_shrink
+        f"{channel} {shrunk(gap)}" for channel, gap in gaps.items() if gap.can_shrink
     )
 
 
@@ -215,7 +215,8 @@ def next_sentences(found: Diagnosis) -> list[str]:
     advice = dict[str, Any](found.next_run)
     if not advice:
         return []
-    first, second = (" with ".join(map(_worded, each.split("+"))) for each in advice["tells"])
+    first, *others = (" with ".join(map(_worded, each.split("+"))) for each in advice["tells"])
+    second = " and from ".join(others)
     ways = []
     for key, words in (("run", "run {run}"), ("channel", "record {channel} on {run}")):
         way = advice.get(key)
@@ -244,7 +245,7 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
                 f"{gap.after * scale:.3f}",
                 f"{gap.floor * scale:.3f}",
                 f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
-                shrunk(found, gap) if found.added.effects else "-",
+                shrunk(gap) if found.added.effects else "-",
             )
         )
     return rows

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 
@@ -179,6 +180,10 @@ def kind_of(setup: SetUp) -> str:
     if wheel.shape == "grouser":
         tip = f"{_mm(wheel.grouser_height)} x {_mm(wheel.grouser_thickness)}"
         words += f"{wheel.grouser_count} grousers of {tip}"
+        words += "" if wheel.grouser_fraction == 1 else f" (fraction {wheel.grouser_fraction:g})"
+    elif wheel.shape == "outline":
+        corners = np.round(1e3 * np.asarray(wheel.points), PLACES)
+        words += f"an outline of {len(corners)} corners ({crc32(corners.tobytes()):08x})"
     else:
         words += "no grousers"
     return f"{words}, on a {setup.rig.carriage} carriage"

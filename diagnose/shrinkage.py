@@ -26,13 +26,14 @@ class Gap:
         floor: Noise floor.
         shrinkage: Share of what could be reached above the floor that the effect removes [-].
         interval: Where it lies with 90 % on a few runs more; of draws in which a gap could shrink.
+            None of runs of one condition, which do not tell how another one differs.
     """
 
     before: float
     after: float
     floor: float
     shrinkage: float
-    interval: tuple[float, float]
+    interval: tuple[float, float] | None
 
     @property
     def can_shrink(self) -> bool:
@@ -46,7 +47,7 @@ class Gap:
             "after_mm": self.after * MM,
             "floor_mm": self.floor * MM,
             "shrinkage": self.shrinkage,
-            "shrinkage_interval": list(self.interval),
+            "shrinkage_interval": None if self.interval is None else list(self.interval),
         }
 
 
@@ -108,5 +109,6 @@ def gaps(
         drawn = drawn if last != first else []
         low, high = np.quantile(drawn or [share], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         interval = min(float(low), share), max(float(high), share)
-        found[channel] = Gap(first, last, floor, share, interval)
+        told = interval if len(groups) > 1 else None
+        found[channel] = Gap(first, last, floor, share, told)
     return found

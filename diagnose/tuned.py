@@ -4,10 +4,13 @@ Recorded runs are replayed through `drftjax.tuner.replay`. Each replay starts fr
 meets the run's mean sinkage by the model it is replayed with, so what is counted is the moving to
 and fro, not the way there. The tuner compares true sinkages: it sees no effect on a sensor. What
 it leaves of the sinkage's error is small with any model, right or wrong.
+
+A run that was made in the loop is fed to that very loop again: its tuner, tick and readings, and a
+simulated carriage that is free, as the loop's is; its zeta(0) is what the sinkage at rest tells.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -19,10 +22,13 @@ from diagnose.case import Case
 from diagnose.evaluation import Evaluation
 from diagnose.response import with_effects
 from drftjax.command import Command
+from drftjax.effects.entry import entry_of
 from drftjax.effects.stage import AbstractEffect
-from drftjax.errors import InputError
+from drftjax.errors import InputError, RunError
 from drftjax.trial import Trial
 from drftjax.tuner import Loop, StepTuner, known_sinkage, replay, tick_commands, tunable
+from hils.replay import retuned
+from identify.candidate import Candidate
 from identify.pace import asked_to_move
 
 
@@ -37,6 +43,7 @@ class Moves:
         time: Ticks from the first on which the wheel is asked to move to the last [s], shape
             (ticks,).
         zeta: On each of them [-], shape (ticks,).
+        in_its_loop: Whether it was replayed in the loop that it was made in.
     """
 
     moved: float
@@ -44,10 +51,15 @@ class Moves:
     sinkage: float
     time: np.ndarray
     zeta: np.ndarray
+    in_its_loop: bool = False
 
 
 def moves(found: Evaluation, tuner: StepTuner) -> list[tuple[Moves, Moves]]:
     """By run, the tuner's moves by the reference model and with the effects.
+
+    Args:
+        found: The runs, and the effects.
+        tuner: Of runs that were not made in the loop.
 
     Raises:
         InputError: where a replay diverges, or no tick falls where a wheel moves.
@@ -61,6 +73,8 @@ def moves(found: Evaluation, tuner: StepTuner) -> list[tuple[Moves, Moves]]:
     starts = tick * np.arange(ticks)
 
     def of(run: int) -> tuple[Moves, Moves]:
+        if _has_its_loop(case.candidates[run]):
+            return _in_its_loop(case, run, ()), _in_its_loop(case, run, found.effects)
         recorded = jnp.asarray(_known(case, run, starts))
 
         def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> Moves:
@@ -73,6 +87,21 @@ def moves(found: Evaluation, tuner: StepTuner) -> list[tuple[Moves, Moves]]:
         return moved((), before), moved(found.effects, after)
 
     return case.each_run(of)
+
+
+def _has_its_loop(each: Candidate) -> bool:
+    made = each.made_in_loop
+    return made is not None and made.online is not None and made.online.loop is not None
+
+
+def _in_its_loop(case: Case, run: int, effects: tuple[AbstractEffect, ...]) -> Moves:
+    each = case.candidates[run]
+    assert each.made_in_loop is not None
+    try:
+        told = retuned(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
+    except InputError as problem:
+        raise RunError(each.name, str(problem)) from None
+    return replace(_moves(case, run, told.time, told.zeta, told.error), in_its_loop=True)
 
 
 def _known(case: Case, run: int, starts: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from diagnose.added import Added, effects_of
 from diagnose.bench import Bench, Variant
 from diagnose.case import Case
 from diagnose.curves import in_modes
+from diagnose.cut import Share
 from diagnose.evidence import WORTH
 from diagnose.follows import Fitted, fitted, simplest
 from diagnose.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
@@ -23,8 +24,10 @@ from diagnose.left_out import at_mean_sinkage, conditions, predicted_unseen
 from diagnose.mean_sinkage import residuals_of
 from diagnose.response import Model, predict
 from diagnose.shrinkage import gaps
-from diagnose.stages import Stage
+from diagnose.spectrum import HERTZ, HERTZ_LABELS
+from diagnose.stages import KNOT, Stage
 from diagnose.weights import SCALE
+from diagnose.where import MOST
 from drftjax.effects.correction import (
     STAGES,
     Curve,
@@ -37,6 +40,8 @@ from drftjax.effects.correction import (
 # simulated, as straight lines tell little of how a curve goes on in runs left out.
 FOLLOWS = 0.5
 LIKELY = 3
+# A signal whose knots lie `KNOT` apart has nothing over this [Hz].
+FASTEST = 1 / (2 * KNOT)
 # Simulations that its curve is fitted by.
 TURNS = 6
 # What an effect of the list means, whatever its form: sand that depends on the place, and a surface
@@ -103,17 +108,25 @@ class Unwritten:
             `tried`, then the others, best first.
         tried: Of the corrections that were simulated, the one that leaves least; None where the
             signal follows nothing that its stage can know.
+        too_fast: Share of the gap at frequencies that a signal with such knots cannot have [-].
     """
 
     stage: Stage
     follows: Sequence[tuple[str, float]]
     tried: Correction | None
+    too_fast: float = 0.0
 
     def sentences(self, offered: bool) -> list[str]:
         """What it looks like, and why no correction is offered where none is."""
         said = f"The simplest unknown signal is one of {self.stage.name} ({self.stage.meaning})"
         if not self.follows or self.follows[0][1] < FOLLOWS:
-            return [f"{said}; it follows none of the variables known."]
+            found = [f"{said}; it follows none of the variables known."]
+            if self.too_fast > MOST:
+                found.append(
+                    f"{self.too_fast:.0%} of the gap is faster than such a signal can be (over "
+                    f"{FASTEST:g} Hz): its shares by frequency and by order of rotation tell more."
+                )
+            return found
         name, share = self.follows[0]
         found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
         if self.tried is None:
@@ -138,6 +151,7 @@ def unwritten(
     none: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
+    places: Sequence[Share],
 ) -> Unwritten:
     """The simplest unknown signal of a case, and a correction where it follows something.
 
@@ -147,13 +161,16 @@ def unwritten(
         none: The reference model, settled.
         before: What it leaves of each run, shape (channels, samples) [m, N, N m].
         floors: Noise floor of each channel.
+        places: Shares of the gap, by frequency among others.
     """
+    fast = HERTZ_LABELS[1 + HERTZ.index(FASTEST) :]
+    too_fast = sum(e.share for e in places if e.axis == "frequency" and e.label in fast)
     stage, variables = simplest(case, found)
     known = [each for each in variables if each[0] in known_to(stage.name)]
     likely = [(name, share) for name, share in known if share >= FOLLOWS][:LIKELY]
     curves = [(curve, share) for name, share in likely for curve in fitted(case, stage, name)]
     if not curves:
-        return Unwritten(stage, variables, None)
+        return Unwritten(stage, variables, None, too_fast)
     kinds = [in_modes(each.kind, _modes(each), 1 / STRENGTH_BELIEF) for each, _ in curves]
     case.warm(predict, [Model((kind,)) for kind in kinds])
     bench = Bench.of(case, none.log_zeta, kinds)
@@ -166,13 +183,13 @@ def unwritten(
     each_of = case.side_by_side(of, zip(curves, bench.variants, strict=True))
     tried = [each for each in each_of if each is not None]
     if not tried:
-        return Unwritten(stage, variables, None)
+        return Unwritten(stage, variables, None, too_fast)
     best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
     # With one condition nothing was left out, and sixteen knots follow anything.
     if len(conditions(case.candidates)) > 1:
         best = listed_among(tried, dict(variables)) or best
     variables.sort(key=lambda each: each[0] != best.effect.variable)
-    return Unwritten(stage, variables, best)
+    return Unwritten(stage, variables, best, too_fast)
 
 
 def meaning(one: Correction) -> str | None:

@@ -17,6 +17,8 @@ NAMED = 0.1
 ALARM = 4.5
 # An explanation that has less weight than this needs no run that tells it from the verdict.
 RIVAL = 0.02
+# And one run is asked to tell it from so many at most.
+MOST_RIVALS = 3
 
 
 def verdict_of(
@@ -94,23 +96,28 @@ def stands_for(
     return next(each for each in leading if each.names == verdict)
 
 
-def rival_of(
+def rivals_of(
     found: Found,
     leading: Sequence[Hypothesis],
     share: Mapping[tuple[str, ...], float],
     verdict: tuple[str, ...],
-) -> Hypothesis | None:
-    """The likeliest other explanation, where it is likely enough to matter."""
+) -> list[Hypothesis]:
+    """The other explanations that a run should tell from the verdict, the likeliest first.
+
+    The likeliest is one where it is likely enough to matter, more where they are named beside it.
+    """
+    if verdict == (UNKNOWN,):
+        return []
     others = {each.names or (NONE,): each for each in (found.none, *leading)}
     # Two forms of one effect need no telling apart.
-    named = {
-        names: share[names]
-        for names in others
-        if spoken(names) != spoken(verdict) and share[names] >= RIVAL
-    }
-    if not named or verdict == (UNKNOWN,):
-        return None
-    return others[max(named, key=lambda names: named[names])]
+    told, rivals = {frozenset(spoken(verdict))}, []
+    for names in sorted(others, key=lambda names: -share[names]):
+        if share[names] < (NAMED if rivals else RIVAL) or len(rivals) == MOST_RIVALS:
+            break
+        if frozenset(spoken(names)) not in told:
+            told.add(frozenset(spoken(names)))
+            rivals.append(others[names])
+    return rivals
 
 
 def _total(ranked: Sequence[tuple[tuple[str, ...], float]]) -> float:

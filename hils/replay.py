@@ -8,19 +8,22 @@ Another processor, or another version of JAX, may round differently in the last 
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 import drftjax
+from drftjax.effects.entry import Entry
 from drftjax.errors import InputError
 from drftjax.runlog.record import Online, RunLog
 from hils.events import TickFlag
 from hils.guard import REST, Demand, Reading
-from hils.loop_setup import LoopRecord, shared_physics
-from hils.tick import Given, Reaction, begin, react
+from hils.loop_setup import LoopPhysics, LoopRecord, shared_physics
+from hils.starting_point import zeta_by_sinkage
+from hils.tick import Given, LoopState, Reaction, begin, react
 
 Reals = NDArray[np.float64]
 
@@ -78,6 +81,20 @@ class Replay(NamedTuple):
         return f"{self.ticks} ticks: {'; '.join(parts)}{other}"
 
 
+class Retuned(NamedTuple):
+    """What the tuner of a run's own loop makes of its readings with another simulation.
+
+    Attributes:
+        time: Of the rows of /online [s].
+        zeta: On each [-].
+        error: Measured less simulated sinkage there [m]; NaN without a reading to tune by.
+    """
+
+    time: Reals
+    zeta: Reals
+    error: Reals
+
+
 def replay(run: RunLog) -> Replay:
     """Feed a run's readings to its loop again.
 
@@ -87,24 +104,9 @@ def replay(run: RunLog) -> Replay:
     Raises:
         InputError: The run does not hold what the loop was given.
     """
-    online = run.online
-    if online is None:
-        raise InputError("the run has no /online: it was not made in the loop")
-    if online.loop is None:
-        raise InputError("/online does not say what the loop was given: it has no attribute loop")
-    record = LoopRecord.read(online.loop)
-    if record.loop.tick != online.tick:
-        raise InputError(
-            f"/online has the tick {online.tick:g} s, its loop has {record.loop.tick:g} s"
-        )
+    online, record = _made_in(run)
     physics = shared_physics(record.loop)
-    state, said = begin(physics, record.start), list[Reaction]()
-    for number, given in _given(run, online):
-        skipped = number - state.number
-        if skipped < 0:
-            raise InputError(f"/online/time has two rows for the tick {number}")
-        state, reaction = react(physics, state, given._replace(skipped=skipped))
-        said.append(reaction)
+    said = _fed(run, online, physics, begin(physics, record.start))
     found = {
         "zeta": [each.after.zeta for each in said],
         "x_sim": [each.before.x for each in said],
@@ -122,6 +124,73 @@ def replay(run: RunLog) -> Replay:
     ]
     zeta = np.array(found["zeta"])
     return Replay(len(said), zeta, tuple(differences), run.software_version)
+
+
+def retuned(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> Retuned:
+    """Feed a run's readings to its loop, had that known these effects and no others.
+
+    zeta(0) changes by as much as statics says that it must for the wheel to rest as deep as it
+    did. The rig went at the speed that the loop's own simulation gave it.
+
+    Args:
+        run: Recorded by the loop, with /online and the record of its loop in it.
+        effects: What is simulated beside the reference model.
+        x: Where the simulated wheel starts, from where the effects count [m].
+
+    Raises:
+        InputError: The run does not hold what the loop was given, or its wheel could not rest so
+            deep with these effects.
+    """
+    online, record = _made_in(run)
+    loop, start = record.loop, record.start
+    setup = msgspec.structs.replace(loop.setup, effects=list(effects))
+    physics = shared_physics(msgspec.structs.replace(loop, setup=setup))
+    zeta = start.zeta
+    if loop.setup.effects != setup.effects:
+        before, after = (
+            zeta_by_sinkage(msgspec.json.encode(each))(start.sinkage)
+            for each in (loop.setup, setup)
+        )
+        zeta *= after / before
+    if not (math.isfinite(zeta) and zeta > 0):
+        raise InputError(
+            f"with these effects no zeta lets the wheel rest {1e3 * start.sinkage:.4g} mm deep"
+        )
+    packed = physics.step.begin(start.sinkage, zeta, x, setup.start.angle)
+    state = begin(physics, start)._replace(packed=packed)
+    said = _fed(run, online, physics, state)
+    return Retuned(
+        online.time,
+        np.array([each.after.zeta for each in said]),
+        np.array([each.after.error for each in said]),
+    )
+
+
+def _made_in(run: RunLog) -> tuple[Online, LoopRecord]:
+    """What a run keeps of the loop that it was made in."""
+    online = run.online
+    if online is None:
+        raise InputError("the run has no /online: it was not made in the loop")
+    if online.loop is None:
+        raise InputError("/online does not say what the loop was given: it has no attribute loop")
+    record = LoopRecord.read(online.loop)
+    if record.loop.tick != online.tick:
+        raise InputError(
+            f"/online has the tick {online.tick:g} s, its loop has {record.loop.tick:g} s"
+        )
+    return online, record
+
+
+def _fed(run: RunLog, online: Online, physics: LoopPhysics, state: LoopState) -> list[Reaction]:
+    """What a loop says on every row, fed with what was given then."""
+    said = list[Reaction]()
+    for number, given in _given(run, online):
+        skipped = number - state.number
+        if skipped < 0:
+            raise InputError(f"/online/time has two rows for the tick {number}")
+        state, reaction = react(physics, state, given._replace(skipped=skipped))
+        said.append(reaction)
+    return said
 
 
 def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:

@@ -53,12 +53,14 @@ class Candidate:
         setup: Its set-up and commands.
         trial: What is simulated.
         observation: What was recorded.
+        made_in_loop: The run log itself where it was made in the loop; None for others.
     """
 
     name: str
     setup: SetUp
     trial: Trial
     observation: Observation
+    made_in_loop: RunLog | None = None
 
 
 def candidate(
@@ -88,6 +90,7 @@ def candidate(
     Raises:
         InputError: where the run cannot be simulated or compared.
     """
+    made_in_loop = None if run.online is None else run
     try:
         run = without_refused(run)
         require_upright(run)
@@ -120,7 +123,7 @@ def candidate(
         if zeta is not None:
             setup.terrain.zeta = zeta
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        return Candidate(name, setup, trial, observation)
+        return Candidate(name, setup, trial, observation, made_in_loop)
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 

@@ -328,7 +328,10 @@ def test_plates_can_be_looked_at_with_effects_and_without_a_run():
 
 
 def test_effects_of_several_stages_act_at_once():
-    """A sensor's first reading is that of the other effects' sand, and of the sensors before it."""
+    """A sensor's first reading is that of the other effects' sand, and of the sensors before it.
+
+    Where the wheel starts is what the scale read there.
+    """
     lag = KNOWN["measurement_filter"](lag=0.2)
     cohesion = KNOWN["cohesion"](depth=0.002)
     gain = KNOWN["travel_gain"](gain=0.5)
@@ -339,4 +342,5 @@ def test_effects_of_several_stages_act_at_once():
     bare = replace(simulator(), effects=(cohesion,))
     truth = bare.observe(bare.begin(state, command), command)
     np.testing.assert_allclose(first.fz, truth.fz, rtol=SUMS)
-    np.testing.assert_allclose((truth.x, first.x), (0.2, 0.3), rtol=SUMS)
+    begun = sim.begin(state, command)
+    np.testing.assert_allclose((begun.position[0], first.x), (0.2 / 1.5, 0.2), rtol=SUMS)

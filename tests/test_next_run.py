@@ -28,7 +28,8 @@ def pulled():
 def advice(pulled):
     # Both pull back all the while as long as the carriage only goes forward.
     singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
-    return next_run(pulled, *(singles[(name,)] for name in NAMES), FLOORS)
+    first, second = (singles[(name,)] for name in NAMES)
+    return next_run(pulled, first, [second], FLOORS)
 
 
 def test_it_names_the_run_that_parts_two_explanations(advice):
@@ -110,7 +111,7 @@ def test_runs_without_travel_are_advised_too(channels):
     found = search(case, [effect_class("vertical_spring"), effect_class("loosening")])
     floors = dict.fromkeys(case.channels, 1e-9)
     first, second = found.none, found.singles[0]
-    told = next_run(case, first, second, floors)
+    told = next_run(case, first, [second], floors)
     compared = {"z", "fx", "fz", "torque"} if "fz" in channels else {"x", "z", "torque"}
     asked = [each for each in (told["run"], told["channel"]) if each is not None]
     assert told["tells"] == ["none", *second.names]

@@ -215,6 +215,15 @@ def test_what_follows_nothing_is_said_to(found):
     nothing = dataclasses.replace(found.unwritten, follows=[("travel", 0.2)], tried=None)
     (said,) = nothing.sentences(offered=False)
     assert "it follows none of the variables known" in said
+    fast = dataclasses.replace(nothing, too_fast=0.8)
+    assert fast.sentences(offered=False)[1].startswith("80% of the gap is faster than such")
+
+
+def test_slow_gap_is_not_too_fast_for_a_signal(found):
+    by_hertz = {each.label: each.share for each in found.where if each.axis == "frequency"}
+    over = by_hertz["1 to 3 Hz"] + by_hertz["3 to 10 Hz"] + by_hertz["over 10 Hz"]
+    assert found.unwritten.too_fast == pytest.approx(over)
+    assert 0 < over < 0.5
 
 
 def test_shares_of_stages_have_intervals_from_drawing_runs_anew(found):

@@ -18,14 +18,14 @@ class GapAnswer(msgspec.Struct):
         before_mm, after_mm: Misfit without and with them.
         floor_mm: What noise and scatter leave.
         shrinkage: Share of the misfit that goes on fresh runs, as promised [-].
-        shrinkage_interval: Where it lies with 90 % probability.
+        shrinkage_interval: Where it lies with 90 % probability; None where runs do not tell.
     """
 
     before_mm: float
     after_mm: float
     floor_mm: float
     shrinkage: float
-    shrinkage_interval: tuple[float, float]
+    shrinkage_interval: tuple[float, float] | None
 
 
 class FreshAnswer(msgspec.Struct):

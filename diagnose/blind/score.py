@@ -68,7 +68,9 @@ class Case:
 
     @property
     def is_first(self) -> bool:
-        return self.first in self.right_names
+        """Whether what leads is there; of one effect, and it alone is named."""
+        alone = len(self.true) != 1 or len(self.answer.verdict) == 1
+        return alone and self.first in self.right_names
 
     @property
     def all_named(self) -> bool:
@@ -78,14 +80,22 @@ class Case:
     @property
     def in_group(self) -> bool:
         """Whether each effect is named, or in the group of one that is."""
-        offered = {self.first, *self.answer.named()}.union(*self.answer.groups)
-        return self.right_names <= offered
+        return self.right_names <= self._offered
 
     @property
     def group_size(self) -> int:
-        """How many effects the group of the first one holds; one where it stands alone."""
+        """How many effects are offered for one: those named, and all in their groups.
+
+        Of a pair, those offered for the first.
+        """
+        if len(self.true) == 1:
+            return len(self._offered)
         groups = (each for each in self.answer.groups if self.first in each)
         return max(1, len(set(next(groups, ()))))
+
+    @property
+    def _offered(self) -> frozenset[str]:
+        return frozenset({self.first, *self.answer.named()}.union(*self.answer.groups))
 
     @property
     def confidently_wrong(self) -> bool:
@@ -113,6 +123,12 @@ def _floors(label: dict) -> float | None:
 def _share(over: Iterable[Case], of: Callable[[Case], bool]) -> dict:
     held = [of(case) for case in over]
     return Share(sum(held), len(held)).document()
+
+
+def _held(promises: Iterable[bool | None]) -> dict:
+    """The share of intervals that held; without those that were not given."""
+    given = [each for each in promises if each is not None]
+    return Share(sum(given), len(given)).document()
 
 
 def _order(kind: str) -> tuple[int, bool]:
@@ -192,8 +208,7 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
             if not can_shrink(fresh.before_mm, promise.floor_mm):
                 untried[channel] += 1
                 continue
-            low, high = promise.shrinkage_interval
-            after = fresh.after_mm
+            interval, after = promise.shrinkage_interval, fresh.after_mm
             realised = math.nan if after is None else gone(fresh.before_mm, after, promise.floor_mm)
             tried.append(
                 {
@@ -201,13 +216,13 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
                     "promised": promise.shrinkage,
                     "realised": realised,
                     "kept": abs(realised - promise.shrinkage) <= PROMISE + 1e-12,
-                    "in_interval": low <= realised <= high,
+                    "in_interval": interval and interval[0] <= realised <= interval[1],
                 }
             )
     return {
         channel: {
             "kept": Share(sum(each["kept"] for each in rows), len(rows)).document(),
-            "in_interval": Share(sum(each["in_interval"] for each in rows), len(rows)).document(),
+            "in_interval": _held(each["in_interval"] for each in rows),
             "untried": untried[channel],
             "sets": rows,
         }

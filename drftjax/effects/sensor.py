@@ -64,10 +64,14 @@ class TravelGain(AbstractSensor):
     about: ClassVar = About(
         "travel_gain",
         "sensor",
-        "x read = (1 + gain) x",
+        "x read = (1 + gain) x, the start too",
         "the horizontal scale reads a wrong ratio",
     )
-    gain: Number = strength("-", 0.03, "excess of the reading")
+    gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
+
+    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+        # The place of the start was read on this scale, too.
+        return position / jnp.stack([1 + self.gain, jnp.ones_like(self.gain)])
 
     def begin(self, output: "Output") -> Memory:
         return ()
