@@ -26,6 +26,9 @@ Examples:
   drft evaluate fresh/ --model out/diagnosis/model.toml --tuner \\
       --json out/evaluation.json
 
+A run that was made in the loop is replayed by --tuner in that very loop; --tick, --zeta-step and
+--tolerance are for the others.
+
 Each run is simulated freely from its start, by the reference model and by that with the effects
 of the model file, each with the zeta that meets the run's mean sinkage. All other numbers are the
 run's own.
@@ -102,7 +105,7 @@ def evaluate(
     console.print(gap_table(found))
     if moved:
         console.print(moves_table(found, moved))
-    for sentence in sentences(found):
+    for sentence in [*_replayed(found, moved), *sentences(found)]:
         say(sentence)
     if output is not None:
         document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
@@ -133,6 +136,16 @@ def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Tab
     return table
 
 
+def _replayed(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> list[str]:
+    """Which runs were replayed in their own loop."""
+    pairs = zip(found.case.candidates, moved, strict=False)
+    names = [each.name for each, (before, _) in pairs if before.in_its_loop]
+    if not names:
+        return []
+    loop = "in the loop that it was" if len(names) == 1 else "each in the loop that it was"
+    return [f"By --tuner, {', '.join(names)} replayed {loop} made in."]
+
+
 def _less(before: float, after: float) -> str:
     if before == 0:
         return "-"
@@ -148,6 +161,7 @@ def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", sett
         "runs": [
             {
                 "name": each.name,
+                "in_its_loop": before.in_its_loop,
                 "before": _numbers(before),
                 "after": _numbers(after),
             }

@@ -188,9 +188,7 @@ def step_sentences(found: Diagnosis) -> list[str]:
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
     gaps = found.gap if gaps is None else gaps
-    return ", ".join(
-        f"{channel} {shrunk(gap)}" for channel, gap in gaps.items() if gap.can_shrink
-    )
+    return ", ".join(f"{channel} {shrunk(gap)}" for channel, gap in gaps.items() if gap.can_shrink)
 
 
 def _measured_on(found: Diagnosis, what: str) -> str:

@@ -294,6 +294,15 @@ class Simulator(eqx.Module):
         reading, memory = chain.read(effects, memory, truth, dt)
         return dataclasses.replace(after, memory=memory), reading
 
+    def held(self, state: State, command: Command) -> Float[Array, "2"]:
+        """Force (x, z) of the rig and its effects on the wheel as it stands or moves [N]."""
+        self = self.prepared()
+        memory, instant = chain.begin(self.effects, state), jnp.full_like(state.time, INSTANT)
+        moment = self._moment(state, command, instant)
+        place, velocity = state.position, state.velocity
+        held = chain.loads(self.effects, memory, place, velocity, moment, of_the_sand=False)
+        return self.rig.load(velocity) + held
+
     def observe(self, state: State, command: Command) -> Output:
         """The output of a state as it stands, without a step: a run's first row."""
         self = self.prepared()
@@ -305,7 +314,15 @@ class Simulator(eqx.Module):
         """What is, before any instrument reads it, and the instant that a reading takes [s]."""
         effects, memory = self.effects, state.memory
         dt = jnp.full_like(state.time, INSTANT)
-        moment = Moment(
+        moment = self._moment(state, command, dt)
+        zeta = self.terrain.zeta(state.time, command) * chain.zeta_factor(effects, memory, moment)
+        place, velocity = state.position, state.velocity
+        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
+        piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
+        return self._output(state, sand.at[:2].add(piled), zeta), dt
+
+    def _moment(self, state: State, command: Command, dt: Float[Array, ""]) -> Moment:
+        return Moment(
             state.time,
             dt,
             state.position,
@@ -315,11 +332,6 @@ class Simulator(eqx.Module):
             command.omega,
             self.wheel.radius,
         )
-        zeta = self.terrain.zeta(state.time, command) * chain.zeta_factor(effects, memory, moment)
-        place, velocity = state.position, state.velocity
-        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
-        piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
-        return self._output(state, sand.at[:2].add(piled), zeta), dt
 
     def _output(self, state: State, sand: Float[Array, "3"], zeta: Float[Array, ""]) -> Output:
         x, z = state.position

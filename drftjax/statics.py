@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from drftjax.arrays import as_real, require_between
+from drftjax.command import Command
 from drftjax.errors import InputError
-from drftjax.simulator import Simulator
+from drftjax.simulator import Simulator, State
 
 # Descent [m/s]: far over the regulariser at rest, far below where the momentum flux counts.
 INTRUSION = 1e-2
@@ -22,6 +23,18 @@ REST = 0.0
 
 # Depth tolerance of the root [m]: a thousandth of a micrometre.
 SINKAGE_TOLERANCE = 1e-9
+
+
+def resting_load(simulator: Simulator, sinkage: ArrayLike) -> Float[Array, ""]:
+    """What presses a wheel at rest into the sand [N]: its weight, and the loads of effects there.
+
+    Args:
+        simulator: Rig and effects.
+        sinkage: H = -z [m].
+    """
+    state = State.at_rest(as_real(sinkage))
+    still = jnp.zeros_like(state.time)
+    return -simulator.held(state, Command(still, still, still))[1]
 
 
 def vertical_support(
@@ -63,7 +76,7 @@ def zeta_from_sinkage(
     Args:
         simulator: Wheel, terrain and rig.
         sinkage: H = -z [m].
-        load: Vertical load [N]; the rig's weight m_z g where none is given.
+        load: Vertical load [N]; `resting_load` where none is given.
         angle: Wheel angle [rad]. At 0 both faces of the lowest grouser stand upright and carry, as
             n.p = 0 on them; turned ever so little, only one of them leads.
         descent: As in `vertical_support`.
@@ -73,7 +86,7 @@ def zeta_from_sinkage(
     """
     limit = simulator.wheel.cut().sinkage_limit
     require_between("sinkage", sinkage, 1e-6, limit, " m, all that the wheel's plates cover")
-    load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
+    load = resting_load(simulator, sinkage) if load is None else as_real(load)
     # The support is linear in zeta.
     without = vertical_support(simulator, sinkage, 0.0, angle, descent)
     with_one = vertical_support(simulator, sinkage, 1.0, angle, descent)
@@ -92,14 +105,14 @@ def sinkage_under_load(
     Args:
         simulator: Wheel, terrain and rig.
         zeta: Scaling factor [-].
-        load: Vertical load [N]; the rig's weight m_z g where none is given.
+        load: Vertical load [N]; `resting_load` where none is given.
         angle: Wheel angle [rad].
         descent: As in `vertical_support`.
 
     Raises:
         RuntimeError: where the load sinks the wheel deeper than its plates cover.
     """
-    load = simulator.rig.mass_z * simulator.rig.gravity if load is None else as_real(load)
+    load = None if load is None else as_real(load)
     return _sinkage_under(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
 
 
@@ -109,18 +122,18 @@ def standing_sinkage(simulator: Simulator, zeta: float, load: float | None = Non
     Args:
         simulator: Wheel, terrain and rig.
         zeta: Scaling factor [-].
-        load: Vertical load [N]; the rig's weight m_z g where none is given.
+        load: Vertical load [N]; `resting_load` where none is given.
 
     Raises:
         InputError: where the load sinks the wheel deeper than its plates cover.
     """
-    load = float(simulator.rig.mass_z * simulator.rig.gravity) if load is None else load
     limit = float(simulator.wheel.cut().sinkage_limit)
     most = float(vertical_support(simulator, limit, zeta))
-    if not most > load:
+    borne = float(resting_load(simulator, limit)) if load is None else load
+    if not most > borne:
         raise InputError(
             f"sand with a zeta of {zeta:g} carries {most:.4g} N of this wheel at {1e3 * limit:.4g} "
-            f"mm, as deep as its plates reach; its load is {load:.4g} N, must be less"
+            f"mm, as deep as its plates reach; its load is {borne:.4g} N, must be less"
         )
     return float(sinkage_under_load(simulator, zeta, load))
 
@@ -130,12 +143,13 @@ def standing_sinkage(simulator: Simulator, zeta: float, load: float | None = Non
 def _sinkage_under(
     simulator: Simulator,
     zeta: Float[Array, ""],
-    load: Float[Array, ""],
+    load: Float[Array, ""] | None,
     angle: Float[Array, ""],
     descent: float,
 ) -> Float[Array, ""]:
     def missing(sinkage: Float[Array, ""], given) -> Float[Array, ""]:
         simulator, zeta, load, angle = given
+        load = resting_load(simulator, sinkage) if load is None else load
         return vertical_support(simulator, sinkage, zeta, angle, descent) / load - 1
 
     limit = simulator.wheel.cut().sinkage_limit

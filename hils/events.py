@@ -26,14 +26,16 @@ class Event(IntEnum):
     OVERRUN = 20  # arg: time over the deadline [s]
     TICKS_SKIPPED = 21  # arg: how many
     # Readings and commands.
-    READING_REFUSED = 30  # arg: the height read [m]
+    READING_REFUSED = 30  # arg: the height read [m], or the travel where that jumped
     READINGS_REFUSED_IN_A_ROW = 31  # arg: how many
     SENSOR_STUCK = 32  # arg: for how long [s]
     SENSOR_MOVES_AGAIN = 33
-    READINGS_STALE = 34  # arg: age of the newest [s]
+    READINGS_STALE = 34  # arg: age of the newest, or of the command that it answers [s]
     COMMAND_LIMITED = 35  # arg: the carriage speed that was asked for [m/s]
     DRIVE_OFF = 36  # arg: measured minus commanded omega [rad/s]
     DRIVE_FOLLOWS = 37
+    X_STUCK = 38  # arg: for how long, while the carriage was driven [s]
+    X_MOVES_AGAIN = 39
     # The rig and the wire.
     RIG_STATE = 40  # arg: the state
     RIG_FAULT = 41  # arg: the fault's number
@@ -60,7 +62,9 @@ class TickFlag(IntFlag):
     SKIPPED = 1 << 4  # ticks before this one were skipped
     LIMITED = 1 << 5  # a command was held back by a limit
     RAMPING = 1 << 6  # past the profile, ramping down to rest
+    OLD = 1 << 7  # the reading answers a command too old to tune by, so zeta was held
     DRIVE_OFF = 1 << 8  # the wheel does not turn as commanded
+    X_STUCK = 1 << 9  # x stands still though the carriage is driven
     NOT_FINITE = 1 << 31  # a number of this row was not finite; 0 stands for it
 
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from drftjax.errors import InputError
 
-# A wheel that turns slower than this need not show it in its height [rad/s].
-TURNING = 0.05
+# A wheel that turns slower than this need not show it in its height [rad/s], nor a carriage that is
+# driven slower than this in its travel [m/s].
+TURNING, DRIVEN = 0.05, 5e-3
 
 
 class Reading(NamedTuple):
@@ -23,7 +24,7 @@ class Reading(NamedTuple):
 
     Attributes:
         time: When it arrived, from the run's start [s].
-        x: Forward travel [m].
+        x: Forward travel [m]; NaN where the rig does not measure it.
         z: Height [m], minus the sinkage.
         omega: Angular velocity as measured [rad/s]; NaN where the rig does not measure it.
     """
@@ -41,10 +42,12 @@ class ReadingLimits(msgspec.Struct, frozen=True):
         highest: Height over touch-down [m].
         lowest: Height at the deepest sinkage that the wheel's plates cover [m].
         fastest: Vertical speed [m/s].
-        slack: Change that is allowed at any time [m].
+        slack: Change of the height that is allowed at any time [m].
+        fastest_x: Speed of the carriage [m/s].
+        slack_x: Change of the travel that is allowed at any time [m].
         in_a_row: Readings refused one after the other that end the run.
-        still: Time without any change, while the wheel turns, after which the sensor counts as
-            stuck [s].
+        still: Time without any change, while the wheel turns (of x: while the carriage is driven),
+            after which the sensor counts as stuck [s].
         drive_error: Difference of measured and commanded angular velocity that is no noise [rad/s].
         drive_time: Time over which that difference lasts before it is flagged [s].
     """
@@ -53,6 +56,8 @@ class ReadingLimits(msgspec.Struct, frozen=True):
     lowest: float = -0.065
     fastest: float = 0.1
     slack: float = 2e-3
+    fastest_x: float = 100.0
+    slack_x: float = 0.02
     in_a_row: int = 5
     still: float = 1.0
     drive_error: float = 0.05
@@ -65,6 +70,7 @@ class Verdict(enum.Enum):
     USED = "used"
     OUTSIDE = "outside of what the wheel can do"
     JUMP = "a jump"
+    JUMP_OF_X = "a jump of x"
 
 
 class Watch(NamedTuple):
@@ -78,6 +84,10 @@ class Watch(NamedTuple):
         apart_since: Since when the wheel does not turn as commanded [s]; NaN where it does.
         stuck: Whether the sensor counts as stuck.
         drive_off: Whether the drive counts as not following.
+        x: Of the last reading that was used [m]; NaN before the first.
+        x_seen: The last travel read, whatever became of it [m].
+        x_still_since: Since when it has not changed, or the carriage has not been driven [s].
+        x_stuck: Whether x counts as stuck: its sensor, or the carriage.
     """
 
     time: float
@@ -88,10 +98,14 @@ class Watch(NamedTuple):
     apart_since: float = math.nan
     stuck: bool = False
     drive_off: bool = False
+    x: float = math.nan
+    x_seen: float = math.nan
+    x_still_since: float = 0.0
+    x_stuck: bool = False
 
 
 def judge(
-    limits: ReadingLimits, watch: Watch, reading: Reading, omega: float
+    limits: ReadingLimits, watch: Watch, reading: Reading, omega: float, vx: float = 0.0
 ) -> tuple[Watch, Verdict]:
     """Whether a reading may be used, and what is remembered of it.
 
@@ -100,11 +114,14 @@ def judge(
         watch: What is remembered.
         reading: The reading, newer than any before.
         omega: Angular velocity commanded when it was made [rad/s].
+        vx: Speed that the carriage was driven at then [m/s]; zero where it is free.
     """
     verdict = _verdict(limits, watch, reading)
     time = reading.time
     changed = reading.z != watch.seen or abs(omega) < TURNING
     still_since = time if changed else watch.still_since
+    x_changed = reading.x != watch.x_seen or abs(vx) < DRIVEN
+    x_still_since = time if x_changed else watch.x_still_since
     apart = abs(reading.omega - omega) > limits.drive_error  # False where it is NaN
     apart_since = math.nan
     if apart:
@@ -118,6 +135,10 @@ def judge(
         apart_since,
         time - still_since > limits.still,
         apart and time - apart_since > limits.drive_time,
+        reading.x if verdict is Verdict.USED else watch.x,
+        reading.x,
+        x_still_since,
+        time - x_still_since > limits.still,
     )
     return after, verdict
 
@@ -128,6 +149,9 @@ def _verdict(limits: ReadingLimits, watch: Watch, reading: Reading) -> Verdict:
     since = max(reading.time - watch.time, 0.0)
     if not abs(reading.z - watch.z) <= limits.slack + limits.fastest * since:
         return Verdict.JUMP
+    # NaN, where x is not measured or was not read before, is no jump.
+    if abs(reading.x - watch.x) > limits.slack_x + limits.fastest_x * since:
+        return Verdict.JUMP_OF_X
     return Verdict.USED
 
 

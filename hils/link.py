@@ -252,10 +252,11 @@ class SoftLink(AbstractLink):
 
     def send(self, message: Message) -> int:
         self._require_line()
-        seq = self._outbox.put(message, self._clock.now())
+        frame = self._outbox.put(message, self._clock.now())
+        self._inbox.receiver.sent(frame)
         self._exchange(self._outbox.take())
         self._require_line()
-        return seq
+        return frame.seq
 
     def newest(self) -> Arrival | None:
         self._look()

@@ -14,6 +14,8 @@ from hils.zero import Zero
 SILENCE, SILENT_TICKS = 0.25, 5
 # A reading older than so many ticks, and than so long [s], is worth an event.
 STALE_TICKS, STALE_TIME = 5, 0.03
+# So many of the last commands' times are remembered.
+KEPT = 4096
 
 
 class Over(Exception):
@@ -38,6 +40,8 @@ class Listener:
     Attributes:
         reading_time: Of the newest reading [s], since the start.
         rig_us: The rig's own time then [us], which does not wrap; None before it said any.
+        old: Whether the last arrival answers a command so old that its reading counts as stale. A
+            line that holds all back alike is seen by nothing else.
     """
 
     def __init__(self, link: AbstractLink, log: EventLog, zero: Zero, ack: HelloAck, tick: float):
@@ -45,8 +49,10 @@ class Listener:
         self._tick, self._start = tick, 0.0
         self._seen: Arrival | None = None
         self._stale = False
+        self._commands: dict[int, float] = {}
         self.reading_time = 0.0
         self.rig_us: int | None = None
+        self.old = False
 
     def begin(self, start: float) -> None:
         """The run starts at this time [s]; what came before is no reading of it."""
@@ -54,6 +60,11 @@ class Listener:
         self._seen = self._link.newest()
         if self._seen is not None:
             self.rig_us = self._seen.frame.t_us
+
+    def sent(self, seq: int, now: float) -> None:
+        """A command went out at this time [s] under this number."""
+        self._commands[seq] = now
+        self._commands.pop((seq - KEPT) % 2**32, None)
 
     def hear(self, now: float) -> tuple[Arrival | None, Reading | None]:
         """The newest arrival, and its reading where it was not seen before.
@@ -67,15 +78,17 @@ class Listener:
         arrival = self._link.newest()
         seen, self._seen = self._seen, arrival
         silent = now - (self._start if arrival is None else max(arrival.time, self._start))
-        if silent > max(STALE_TICKS * self._tick, STALE_TIME):
+        stale = max(STALE_TICKS * self._tick, STALE_TIME)
+        behind = now - self._answered(arrival, now)
+        self.old = behind > stale
+        age = max(silent, behind)
+        if age > stale:
             self._look_for_reset()
             if not self._stale:
-                self._log.event(Event.READINGS_STALE, silent)
-            self._stale = True
+                self._log.event(Event.READINGS_STALE, age)
             if silent > longest_silence(self._tick):
                 raise Over(f"the rig has sent no measurement for {silent:.2f} s")
-        else:
-            self._stale = False
+        self._stale = age > stale
         if arrival is None:
             return None, None
         time = arrival.time - self._start
@@ -92,6 +105,11 @@ class Listener:
         # Two may arrive at one reading of a coarse clock; a run log's times increase.
         self.reading_time = max(time, math.nextafter(self.reading_time, math.inf))
         return arrival, self._zero.reading(measurement, self.reading_time)
+
+    def _answered(self, arrival: Arrival | None, now: float) -> float:
+        """When the command that a measurement answers was sent [s]; now where that is not known."""
+        message = None if arrival is None else arrival.frame.message
+        return self._commands.get(message.ack_seq, now) if isinstance(message, Measurement) else now
 
     def _heed(self, report: Arrival) -> None:
         message = report.frame.message

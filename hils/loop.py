@@ -25,9 +25,11 @@ from hils.zero import Zero, channels
 # after so much longer than the wheel takes [s].
 STANDING, LONGEST_REST = 2e-3, 2.0
 # As plain numbers: an enumeration's own arithmetic takes a microsecond each.
-FRESH, REFUSED, STUCK, LATE, SKIPPED, LIMITED, RAMPING, DRIVE_OFF = (
-    int(TickFlag[name])
-    for name in ["FRESH", "REFUSED", "STUCK", "LATE", "SKIPPED", "LIMITED", "RAMPING", "DRIVE_OFF"]
+FRESH, REFUSED, STUCK, LATE, SKIPPED = (
+    int(TickFlag[name]) for name in ["FRESH", "REFUSED", "STUCK", "LATE", "SKIPPED"]
+)
+LIMITED, RAMPING, OLD, DRIVE_OFF, X_STUCK = (
+    int(TickFlag[name]) for name in ["LIMITED", "RAMPING", "OLD", "DRIVE_OFF", "X_STUCK"]
 )
 
 
@@ -110,7 +112,7 @@ class TickLoop:
         self._wish: Wish | None = None
         self._ramping_since: int | None = None
         self._drops = 0
-        self._stuck = self._drive_off = False
+        self._stuck = self._drive_off = self._x_stuck = False
         self._start = 0.0
 
     def run(self, state: LoopState, start: float) -> LoopReport:
@@ -151,13 +153,15 @@ class TickLoop:
         arrival, reading = self._listener.hear(woken)
         ramping = self._ramps(number)
 
-        state, said = self._conduct.react(state, Given(reading, skipped, ramping))
+        given = Given(reading, skipped, ramping, reading is not None and self._listener.old)
+        state, said = self._conduct.react(state, given)
         if said.demand is None:
             self._log.event(Event.DIVERGED, said.after.z)
             asked = f"{said.asked.omega:.4g} rad/s and {said.asked.vx:.4g} m/s"
             raise Over(f"the simulation asks for {asked}, which the limits refuse")
         seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
         sent = clock.now()
+        self._listener.sent(seq, sent)
         over = sent - (start + (number + 1) * tick)
         if over > 0.0:
             self._overrun(over, 0)
@@ -216,7 +220,9 @@ class TickLoop:
                 | SKIPPED * (skipped > 0)
                 | LIMITED * said.limited
                 | RAMPING * ramping
-                | DRIVE_OFF * self._drive_off,
+                | OLD * (reading is not None and self._listener.old)
+                | DRIVE_OFF * self._drive_off
+                | X_STUCK * self._x_stuck,
                 seq,
                 0 if arrival is None else arrival.frame.seq,
                 (self._listener.rig_us or 0) * 1e-6,
@@ -236,7 +242,8 @@ class TickLoop:
         """Events and ends that follow from what the guard found."""
         if reading is not None and said.verdict is not Verdict.USED:
             self._refused += 1
-            self._log.event(Event.READING_REFUSED, reading.z)
+            by_x = said.verdict is Verdict.JUMP_OF_X
+            self._log.event(Event.READING_REFUSED, reading.x if by_x else reading.z)
             most = self._loop.readings.in_a_row
             if state.watch.refused >= most and self._wish is None:
                 why = "" if said.verdict is None else f", the last as {said.verdict.value}"
@@ -250,6 +257,10 @@ class TickLoop:
             self._drive_off = state.watch.drive_off
             apart = 0.0 if reading is None else reading.omega - state.demand.omega
             self._log.event(Event.DRIVE_OFF if self._drive_off else Event.DRIVE_FOLLOWS, apart)
+        if state.watch.x_stuck != self._x_stuck:
+            self._x_stuck = state.watch.x_stuck
+            still = state.watch.time - state.watch.x_still_since
+            self._log.event(Event.X_STUCK if self._x_stuck else Event.X_MOVES_AGAIN, still)
 
     # Ends ---------------------------------------------------------------------------------------
 

@@ -262,6 +262,12 @@ class _SeenDialogue(AbstractDialogue):
         else:
             self._dialogue.tell(text)
 
+    def mention(self, text: str) -> None:
+        if self._onlooker.on:
+            self._onlooker.told(text)
+        else:
+            self._dialogue.mention(text)
+
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._dialogue.confirm(text, meanwhile)
 

@@ -5,6 +5,7 @@ import math
 import os
 import select
 import sys
+import termios
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +27,10 @@ class AbstractDialogue(abc.ABC):
     @abc.abstractmethod
     def tell(self, text: str) -> None:
         """Say a sentence, if anybody listens."""
+
+    @abc.abstractmethod
+    def mention(self, text: str) -> None:
+        """Say a sentence that may be lost: the rig waits for commands, and nothing for a screen."""
 
     @abc.abstractmethod
     def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
@@ -58,11 +63,22 @@ def _say(text: str) -> None:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
+def _say_if_at_once(text: str) -> None:
+    """Print it where that need not wait: a terminal may be halted (Ctrl-S), a pipe be full."""
+    with suppress(OSError, ValueError):
+        if not select.select([], [sys.stdout], [], 0.0)[1]:
+            return
+    _say(text)
+
+
 class Terminal(AbstractDialogue):
     """A person at the terminal, who presses Enter."""
 
     def tell(self, text: str) -> None:
         _say(text)
+
+    def mention(self, text: str) -> None:
+        _say_if_at_once(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
         question = f"{text}, then press Enter (Ctrl-C to leave) "
@@ -70,6 +86,8 @@ class Terminal(AbstractDialogue):
             if not sys.stdin.isatty():
                 input(question)
                 return
+            # An Enter typed before the question was read answers nothing.
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
             print(question, end="", flush=True)
             while not select.select([sys.stdin], [], [], LOOK)[0]:
                 meanwhile()
@@ -99,6 +117,10 @@ class Unattended(AbstractDialogue):
     def tell(self, text: str) -> None:
         if not self._quiet:
             _say(text)
+
+    def mention(self, text: str) -> None:
+        if not self._quiet:
+            _say_if_at_once(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
         self.tell(f"{text}: taken as done")

@@ -38,16 +38,16 @@ class Outbox:
         self._session = session
         self._waiting.clear()
 
-    def put(self, message: Message, now: float) -> int:
-        """Add a message at this time [s]; its sequence number."""
+    def put(self, message: Message, now: float) -> Frame:
+        """Add a message at this time [s], as it will go out."""
         if isinstance(message, Drive):
             _require_finite(message)
-        seq = self._next
-        data = encode(Frame(message, self._session, seq, clock_us(now)))
-        self._next = (seq + 1) & U32
+        frame = Frame(message, self._session, self._next, clock_us(now))
+        data = encode(frame)
+        self._next = (frame.seq + 1) & U32
         self._yield_to(message)
         self._waiting.append(_Waiting(message, data))
-        return seq
+        return frame
 
     def take(self) -> bytes:
         """The next frame, or nothing."""

@@ -22,6 +22,8 @@ from hils.link import LinkLost
 
 # Two commands: more in the driver would be older than the newest by the time it is sent.
 BACKLOG = 64
+# URLs of pyserial's that open a device of this computer.
+OF_A_DEVICE = ("hwgrep://", "spy://", "alt://")
 # How often a full driver, or a port without a descriptor, is looked at again [s].
 GLANCE = 1e-3
 # Of a socket [bytes], for the same reason; the kernel counts its own bookkeeping with it.
@@ -156,7 +158,8 @@ class SerialPort(AbstractPort):
 
     def write(self, data: bytes) -> int:
         with _one_error(self._name):
-            self._full = self._queued() >= BACKLOG
+            queued = self._queued()
+            self._full = queued > 0 and queued + len(data) > BACKLOG
             if self._full:
                 return 0
             try:
@@ -299,7 +302,7 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
 
     # A write must have a deadline; without waiting at all, pyserial loses what does not fit.
     options: dict[str, Any] = {"timeout": 0.0, "write_timeout": WRITE_TIMEOUT}
-    if "://" not in name or name.lower().startswith("hwgrep://"):
+    if "://" not in name or name.lower().startswith(OF_A_DEVICE):
         options["exclusive"] = exclusive
     try:
         device = serial.serial_for_url(name, baudrate=baud, **options)

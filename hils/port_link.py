@@ -71,9 +71,10 @@ class PortLink(AbstractLink):
     def send(self, message: Message) -> int:
         with self._changed:
             self._require_line()
-            seq = self._outbox.put(message, self._clock.now())
+            frame = self._outbox.put(message, self._clock.now())
+            self._inbox.receiver.sent(frame)
         self._port.wake()
-        return seq
+        return frame.seq
 
     def newest(self) -> Arrival | None:
         with self._changed:

@@ -1,6 +1,6 @@
 """The receiving end of the wire: bytes in, frames that count out, the rest counted by cause."""
 
-from collections import Counter
+from collections import Counter, deque
 
 from hils.wire import (
     DELIMITER,
@@ -13,6 +13,9 @@ from hils.wire import (
     decode,
     newer,
 )
+
+# So many of its own emergency stops an end knows when they come back.
+OWN = 16
 
 
 class Splitter:
@@ -54,6 +57,7 @@ class Receiver:
         self._splitter = Splitter()
         self._session: int | None = None
         self._last: int | None = None
+        self._own: deque[Frame] = deque(maxlen=OWN)
         self._drops: Counter[Drop] = Counter()
         self.counted = 0
         self.stranger: HelloAck | StateReport | None = None
@@ -63,6 +67,11 @@ class Receiver:
         """From here on only frames of this session count, starting at any sequence number."""
         self._session, self._last = session, None
         self.stranger, self.halted = None, None
+
+    def sent(self, frame: Frame) -> None:
+        """This end has sent a frame: an emergency stop that a line echoes is not the other's."""
+        if isinstance(frame.message, EmergencyStop):
+            self._own.append(frame)
 
     def feed(self, data: bytes) -> list[Frame]:
         """The frames that count among what these bytes complete."""
@@ -76,6 +85,9 @@ class Receiver:
 
     def _judged(self, packet: bytes) -> Frame | None:
         found = decode(packet)
+        if found in self._own:
+            self._drops[Drop.DIRECTION] += 1
+            return None
         if isinstance(found, Drop):
             cause = found
         elif type(found.message) not in self._accepts:

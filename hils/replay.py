@@ -212,7 +212,8 @@ def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:
                 raise InputError(f"/measured has no row for the reading of {time:g} s")
             # The rig's own omega is not recorded; it decides nothing but a flag.
             reading = Reading(*row, omega=math.nan)
-        yield number, Given(reading, ramping=bool(flags & TickFlag.RAMPING))
+        ramping, old = bool(flags & TickFlag.RAMPING), bool(flags & TickFlag.OLD)
+        yield number, Given(reading, ramping=ramping, old=old)
 
 
 def _differences(

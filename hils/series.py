@@ -106,6 +106,8 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
                 if not (report.completed and report.rested):
                     return ENDED_EARLY
                 stop.uncut = False
+                if stop.wish is not None:  # it came just before it would have been raised
+                    return _code(stop.wish)
         except KeyboardInterrupt:
             if stop.wish is None or _code(stop.wish) == INTERRUPTED:
                 raise

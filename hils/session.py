@@ -332,7 +332,10 @@ def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
     asked = f"no rig on {name} answers HELLO ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
     got = after.bytes_received - before.bytes_received
     if got == 0:
-        return f"{asked}, not a byte came back: is the rig on, and is this its port?"
+        return (
+            f"{asked}, not a byte came back: is the rig on, and is this its port? One that counts "
+            "on over sessions drops a host whose clock was set back: switch it off and on"
+        )
     new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
     causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
     told = f" ({causes})" if causes else ""

@@ -54,7 +54,9 @@ def within_limits(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
             f"driven at {both.vx:.4g} m/s at most (the rig allows {ack.vx_max:.4g} m/s)"
         )
     deepest = -float(loop.setup.trial().simulator.wheel.cut().sinkage_limit)
-    readings = msgspec.structs.replace(loop.readings, lowest=deepest)
+    # A free carriage rolls as fast as its wheel; nothing is twice as fast as both may be.
+    fastest = 2 * max(both.vx, loop.setup.wheel.radius * both.omega)
+    readings = msgspec.structs.replace(loop.readings, lowest=deepest, fastest_x=fastest)
     return msgspec.structs.replace(loop, commands=both, readings=readings)
 
 

@@ -8,6 +8,7 @@ log, so a replay calls this very function and gets the same zeta, bit for bit:
 | reading | the next row of /measured, on each tick with the flag FRESH |
 | skipped | ticks between this row of /online and the one before |
 | ramping | the flag RAMPING |
+| old | the flag OLD |
 """
 
 import abc
@@ -46,11 +47,13 @@ class Given(NamedTuple):
         reading: A measurement not seen before, or None.
         skipped: Ticks that passed unused before this one.
         ramping: Whether the wheel is being brought to rest, past the profile.
+        old: Whether the reading answers a command too old for zeta to follow it.
     """
 
     reading: Reading | None
     skipped: int = 0
     ramping: bool = False
+    old: bool = False
 
 
 class Reaction(NamedTuple):
@@ -206,7 +209,7 @@ def react(physics: LoopPhysics, state: LoopState, given: Given) -> tuple[LoopSta
         packed = step(packed, NO_READING, held)
 
     watch, verdict = _judged(loop, state, given)
-    due = number - state.tuned >= loop.tuning_ticks and not given.ramping
+    due = number - state.tuned >= loop.tuning_ticks and not (given.ramping or given.old)
     sinkage, tuned = NO_READING, state.tuned
     if given.reading is not None and verdict is Verdict.USED and due:
         sinkage, tuned = -given.reading.z, number
@@ -236,7 +239,7 @@ def _at_rest(packed: Packed, start: Start, loop: LoopSetUp) -> LoopState:
 def _judged(loop: LoopSetUp, state: LoopState, given: Given) -> tuple[Watch, Verdict | None]:
     if given.reading is None:
         return state.watch, None
-    return judge(loop.readings, state.watch, given.reading, state.demand.omega)
+    return judge(loop.readings, state.watch, given.reading, *state.demand)
 
 
 def _omega(

@@ -1,5 +1,6 @@
 """Where the height and the way count from: the wheel held where it touches the sand."""
 
+import math
 from typing import NamedTuple
 
 from hils.guard import Reading
@@ -23,7 +24,7 @@ class Zero(NamedTuple):
         """The measurement in metres, arrived at this time of the run [s]."""
         return Reading(
             time,
-            (measurement.x - self.x) * self.x_scale,
+            (measurement.x - self.x) * self.x_scale if self.x_scale else math.nan,
             (measurement.z - self.z) * self.z_scale,
             measurement.omega,
         )

@@ -20,6 +20,8 @@ SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
 
 # Words of /online's flags: a tick had a reading of its own, and the loop refused it.
 FRESH, REFUSED = "fresh", "refused"
+# Word of /events for the same, with the value read; told within so long of the reading [s].
+READING_REFUSED, NEAR = "reading_refused", 0.2
 
 # Two clocks that write the same time may differ by this [s].
 ROUNDING = 1e-9
@@ -104,12 +106,29 @@ def refused_readings(run: RunLog) -> NDArray[np.bool_]:
     """
     none = np.zeros(len(run.measured.time), bool)
     if run.online is None:
-        return none
+        return none | _told_by_events(run)
     bits = {word: bit for bit, word in run.online.meanings.items()}
     if not {FRESH, REFUSED} <= set(bits):
         return none
     fresh, refused = ((run.online.flags & bits[word]) != 0 for word in (FRESH, REFUSED))
     return refused[fresh] if fresh.sum() == len(none) else none
+
+
+def _told_by_events(run: RunLog) -> NDArray[np.bool_]:
+    """The same of a run whose carriage was free, which has no flags: by the readings told."""
+    found = np.zeros(len(run.measured.time), bool)
+    if run.events is None:
+        return found
+    codes = [code for code, word in run.events.meanings.items() if word == READING_REFUSED]
+    told = np.isin(run.events.code, codes)
+    channels = [each for each in (run.measured.z, run.measured.x) if each is not None]
+    for time, value in zip(run.events.event_time[told], run.events.arg[told], strict=True):
+        same = np.any([each == value for each in channels], axis=0)
+        near = same & (np.abs(run.measured.time - time) <= NEAR)
+        if near.any():
+            away = np.where(near, np.abs(run.measured.time - time), np.inf)
+            found[int(np.argmin(away))] = True
+    return found
 
 
 def without_refused(run: RunLog) -> RunLog:

@@ -91,7 +91,9 @@ RIG_FAULTS: dict[str, tuple[What, float]] = {
     "drive saturated": (Saturated(0.1), SHORT),
     "stuck scale": (Stuck("z"), SHORT),
     "stuck scale for good": (Stuck("z"), FOR_GOOD),
+    "stuck scale of x for good": (Stuck("x"), FOR_GOOD),
     "absurd readings": (Absurd("z"), SHORT),
+    "absurd readings of x": (Absurd("x"), SHORT),
     "absurd readings, 1 in 4": (Absurd("z", rate=0.25), SHORT),
 }
 
@@ -108,6 +110,7 @@ ENDS = {
 }
 FLAGS = {
     "stuck": Event.SENSOR_STUCK,
+    "stuck x": Event.X_STUCK,
     "readings": Event.READING_REFUSED,
     "drive": Event.DRIVE_OFF,
     "stale": Event.READINGS_STALE,

@@ -99,6 +99,35 @@ def test_drive_that_lags_is_flagged_after_a_while_and_cleared():
     assert not follow([*slow, reading(0.81, -0.0184, 0.5)])[0].drive_off
 
 
+def travelling(readings: list[float], vx: float, limits: ReadingLimits) -> tuple[Watch, Verdict]:
+    """What is remembered after these readings of x, a tick apart, and the last one's verdict."""
+    watch, verdict = START, Verdict.USED
+    for number, x in enumerate(readings, start=1):
+        z = START.z - 1e-5 * number
+        watch, verdict = judge(limits, watch, Reading(TICK * number, x, z, 0.5), 0.5, vx)
+    return watch, verdict
+
+
+def test_a_jump_of_x_is_refused_and_one_that_is_not_measured_is_none():
+    limits = ReadingLimits(fastest_x=0.6)
+    far = limits.slack_x + limits.fastest_x * TICK
+    assert travelling([5.0], 0.1, limits)[1] is Verdict.USED  # the first tells where it starts
+    assert travelling([5.0, 5.0 + far - 1e-6], 0.1, limits)[1] is Verdict.USED
+    watch, verdict = travelling([5.0, 5.0 - far - 1e-6], 0.1, limits)
+    assert verdict is Verdict.JUMP_OF_X
+    assert (watch.x, watch.refused) == (5.0, 1)
+    assert travelling([math.nan] * 3, 0.1, limits)[1] is Verdict.USED
+
+
+def test_x_is_stuck_only_while_the_carriage_is_driven():
+    still = [0.3] * 120
+    assert travelling(still, 0.05, LIMITS)[0].x_stuck
+    assert not travelling(still[:90], 0.05, LIMITS)[0].x_stuck
+    assert not travelling(still, 0.0, LIMITS)[0].x_stuck
+    assert not travelling([*still, 0.3001], 0.05, LIMITS)[0].x_stuck
+    assert not travelling([math.nan] * 120, 0.05, LIMITS)[0].x_stuck
+
+
 # Commands ----------------------------------------------------------------------------------------
 
 

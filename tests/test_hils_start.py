@@ -38,6 +38,8 @@ def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over
         def tell(self, text):
             told.append(text)
 
+        mention = tell
+
     given = Procedure(loop=loop_setup(), countdown=0.3, free=True)
     link = LoggedLink(InTheAir(over=over), clock)
     report = run(given, link, clock, rows, Listener(quiet=True), StopRequest())

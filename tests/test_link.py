@@ -74,9 +74,9 @@ def test_an_emergency_stop_overtakes_all_that_waits(outbox):
 def test_sequence_numbers_count_on_over_sessions_and_wrap():
     outbox = Outbox(first=2**32 - 1)
     outbox.begin(1)
-    assert outbox.put(Arm(), 0.0) == 2**32 - 1
+    assert outbox.put(Arm(), 0.0).seq == 2**32 - 1
     outbox.begin(2)
-    assert outbox.put(Arm(), 0.0) == 0
+    assert outbox.put(Arm(), 0.0).seq == 0
     assert len(outbox) == 1
 
 

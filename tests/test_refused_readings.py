@@ -59,9 +59,14 @@ def test_all_readings_stay_where_a_log_does_not_tell_which(log):
     for each in (
         dataclasses.replace(log, measured=cut),
         dataclasses.replace(log, online=online),
-        dataclasses.replace(log, online=None),
+        dataclasses.replace(log, online=None, events=None),
     ):
         assert without_refused(each) is each
+
+
+def test_a_free_run_tells_them_by_its_events(log):
+    free = dataclasses.replace(log, online=None)
+    np.testing.assert_array_equal(refused_readings(free), refused_readings(log))
 
 
 def test_a_run_of_refused_readings_alone_cannot_be_used(log):

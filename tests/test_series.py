@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
 from contextlib import suppress
 from typing import ClassVar
@@ -327,6 +328,33 @@ def test_a_question_at_a_terminal_waits_for_enter_and_looks_about_meanwhile(keyb
     assert len(looks) >= 3
 
 
+def test_an_enter_typed_before_the_question_answers_nothing(keyboard):
+    """What compiles first, or a run before, may keep a person waiting: who then types confirms."""
+    looks = []
+
+    def look():
+        looks.append(1)
+        if len(looks) == 3:
+            os.write(keyboard, b"\n")
+
+    os.write(keyboard, b"\n\n")
+    Terminal().confirm("Let the wheel down", look)
+    assert len(looks) >= 3
+
+
+def test_what_may_be_lost_does_not_wait_for_a_halted_terminal(monkeypatch):
+    master, slave = os.openpty()
+    with os.fdopen(slave, "w") as terminal:
+        monkeypatch.setattr("sys.stdout", terminal)
+        termios.tcflow(terminal, termios.TCOOFF)  # as Ctrl-S does
+        Terminal().mention("Armed.")
+        termios.tcflow(terminal, termios.TCOON)
+        Terminal().mention("Start in 3 s")
+        monkeypatch.undo()
+    assert os.read(master, 100) == b"Start in 3 s\r\n"
+    os.close(master)
+
+
 def test_what_is_met_meanwhile_ends_the_question(keyboard, capsys):
     def look():
         raise InputError("the rig made an emergency stop")
@@ -347,9 +375,8 @@ def test_an_interrupted_question_leaves_its_line_closed(keyboard, monkeypatch, c
 
 
 def test_a_terminal_that_is_closed_answers_nothing(keyboard):
-    os.write(keyboard, b"\x04")
     with pytest.raises(InputError, match="nobody is at the terminal"):
-        Terminal().confirm("Let the wheel down")
+        Terminal().confirm("Let the wheel down", lambda: os.write(keyboard, b"\x04"))
 
 
 def test_a_question_that_nobody_answers_leaves_its_line_closed(monkeypatch, capsys):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from drftjax.effects.rig import Drawbar, VerticalCoulomb, VerticalLoad, VerticalSpring
 from drftjax.errors import InputError
 from drftjax.simulator import Simulator
 from drftjax.statics import (
@@ -185,3 +186,23 @@ def test_another_load_or_zeta_compiles_nothing(compiled):
     compiled.clear()
     assert float(sinkage_under_load(Simulator(), 0.8, 180.0, descent=0.012)) != first
     assert not compiled
+
+
+@pytest.mark.parametrize(
+    ("effect", "pressed"),
+    [
+        (VerticalLoad(force=30.0), 30.0),
+        (VerticalLoad(force=-30.0), -30.0),
+        # It counts from where the wheel stands.
+        (VerticalSpring(stiffness=800.0), 0.0),
+        (Drawbar(force=30.0), 0.0),
+        (VerticalCoulomb(force=30.0), 0.0),
+    ],
+)
+def test_what_presses_the_wheel_at_rest_is_borne(effect, pressed):
+    simulator = Simulator(effects=(effect,))
+    weight = float(simulator.rig.mass_z * simulator.rig.gravity)
+    zeta = float(zeta_from_sinkage(simulator, SINKAGE))
+    plain = float(zeta_from_sinkage(Simulator(), SINKAGE))
+    assert zeta / plain == pytest.approx(1 + pressed / weight, abs=2 * MOMENTUM / LOAD)
+    assert float(sinkage_under_load(simulator, zeta)) == pytest.approx(SINKAGE, rel=ROUND_TRIP)

@@ -48,6 +48,9 @@ class Told(AbstractDialogue):
     def tell(self, text: str) -> None:
         self.lines.append(text)
 
+    def mention(self, text: str) -> None:
+        self.lines.append(text)
+
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self.lines.append(text)
 

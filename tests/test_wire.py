@@ -185,6 +185,19 @@ def test_an_echo_of_the_host_itself_does_not_count(message):
     assert len(receiver.feed(sent(STATE, seq=1))) == 1
 
 
+def test_an_echo_of_its_own_emergency_stop_is_no_answer():
+    """And does not set the count to the host's numbers, or all that the rig says would be old."""
+    receiver = host()
+    own = Frame(EmergencyStop(3), SESSION, 9_000_000, 5)
+    receiver.sent(own)
+    assert receiver.feed(encode(own)) == []
+    assert receiver.drops == {Drop.DIRECTION: 1}
+    assert receiver.halted is None
+    assert len(receiver.feed(sent(STATE, seq=1))) == 1
+    # The rig's own answer, which may say the same, counts.
+    assert len(receiver.feed(sent(EmergencyStop(3), seq=2))) == 1
+
+
 def test_no_frame_counts_before_a_session_is_expected():
     receiver = Receiver(FROM_RIG)
     assert receiver.feed(sent(STATE, session=0)) == []

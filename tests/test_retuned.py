@@ -1,0 +1,116 @@
+"""A run made in the loop, replayed in that loop with effects: how much less the tuner moves."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import diagnose
+from diagnose.evaluate_command import app
+from drftjax.effects.terrain import Loosening
+from drftjax.errors import InputError
+from drftjax.runlog.hdf5 import read_run
+from drftjax.runlog.record import RunLog
+from drftjax.setup import CommandSetUp, SetUp
+from drftjax.setup_toml import setup_toml
+from hils.guard import CommandLimits
+from hils.loop_setup import LoopSetUp, TunerSetUp
+from hils.operator_dialogue import Unattended
+from hils.procedure import Procedure, run
+from hils.recorder import Recorder
+from hils.replay import replay, retuned
+from hils.simulated import QUICK, soft_rig
+from hils.stop_request import StopRequest
+from hils.virtual_setup import VirtualSetUp
+
+LOOSENING = {"name": "loosening", "loss": 0.4, "decay": 0.5}
+PROFILE = ([0.0, 0.3, 0.8, 4.5, 5.0], [0.0, 0.0, 0.6, 0.6, 0.0])
+# With the effect that the rig has, noise and plates alone move the tuner: it goes to and fro by
+# its step, where it followed a loss of four tenths of zeta before.
+RANGE, MOVED = 0.2, 0.5
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    """A run in the loop, on a virtual rig whose sand loosens."""
+    time, omega = PROFILE
+    # Not the numbers that `drft evaluate --tuner` has by default.
+    tuner = TunerSetUp("step", {"zeta_step": 0.002, "tolerance": 1.5e-4})
+    loop = LoopSetUp(
+        setup=SetUp(command=CommandSetUp(time=time, omega=omega)),
+        commands=CommandLimits(2.0, 0.3),
+        tuner=tuner,
+        tick=0.02,
+    )
+    _, link, clock = soft_rig(VirtualSetUp(effects=[LOOSENING], physics=QUICK), seed=2)
+    path = tmp_path_factory.mktemp("retuned") / "hils.h5"
+    procedure, dialogue = Procedure(loop=loop, free=False), Unattended(quiet=True)
+    run(procedure, link, clock, Recorder(path), dialogue, StopRequest())
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(path) -> RunLog:
+    return read_run(path)
+
+
+def test_without_effects_it_is_the_replay(log):
+    told = retuned(log, [])
+    assert told.zeta.tobytes() == log.online.zeta.tobytes() == replay(log).zeta.tobytes()
+    # Where it starts matters to effects alone.
+    np.testing.assert_allclose(retuned(log, [], x=0.4).zeta, told.zeta, rtol=0, atol=1e-12)
+
+
+def test_with_its_own_effect_the_tuner_has_less_to_do(log):
+    plain, known = retuned(log, []), retuned(log, [LOOSENING])
+    assert np.ptp(known.zeta) < RANGE * np.ptp(plain.zeta)
+    # A wheel at rest has loosened nothing.
+    assert known.zeta[0] == pytest.approx(plain.zeta[0], rel=1e-9)
+    assert np.nanmax(np.abs(known.error)) < 1e-3
+
+
+def test_zeta_at_the_start_is_what_the_sinkage_at_rest_tells(log):
+    firmer = retuned(log, [{"name": "cohesion", "depth": 0.002}])
+    # A stress that is there from the start bears part of the weight.
+    assert 0.7 < firmer.zeta[0] / log.online.zeta[0] < 0.95
+
+
+def test_a_start_that_no_sand_holds_is_refused(log):
+    with pytest.raises(InputError, match=r"no zeta lets the wheel rest .* mm deep"):
+        retuned(log, [{"name": "vertical_load", "force": -500.0}])
+
+
+def test_an_evaluation_replays_a_run_in_the_loop_that_it_was_made_in(path, log):
+    with jax.enable_x64(False):
+        found = diagnose.evaluate(path, [Loosening(loss=0.4, decay=0.5)])
+        ((before, after),) = found.tuned()
+    assert before.in_its_loop
+    moving = np.isin(log.online.time, before.time)
+    assert before.zeta.tobytes() == log.online.zeta[moving].tobytes()
+    assert after.moved < MOVED * before.moved
+
+
+def test_a_run_whose_record_of_the_loop_is_lost_is_replayed_by_the_numbers_given(log):
+    online = replace(log.online, loop=None)
+    bare = replace(log, online=online)
+    with jax.enable_x64(False):
+        ((before, _),) = diagnose.evaluate(bare, []).tuned(tick=0.02, zeta_step=0.002)
+    assert not before.in_its_loop
+
+
+def test_the_command_says_which_runs_were_replayed_so(path, log, tmp_path):
+    model = tmp_path / "model.toml"
+    setup = SetUp(command=CommandSetUp(*PROFILE), effects=[LOOSENING])
+    model.write_text(setup_toml(setup, [], {}))
+    told = tmp_path / "told.json"
+    arguments = [str(path), "--model", str(model), "--tuner", "--json", str(told)]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "110"})
+    assert result.exit_code == 0, result.output
+    assert "By --tuner, hils replayed in the loop that it was made in." in result.output
+    (only,) = json.loads(told.read_text())["tuner"]["runs"]
+    assert only["in_its_loop"]
+    assert only["after"]["moved"] < MOVED * only["before"]["moved"]
