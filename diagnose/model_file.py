@@ -86,6 +86,9 @@ def _head(found: Diagnosis) -> list[str]:
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect shrinks the gap of these runs: this is the reference model.")
+    if own := found.case.candidates[0].setup.effects:
+        names = ", ".join(str(each["name"]) for each in own)
+        lines.append(f"The set-up that was given had effects, which are not in this file: {names}.")
     lines += [
         "Wheel, rig, start and command are those of the first run; the effects go with any:",
         "  drft simulate model.toml -o run.h5",

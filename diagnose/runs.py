@@ -182,7 +182,7 @@ def kind_of(setup: SetUp) -> str:
         words += f"{wheel.grouser_count} grousers of {tip}"
         words += "" if wheel.grouser_fraction == 1 else f" (fraction {wheel.grouser_fraction:g})"
     elif wheel.shape == "outline":
-        corners = np.round(1e3 * np.asarray(wheel.points), PLACES)
+        corners = np.round(1e3 * np.asarray(wheel.points), PLACES) + 0.0  # no minus zero
         words += f"an outline of {len(corners)} corners ({crc32(corners.tobytes()):08x})"
     else:
         words += "no grousers"

@@ -15,7 +15,7 @@ import diagnose
 from diagnose import interface
 from diagnose.mean_sinkage import MET
 from diagnose.report import run_rows
-from drftjax.effects.sensor import TravelGain
+from drftjax.effects.sensor import SinkageDrift, TravelGain
 from drftjax.effects.stage import About, MemorylessSurface, strength
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.errors import InputError, RunError
@@ -34,6 +34,9 @@ TOLD = 0.005
 TUNED = 0.3e-3
 # Programs compiled apart sum in another order, which a search's steps carry on.
 ROUNDING = 1e-6
+# A scale that drifts so fast reads 0.2 m by the end of a run of five seconds, more than the 150 mm
+# that plates reach to, and less by the end of one of four [m/s].
+DRIFT = 0.06
 # The table has four places.
 ROUNDED = 5.1e-5
 
@@ -264,6 +267,16 @@ def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope, why):
     name = next(iter(runs))
     with pytest.raises(InputError, match=why):
         diagnose.evaluate({name: runs[name]}, [SurfaceSlope(slope=slope)])
+
+
+def test_a_run_that_the_model_throws_away_is_left_out_and_the_others_are_told(runs):
+    *longer, shortest = runs
+    found = diagnose.evaluate(runs, [SinkageDrift(rate=DRIFT)])
+    assert [each.name for each in found.case.candidates] == [shortest]
+    assert len(found.before) == len(found.after) == 1
+    said = [note for note in found.notes if note.startswith("Left out: ")]
+    for name, why in zip(longer, said, strict=True):
+        assert f"{name}: by the model with the effects its z reaches" in why
 
 
 def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):

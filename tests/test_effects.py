@@ -40,6 +40,7 @@ from drftjax.effects.stage import (
     Moment,
 )
 from drftjax.rollout import simulate
+from drftjax.runlog.hdf5 import read_run
 from drftjax.simulator import State
 from drftjax.statics import sinkage_under_load
 from drftjax.stress import plate_motion
@@ -288,6 +289,25 @@ def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drive
         # the way. (While a wheel slows down, steps as long as these lose the derivative.)
         assert np.abs(channels[2][driving]).max() < 0.15, name
         assert np.abs(channels[3][driving]).max() < 0.3 * np.abs(x).max(), name
+
+
+@pytest.mark.parametrize("name", ["paper", "fast_90deg", "fast_300deg"])
+def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(
+    name, shared, over_a_profile
+):
+    command = read_run(shared / "reference" / f"{name}.h5").command
+    dt = float(command.time[-1]) / PROFILE_STEPS
+    omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), command.time, command.omega)
+    table = jnp.asarray(np.stack([NULL_VECTOR] * len(KNOWN)))
+    along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in KNOWN]
+    z, x, by_z, by_x = over_a_profile(
+        table, jnp.asarray(np.stack(along)), jnp.asarray(dt), jnp.asarray(omega)
+    )
+    np.testing.assert_array_equal(z, np.broadcast_to(z[0], z.shape))
+    np.testing.assert_array_equal(x, np.broadcast_to(x[0], x.shape))
+    for effect, *channels in zip(KNOWN, by_z, by_x, strict=True):
+        assert all(np.isfinite(each).all() for each in channels), effect
+        assert max(np.abs(each).max() for each in channels) > FELT, effect
 
 
 def test_loads_factors_and_surfaces_act_in_any_order():

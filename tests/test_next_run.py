@@ -116,3 +116,22 @@ def test_runs_without_travel_are_advised_too(channels):
     asked = [each for each in (told["run"], told["channel"]) if each is not None]
     assert told["tells"] == ["none", *second.names]
     assert {each["channel"] for each in asked} <= compared
+
+
+def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
+    names = ("drawbar", "horizontal_coulomb", "bulldozing")
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, names)]).singles}
+    first, second, third = (singles[(name,)] for name in names)
+    both = next_run(pulled, first, [second, third], FLOORS)
+    each = [next_run(pulled, first, [rival], FLOORS)["run"]["floors"] for rival in (second, third)]
+    assert both["tells"] == [*names]
+    # What parts two rivals parts each of them, and no better than the run that is best for it.
+    assert TELLING < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
+
+
+def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled):
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    first, second = (singles[(name,)] for name in NAMES)
+    # Nothing parts an explanation from itself.
+    told = next_run(pulled, first, [second, first], FLOORS)
+    assert told == next_run(pulled, first, [second], FLOORS)

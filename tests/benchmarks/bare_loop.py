@@ -17,7 +17,7 @@ MARGIN = 0.01  # before the first deadline [s]
 
 
 def spin(tick: float, seconds: float, work: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Deadlines missed, and each tick's lateness and work [s].
+    """Deadlines missed, those of ticks that are skipped too, and each tick's lateness and work [s].
 
     Args:
         tick: Period [s].
@@ -37,8 +37,9 @@ def spin(tick: float, seconds: float, work: float) -> tuple[int, np.ndarray, np.
         late[number], busy[number] = woken - deadline, done - woken
         deadline += tick
         if done > deadline:
-            missed += 1
-            deadline += tick * ((done - deadline) // tick + 1)
+            passed = int((done - deadline) // tick) + 1
+            missed += passed
+            deadline += tick * passed
     return missed, late, busy
 
 
