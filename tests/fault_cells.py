@@ -58,11 +58,15 @@ PHASES = {
     "connect": ("power", 0.0),
     "zero": ("hello", 0.1),
     "settle": ("arm", 2.0),
+    "countdown": ("arm", 2.25),
     "accelerate": ("motion", 0.15),
     "steady": ("motion", 0.6),
     "decelerate": ("motion", 1.1),
     "ramp-down": ("motion", 1.52),
+    "stop": ("stop", 0.0),
 }
+# The countdown is no longer than it must be where it is not struck [s].
+COUNTDOWN, STRUCK_COUNTDOWN = 0.1, 0.6
 SHORT, FOR_GOOD = 0.3, math.inf
 
 WIRE_FAULTS: dict[str, tuple[What, float]] = {
@@ -127,6 +131,8 @@ class Cell(NamedTuple):
 
     @property
     def events(self) -> set[int]:
+        if self.report is None or self.report.loop is None:  # it ended before its first tick
+            return set()
         log = self.rows.run()
         return set() if log.events is None else set(log.events.code.tolist())
 
@@ -149,7 +155,8 @@ def loop() -> LoopSetUp:
 
 def cell(what: What | None, phase: str = "connect", duration: float = SHORT) -> Cell:
     """A run with one fault, or none, in one phase."""
-    return struck(() if what is None else (Fault(what, Window(*PHASES[phase], duration)),))
+    faults = () if what is None else (Fault(what, Window(*PHASES[phase], duration)),)
+    return struck(faults, STRUCK_COUNTDOWN if phase == "countdown" else COUNTDOWN)
 
 
 @cache
@@ -158,12 +165,12 @@ def answer_at_once() -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def struck(faults: tuple[Fault, ...]) -> Cell:
+def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
     answer_at_once()
     rig = VirtualSetUp(physics=PhysicsSetUp(step=2.5e-3, plate_size=0.01))
     soft, rows = soft_rig(rig, FaultScript(faults, seed=1), grain=2e-3), KeptRows()
     report, refusal = None, ""
-    procedure = Procedure(loop=loop(), countdown=0.1)
+    procedure = Procedure(loop=loop(), countdown=countdown)
     try:
         report = run(procedure, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
     except InputError as error:

@@ -11,6 +11,7 @@ from tests.fault_cells import (
     PHASES,
     RIG_FAULTS,
     SHORT,
+    STRUCK_COUNTDOWN,
     cell,
     require_outcome,
     require_row,
@@ -18,6 +19,9 @@ from tests.fault_cells import (
     struck,
     table,
 )
+
+# The profile stands for so long before the wheel turns [s].
+STOOD = 0.1
 
 
 def test_table_holds_every_fault_and_phase():
@@ -58,6 +62,10 @@ def test_every_fault_strikes_within_its_phase():
     offsets = [PHASES[each][1] for each in ("accelerate", "steady", "decelerate", "ramp-down")]
     assert all(0.5 * n <= offset < 0.5 * (n + 1) for n, offset in enumerate(offsets))
     assert start["motion"] + PHASES["ramp-down"][1] < start["stop"]
+    longer = cell(None, "countdown").soft.rig.occasions
+    struck_from, began = longer["arm"] + PHASES["countdown"][1], longer["motion"] - STOOD
+    assert began - STRUCK_COUNTDOWN <= struck_from
+    assert struck_from + SHORT <= began
 
 
 @pytest.mark.parametrize("name", RIG_FAULTS)
