@@ -1,5 +1,6 @@
 """`drft evaluate`: a diagnosis's model against runs that it was not found on."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -128,7 +129,9 @@ def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Tab
             escape(each.name),
             f"{before.moved:.3f} → {after.moved:.3f}",
             f"{before.range:.3f} → {after.range:.3f}",
-            f"{1e3 * before.sinkage:.3f} → {1e3 * after.sinkage:.3f}",
+            "-"
+            if math.isnan(before.sinkage)
+            else f"{1e3 * before.sinkage:.3f} → {1e3 * after.sinkage:.3f}",
         )
     table.add_section()
     first, last = (sum(pair[which].moved for pair in moved) for which in (0, 1))
@@ -140,10 +143,15 @@ def _replayed(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> list[s
     """Which runs were replayed in their own loop."""
     pairs = zip(found.case.candidates, moved, strict=False)
     names = [each.name for each, (before, _) in pairs if before.in_its_loop]
+    never = [
+        f"{each.name}: no reading could be tuned by while the wheel moved, so zeta was held."
+        for each, (before, _) in zip(found.case.candidates, moved, strict=False)
+        if math.isnan(before.sinkage)
+    ]
     if not names:
-        return []
+        return never
     loop = "in the loop that it was" if len(names) == 1 else "each in the loop that it was"
-    return [f"By --tuner, {', '.join(names)} replayed {loop} made in."]
+    return [f"By --tuner, {', '.join(names)} replayed {loop} made in.", *never]
 
 
 def _less(before: float, after: float) -> str:

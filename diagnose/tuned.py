@@ -39,7 +39,7 @@ class Moves:
     Attributes:
         moved: Sum of |dzeta| [-].
         range: Largest less smallest zeta [-].
-        sinkage: RMSE of the simulated sinkage while it is tuned [m].
+        sinkage: RMSE of the simulated sinkage while it is tuned [m]; NaN where it never is.
         time: Ticks from the first on which the wheel is asked to move to the last [s], shape
             (ticks,).
         zeta: On each of them [-], shape (ticks,).
@@ -141,10 +141,11 @@ def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np
         raise InputError(
             f"{each.name}: a replay of the tuner diverges; give a shorter tick or a smaller step"
         )
+    known = error[ticks][np.isfinite(error[ticks])]
     return Moves(
         moved=float(np.abs(np.diff(counted)).sum()),
         range=float(np.ptp(counted)),
-        sinkage=float(np.sqrt(np.nanmean(np.square(error[ticks])))),
+        sinkage=float(np.sqrt(np.mean(known**2))) if known.size else math.nan,
         time=starts[ticks],
         zeta=counted,
     )

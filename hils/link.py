@@ -103,6 +103,10 @@ class AbstractLink(abc.ABC):
         """
 
     @abc.abstractmethod
+    def sent_at(self, seq: int) -> float | None:
+        """When a command of this session was handed over [s]; None where that is not known."""
+
+    @abc.abstractmethod
     def newest(self) -> Arrival | None:
         """The newest measurement of this session; the same one again until there is a newer."""
 
@@ -257,6 +261,9 @@ class SoftLink(AbstractLink):
         self._exchange(self._outbox.take())
         self._require_line()
         return frame.seq
+
+    def sent_at(self, seq: int) -> float | None:
+        return self._outbox.sent_at(seq)
 
     def newest(self) -> Arrival | None:
         self._look()

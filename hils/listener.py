@@ -14,8 +14,6 @@ from hils.zero import Zero
 SILENCE, SILENT_TICKS = 0.25, 5
 # A reading older than so many ticks, and than so long [s], is worth an event.
 STALE_TICKS, STALE_TIME = 5, 0.03
-# So many of the last commands' times are remembered.
-KEPT = 4096
 
 
 class Over(Exception):
@@ -49,7 +47,6 @@ class Listener:
         self._tick, self._start = tick, 0.0
         self._seen: Arrival | None = None
         self._stale = False
-        self._commands: dict[int, float] = {}
         self.reading_time = 0.0
         self.rig_us: int | None = None
         self.old = False
@@ -60,11 +57,6 @@ class Listener:
         self._seen = self._link.newest()
         if self._seen is not None:
             self.rig_us = self._seen.frame.t_us
-
-    def sent(self, seq: int, now: float) -> None:
-        """A command went out at this time [s] under this number."""
-        self._commands[seq] = now
-        self._commands.pop((seq - KEPT) % 2**32, None)
 
     def hear(self, now: float) -> tuple[Arrival | None, Reading | None]:
         """The newest arrival, and its reading where it was not seen before.
@@ -109,7 +101,8 @@ class Listener:
     def _answered(self, arrival: Arrival | None, now: float) -> float:
         """When the command that a measurement answers was sent [s]; now where that is not known."""
         message = None if arrival is None else arrival.frame.message
-        return self._commands.get(message.ack_seq, now) if isinstance(message, Measurement) else now
+        sent = self._link.sent_at(message.ack_seq) if isinstance(message, Measurement) else None
+        return now if sent is None else sent
 
     def _heed(self, report: Arrival) -> None:
         message = report.frame.message

@@ -51,6 +51,7 @@ class LoopReport(NamedTuple):
         skipped: Ticks that passed unused.
         fresh: Ticks that had a reading not used before.
         refused: Readings refused.
+        old: Readings that answered a command too old to tune by.
         error: Measured minus simulated sinkage where there was a reading [m].
         busy: From waking to the command being away, each tick [s].
         woken: From the due time of the tick, or of the first one skipped before it, to waking [s].
@@ -64,6 +65,7 @@ class LoopReport(NamedTuple):
     skipped: int
     fresh: int
     refused: int
+    old: int
     error: NDArray[np.float64]
     busy: NDArray[np.float64]
     woken: NDArray[np.float64]
@@ -107,7 +109,7 @@ class TickLoop:
         ramp = self._loop.commands.omega / self._loop.ramp + LONGEST_REST
         room = conduct.ticks + math.ceil(ramp / self._tick) + 2
         self._busy, self._woken, self._error = np.zeros(room), np.zeros(room), np.zeros(room)
-        self._ticks = self._fresh = self._refused = self._missed = self._skipped = 0
+        self._ticks = self._fresh = self._refused = self._missed = self._skipped = self._old = 0
         self._compared = 0
         self._wish: Wish | None = None
         self._ramping_since: int | None = None
@@ -161,7 +163,6 @@ class TickLoop:
             raise Over(f"the simulation asks for {asked}, which the limits refuse")
         seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
         sent = clock.now()
-        self._listener.sent(seq, sent)
         over = sent - (start + (number + 1) * tick)
         if over > 0.0:
             self._overrun(over, 0)
@@ -195,6 +196,7 @@ class TickLoop:
         if reading is not None:
             rows.measured(reading.time, *(getattr(reading, name) for name in self._channels))
             self._fresh += 1
+            self._old += self._listener.old
         if said.limited:
             rows.event(time, Event.COMMAND_LIMITED, said.asked.vx)
         if not self._conduct.driven:
@@ -324,6 +326,7 @@ class TickLoop:
             self._skipped,
             self._fresh,
             self._refused,
+            self._old,
             self._error[: self._compared].copy(),
             self._busy[:ticks].copy(),
             self._woken[:ticks].copy(),

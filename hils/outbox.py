@@ -7,6 +7,9 @@ from typing import NamedTuple
 from drftjax.errors import InputError
 from hils.wire import U32, Drive, EmergencyStop, Frame, Message, clock_us, encode
 
+# The times of the commands among so many of the last messages are known.
+KEPT = 4096
+
 
 class _Waiting(NamedTuple):
     message: Message
@@ -29,6 +32,7 @@ class Outbox:
         self._next = first & U32
         self._session = 0
         self._waiting: deque[_Waiting] = deque()
+        self._commands: dict[int, float] = {}
         self.sent = self.bytes_sent = self.replaced = 0
 
     def begin(self, session: int) -> None:
@@ -37,6 +41,7 @@ class Outbox:
             raise InputError(f"session number {session} must lie between 1 and 65535")
         self._session = session
         self._waiting.clear()
+        self._commands.clear()
 
     def put(self, message: Message, now: float) -> Frame:
         """Add a message at this time [s], as it will go out."""
@@ -45,9 +50,16 @@ class Outbox:
         frame = Frame(message, self._session, self._next, clock_us(now))
         data = encode(frame)
         self._next = (frame.seq + 1) & U32
+        if isinstance(message, Drive):
+            self._commands[frame.seq] = now
+            self._commands.pop((frame.seq - KEPT) & U32, None)
         self._yield_to(message)
         self._waiting.append(_Waiting(message, data))
         return frame
+
+    def sent_at(self, seq: int) -> float | None:
+        """When a command of this number was put [s]; None of one that is not known any more."""
+        return self._commands.get(seq)
 
     def take(self) -> bytes:
         """The next frame, or nothing."""

@@ -76,6 +76,10 @@ class PortLink(AbstractLink):
         self._port.wake()
         return frame.seq
 
+    def sent_at(self, seq: int) -> float | None:
+        with self._changed:
+            return self._outbox.sent_at(seq)
+
     def newest(self) -> Arrival | None:
         with self._changed:
             self._require_line()

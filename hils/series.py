@@ -242,6 +242,11 @@ def told(report: RunReport, path: Path) -> list[str]:
             f"{loop.ticks} ticks, {loop.overruns} deadlines missed, {loop.skipped} ticks skipped; "
             f"{loop.fresh} fresh readings, {loop.refused} refused."
         )
+        if loop.old:
+            lines.append(
+                f"{loop.old} readings answered a command more than five ticks old, and zeta was "
+                "held over them: something holds the line's bytes back."
+            )
         if len(loop.busy):
             busy, woken = loop.busy * 1e3, loop.woken * 1e3
             lines.append(

@@ -59,7 +59,12 @@ def gather(
                 for doubt in doubts(without_refused(run)):
                     tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
-                    tell(f"{name}: {refused} readings, which the loop refused, are not compared")
+                    are = (
+                        "reading, which the loop refused, is"
+                        if refused == 1
+                        else ("readings, which the loop refused, are")
+                    )
+                    tell(f"{name}: {refused} {are} not compared")
             except InputError as problem:
                 why = str(problem).removeprefix(f"{name}: ")
                 left_out[name] = why if str(path) in why else f"{path}: {why}"
