@@ -51,7 +51,7 @@ class LoopReport(NamedTuple):
         skipped: Ticks that passed unused.
         fresh: Ticks that had a reading not used before.
         refused: Readings refused.
-        old: Readings that answered a command too old to tune by.
+        old: Readings that answered a command too old to tune by; none where nothing is tuned.
         error: Measured minus simulated sinkage where there was a reading [m].
         busy: From waking to the command being away, each tick [s].
         woken: From the due time of the tick, or of the first one skipped before it, to waking [s].
@@ -196,12 +196,13 @@ class TickLoop:
         if reading is not None:
             rows.measured(reading.time, *(getattr(reading, name) for name in self._channels))
             self._fresh += 1
-            self._old += self._listener.old
         if said.limited:
             rows.event(time, Event.COMMAND_LIMITED, said.asked.vx)
         if not self._conduct.driven:
             return
         refused = reading is not None and said.verdict is not Verdict.USED
+        old = reading is not None and self._listener.old
+        self._old += old
         before = said.before
         rows.online(
             OnlineRow(
@@ -222,7 +223,7 @@ class TickLoop:
                 | SKIPPED * (skipped > 0)
                 | LIMITED * said.limited
                 | RAMPING * ramping
-                | OLD * (reading is not None and self._listener.old)
+                | OLD * old
                 | DRIVE_OFF * self._drive_off
                 | X_STUCK * self._x_stuck,
                 seq,
