@@ -1,7 +1,8 @@
 """What to run or record next, so that explanations of the same runs part.
 
-They are simulated, with the numbers fitted to the runs there are, on variations of those runs; the
-one where their readings differ by most noise floors, of the two that differ least, is to be made.
+They are simulated, with the numbers fitted to the runs there are, on variations of those runs. The
+one to make is where the first one's readings and those of its nearest rival differ by most noise
+floors.
 """
 
 import math

@@ -295,7 +295,12 @@ class Simulator(eqx.Module):
         return dataclasses.replace(after, memory=memory), reading
 
     def held(self, state: State, command: Command) -> Float[Array, "2"]:
-        """Force (x, z) of the rig and its effects on the wheel as it stands or moves [N]."""
+        """Force (x, z) of the rig and its effects on the wheel as it stands or moves [N].
+
+        Args:
+            state: Of the wheel; effects remember nothing before it.
+            command: Command at that time.
+        """
         self = self.prepared()
         memory, instant = chain.begin(self.effects, state), jnp.full_like(state.time, INSTANT)
         moment = self._moment(state, command, instant)

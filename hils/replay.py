@@ -85,9 +85,10 @@ class Retuned(NamedTuple):
     """What the tuner of a run's own loop makes of its readings with another simulation.
 
     Attributes:
-        time: Of the rows of /online [s].
-        zeta: On each [-].
-        error: Measured less simulated sinkage there [m]; NaN without a reading to tune by.
+        time: Of the rows of /online [s], shape (rows,).
+        zeta: On each [-], shape (rows,).
+        error: Measured less simulated sinkage there [m], shape (rows,); NaN without a reading to
+            tune by.
     """
 
     time: Reals

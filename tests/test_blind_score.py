@@ -87,6 +87,12 @@ def test_score_counts_what_a_hand_counts():
     assert (weak["sets"], weak["both"]["hits"], weak["at_least_one"]["hits"]) == (1, 0, 1)
 
 
+def test_an_effect_answered_by_two_is_not_right_and_offers_more():
+    two = Answer(["drawbar", "backlash"], groups=[["drawbar", "cable_spring"], ["backlash"]])
+    row = score({"set_1": LABELS["set_1"]}, {"set_1": two})["kinds"]["single, plain"]
+    assert (row["first"]["hits"], row["in_group"]["hits"], row["mean_group_size"]) == (0, 1, 3)
+
+
 def test_score_of_the_truth_has_no_fault():
     truth = {
         name: Answer(label["effects"] or ["none"], {"+".join(label["effects"]) or "none": 1.0})
@@ -122,6 +128,16 @@ def test_shrinkage_is_held_against_the_promise():
     realised = [each["realised"] for each in found["sets"]]
     assert realised == pytest.approx([0.8 / 0.92, 1.0 / 1.92])
     assert (found["kept"]["hits"], found["in_interval"]["hits"]) == (1, 1)
+
+
+def test_a_promise_without_an_interval_is_counted_without_one(tmp_path):
+    gap = {"x": GapAnswer(1.0, 0.1, 0.08, 0.85, None)}
+    answer = {"verdict": ["drawbar"], "gap": msgspec.to_builtins(gap)}
+    answer["fresh"] = msgspec.to_builtins(ANSWERS["set_1"].fresh)
+    write_answers(tmp_path / "answers.json", {"set_1": answer})
+    read = read_answers(tmp_path / "answers.json")
+    found = score({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
+    assert (found["kept"]["hits"], found["in_interval"]["of"]) == (1, 0)
 
 
 def test_effects_by_which_a_fresh_run_cannot_be_simulated_break_their_promise(tmp_path):

@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 
 import diagnose
 from diagnose import interface
+from diagnose.left_out import at_mean_sinkage
 from diagnose.mean_sinkage import MET
+from diagnose.model_file import model_toml
 from diagnose.report import run_rows
 from drftjax.effects.sensor import SinkageDrift, TravelGain
 from drftjax.effects.stage import About, MemorylessSurface, strength
@@ -288,6 +290,25 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
     assert [note for note in found.notes if note.startswith(said)]
     assert not any("with the effects" in note for note in found.notes)
     assert all(each.met for each in diagnose.evaluate(runs, []).before)
+
+
+def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatch):
+    def not_one(bench, unseen):
+        return [dataclasses.replace(each, met=False) for each in at_mean_sinkage(bench, unseen)]
+
+    monkeypatch.setattr("diagnose.diagnosis.at_mean_sinkage", not_one)
+    found = diagnose.diagnose(runs, ["surface_slope"])
+    for name in runs:
+        for model in ("the reference model", "the model with the effects"):
+            said = f"{name}: no zeta was found at which {model} meets its mean sinkage"
+            assert [note for note in found.notes if note.startswith(said)]
+
+
+def test_effects_of_the_set_up_itself_are_told_in_the_model_file(found, monkeypatch):
+    own = [{"name": "drawbar", "force": 3.0}]
+    assert "had effects" not in model_toml(found)
+    monkeypatch.setattr(found.case.candidates[0].setup, "effects", own)
+    assert "had effects, which are not in this file: drawbar." in model_toml(found)
 
 
 def test_bad_input_is_one_sentence(runs):

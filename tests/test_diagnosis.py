@@ -1,6 +1,7 @@
 """The diagnosis on small cases: short runs of a wheel with something added, or nothing."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from diagnose.hypothesis import proposed, refreshed, settled
 from diagnose.left_out import conditions, predicted_unseen
 from diagnose.pairs import proposals
 from diagnose.report import step_sentences
+from diagnose.search import search
 from diagnose.shrinkage import gaps, shrinkage
-from diagnose.verdict import verdict_of
-from diagnose.weights import Judged, Scale, weights
-from drftjax.effects.drive import SpeedGain
+from diagnose.verdict import rivals_of, verdict_of
+from diagnose.weights import NONE, UNKNOWN, Judged, Scale, weights
+from drftjax.effects.catalogue import effect_class
+from drftjax.effects.drive import SpeedGain, SpeedRipple
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
@@ -99,6 +102,16 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < UNSEEN < 10 * UNSEEN < missed(gain)
+
+
+def test_two_forms_of_one_effect_are_no_pair():
+    """The verdict would name one effect, and its numbers stand twice."""
+    case = case_with({"name": "drawbar", "force": 4.0})
+    forms = [SpeedRipple, effect_class("speed_harmonics")]
+    assert search(case, forms).pairs == ()
+    with_another = search(case, [*forms, SurfaceSlope]).pairs
+    assert with_another
+    assert all("surface_slope" in each.names for each in with_another)
 
 
 def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
@@ -248,3 +261,24 @@ def test_likenesses_of_a_second_effect_speak_together_for_it():
     assert verdict_of(alone | beside) == expected
     # They do not where one effect alone is believed more than all of them.
     assert verdict_of(alone | {("backlash", "travel_gain"): 0.3})[0] == ("backlash",)
+
+
+def test_a_run_is_to_tell_the_verdict_from_all_that_is_named_beside_it():
+    def rivals(**weights: float) -> list[tuple[str, ...]]:
+        share = {(name,): weight for name, weight in weights.items()}
+        effects = [each for each in share if each[0] not in (NONE, UNKNOWN)]
+        leading = [SimpleNamespace(names=each) for each in effects]
+        found = SimpleNamespace(none=SimpleNamespace(names=()))
+        told = rivals_of(found, leading, share, max(share, key=lambda each: share[each]))  # pyright: ignore
+        return [each.names for each in told]
+
+    alike = {"measurement_delay": 0.4, "measurement_filter": 0.3, "speed_lag": 0.2}
+    rest = {"none": 0.0, "unknown": 0.1}
+    assert rivals(**alike, **rest) == [("measurement_filter",), ("speed_lag",)]
+    # The likeliest counts where it has little weight, too; one that all but none has does not.
+    assert rivals(drawbar=0.9, speed_lag=0.05, none=0.04, unknown=0.01) == [("speed_lag",)]
+    assert rivals(drawbar=0.99, speed_lag=0.01, none=0.0, unknown=0.0) == []
+    assert rivals(drawbar=0.5, none=0.5, unknown=0.0) == [()]
+    # Nothing is known of what is unknown, and another form of an effect needs no telling apart.
+    assert rivals(unknown=0.6, drawbar=0.4, none=0.0) == []
+    assert rivals(speed_ripple=0.6, speed_harmonics=0.4, none=0.0) == []

@@ -72,6 +72,15 @@ def test_an_interval_is_of_draws_in_which_something_could_shrink():
     assert nothing.interval == (0.0, 0.0)
 
 
+def test_runs_of_one_condition_have_no_interval():
+    setup = setup_of(PROFILE)
+    before, after = ([np.full((1, 100), each)] * 2 for each in (10.0, 5.5))
+    gap = gaps(recorded_runs(setup, setup), before, after, {"x": 1.0})["x"]  # pyright: ignore
+    assert gap.interval is None
+    assert gap.document()["shrinkage_interval"] is None
+    assert gap.shrinkage == pytest.approx(0.5, abs=DRAWS)
+
+
 def test_an_interval_holds_what_a_few_runs_more_show():
     """Where all that is left is chance, which differs from run to run."""
     random = np.random.default_rng(0)

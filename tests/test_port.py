@@ -119,10 +119,11 @@ def test_a_peer_that_stops_reading_does_not_hold_anyone(ends):
     assert not thread_of(link).is_alive()
 
 
-def test_a_port_in_use_is_refused(ends):
+@pytest.mark.parametrize("way", ["", "spy://", "alt://"])
+def test_a_port_in_use_is_refused(ends, way):
     port = open_port(ends.name, BAUD)
     with pytest.raises(LinkLost, match="another program uses it"):
-        open_port(ends.name, BAUD)
+        open_port(way + ends.name, BAUD)
     port.close()
     open_port(ends.name, BAUD).close()
 

@@ -32,6 +32,15 @@ PROFILE = ([0.0, 0.3, 0.8, 4.5, 5.0], [0.0, 0.0, 0.6, 0.6, 0.0])
 # With the effect that the rig has, noise and plates alone move the tuner: it goes to and fro by
 # its step, where it followed a loss of four tenths of zeta before.
 RANGE, MOVED = 0.2, 0.5
+# x moves by tenths of a millimetre a tick on top of another start: roundings of some 1e-16 m, which
+# the loop carries on over 250 ticks.
+ROUNDING = 1e-12
+# The same root of the same statics, found twice: rounding.
+STATICS = 1e-9
+# Plates that bear are 5 to 16 mm deep, and with such a cohesion as if they were 2 mm deeper.
+BORNE = (5 / 7, 16 / 18)
+# Quick and fine plates sink alike to some tenths of a millimetre [m].
+CLOSE = 5e-4
 
 
 @pytest.fixture(scope="module")
@@ -62,21 +71,21 @@ def test_without_effects_it_is_the_replay(log):
     told = retuned(log, [])
     assert told.zeta.tobytes() == log.online.zeta.tobytes() == replay(log).zeta.tobytes()
     # Where it starts matters to effects alone.
-    np.testing.assert_allclose(retuned(log, [], x=0.4).zeta, told.zeta, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(retuned(log, [], x=0.4).zeta, told.zeta, rtol=0, atol=ROUNDING)
 
 
 def test_with_its_own_effect_the_tuner_has_less_to_do(log):
     plain, known = retuned(log, []), retuned(log, [LOOSENING])
     assert np.ptp(known.zeta) < RANGE * np.ptp(plain.zeta)
     # A wheel at rest has loosened nothing.
-    assert known.zeta[0] == pytest.approx(plain.zeta[0], rel=1e-9)
-    assert np.nanmax(np.abs(known.error)) < 1e-3
+    assert known.zeta[0] == pytest.approx(plain.zeta[0], rel=STATICS)
+    assert np.nanmax(np.abs(known.error)) < CLOSE
 
 
 def test_zeta_at_the_start_is_what_the_sinkage_at_rest_tells(log):
     firmer = retuned(log, [{"name": "cohesion", "depth": 0.002}])
     # A stress that is there from the start bears part of the weight.
-    assert 0.7 < firmer.zeta[0] / log.online.zeta[0] < 0.95
+    assert BORNE[0] < firmer.zeta[0] / log.online.zeta[0] < BORNE[1]
 
 
 def test_a_start_that_no_sand_holds_is_refused(log):

@@ -121,6 +121,24 @@ def test_series_ends_where_an_end_was_asked_for_though_the_run_was_completed(run
     assert runs(wish=wish) == (code, 1)
 
 
+def test_a_stop_in_the_last_instant_before_it_would_be_raised_ends_the_series(runs, monkeypatch):
+    class Late(StopRequest):
+        """Is asked between the look at the wish and `uncut`."""
+
+        @property
+        def uncut(self):
+            return self._uncut
+
+        @uncut.setter
+        def uncut(self, value):
+            if not value and hasattr(self, "_uncut"):
+                self.ask(TERMINATED)
+            self._uncut = value
+
+    monkeypatch.setattr(series_module, "StopRequest", Late)
+    assert runs() == (ENDED_EARLY, 1)
+
+
 def test_series_ends_where_the_rig_was_not_seen_to_rest(runs):
     """What prepares the sand would meet a wheel that turns."""
     assert runs(rested=False) == (ENDED_EARLY, 1)
@@ -316,19 +334,8 @@ def keyboard(monkeypatch):
     os.close(master)
 
 
-def test_a_question_at_a_terminal_waits_for_enter_and_looks_about_meanwhile(keyboard):
-    looks = []
-
-    def look():
-        looks.append(1)
-        if len(looks) == 3:
-            os.write(keyboard, b"\n")
-
-    Terminal().confirm("Let the wheel down", look)
-    assert len(looks) >= 3
-
-
-def test_an_enter_typed_before_the_question_answers_nothing(keyboard):
+@pytest.mark.parametrize("typed_before", [b"", b"\n\n"])
+def test_a_question_at_a_terminal_waits_for_an_enter_of_its_own(keyboard, typed_before):
     """What compiles first, or a run before, may keep a person waiting: who then types confirms."""
     looks = []
 
@@ -337,7 +344,8 @@ def test_an_enter_typed_before_the_question_answers_nothing(keyboard):
         if len(looks) == 3:
             os.write(keyboard, b"\n")
 
-    os.write(keyboard, b"\n\n")
+    if typed_before:
+        os.write(keyboard, typed_before)
     Terminal().confirm("Let the wheel down", look)
     assert len(looks) >= 3
 
