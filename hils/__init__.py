@@ -1,1 +1,1 @@
-"""The online loop: DRFT steps beside a real single-wheel rig, and tunes zeta by its sinkage."""
+"""Hardware in the loop: the simulation steps beside a real single-wheel rig and tunes zeta."""

@@ -4,6 +4,7 @@ A code, once given, keeps its meaning: run logs outlive the program that wrote t
 stand in each file, as `flag_values` and `flag_masks` beside `flag_meanings`.
 """
 
+import enum
 from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 from typing import Final
@@ -69,6 +70,24 @@ class TickFlag(IntFlag):
 
 
 EVENT_MEANINGS: Final[Mapping[int, str]] = {int(each): str(each.name).lower() for each in Event}
+
+
 """The code table of /events."""
+
+
 FLAG_MEANINGS: Final[Mapping[int, str]] = {int(each): str(each.name).lower() for each in TickFlag}
+
+
 """The bits of /online/flags."""
+
+
+class Phase(enum.Enum):
+    """Where a run is."""
+
+    CHECKING = "checking"
+    SETTLING = "settling on the sand"
+    COUNTDOWN = "countdown"
+    RUNNING = "running"
+    RAMPING = "ramping down"
+    STOPPING = "coming to rest"
+    CLOSING = "closing the file"

@@ -9,15 +9,27 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 MCL_CURRENT = 1
+
+
 # Priorities from 1 to 99; the middle leaves room for the kernel's own threads above.
 FIFO_PRIORITY = 50
+
+
 # A child does not inherit a priority: a recorder at this one would fight the loop.
 RESET_ON_FORK = getattr(os, "SCHED_RESET_ON_FORK", 0)
+
+
 # How long one thread may keep Python to itself while another waits [s].
 SWITCH_INTERVAL = 1e-4
+
+
 # Timers of a thread are rounded up by this much [ns], by default 50000.
 TIMER_SLACK = 1
+
+
 PR_SET_TIMERSLACK = 29
+
+
 CLOCK_RATE = "/sys/devices/system/cpu/cpu{}/cpufreq/cpuinfo_max_freq"
 
 

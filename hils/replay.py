@@ -1,8 +1,8 @@
 """A recorded run, made again from its readings: the same zeta, bit for bit.
 
 The run log keeps all that the loop was given, and the loop's tick is a pure function of that
-(`hils.tick`). So what it computed can be computed again, and compared with what was recorded:
-zeta, the simulated wheel, and what was asked of the rig.
+(`hils.control.tick`). So what it computed can be computed again, and compared with what was
+recorded: zeta, the simulated wheel, and what was asked of the rig.
 
 Another processor, or another version of JAX, may round differently in the last bit.
 """
@@ -16,16 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import drftjax
-from drftjax.effects.entry import Entry
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
+from drftjax.effects.serialization import Entry
 from drftjax.runlog.record import Online, RunLog
+from hils.control.limits import REST, Demand, Reading
+from hils.control.loop_config import LoopPhysics, LoopRecord, shared_physics
+from hils.control.tick import Given, LoopState, Reaction, begin, react
 from hils.events import TickFlag
-from hils.guard import REST, Demand, Reading
-from hils.loop_setup import LoopPhysics, LoopRecord, shared_physics
-from hils.starting_point import zeta_by_sinkage
-from hils.tick import Given, LoopState, Reaction, begin, react
+from hils.procedure.initial_state import zeta_by_sinkage
 
 Reals = NDArray[np.float64]
+
 
 COMPARED = ("zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "fz_sim", "tuned")
 

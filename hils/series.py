@@ -10,24 +10,28 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 
-from drftjax.errors import InputError
-from drftjax.runlog.hdf5 import read_run
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import require_folder
+from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.recording_lock import part_path, require_free
-from drftjax.runlog.replace import require_folder
 from hils.clock import MonotonicClock
+from hils.control.stop_request import StopRequest, Wish
 from hils.events import Event
-from hils.operator_dialogue import AbstractDialogue
-from hils.port import open_port
-from hils.port_link import PortLink
-from hils.procedure import Procedure, RunReport, run
+from hils.link.port_link import PortLink
+from hils.link.ports import open_port
+from hils.monitor.observer import unwatched, watched
+from hils.procedure.active_runs import UnderWay, announced
+from hils.procedure.operator_prompts import AbstractDialogue
+from hils.procedure.procedure import Procedure, RunReport, run
 from hils.realtime import timely
-from hils.recorder import Recorder
-from hils.stop_request import StopRequest, Wish
-from hils.under_way import UnderWay, announced
-from hils.watched import unwatched, watched
+from hils.recording.recorder import Recorder
 
 ENDED_EARLY = 1
+
+
 INTERRUPTED = 128 + 2
+
+
 # What the command between runs has started may take so long to end when it is told to [s].
 LONGEST_CLEARING = 10.0
 
@@ -209,7 +213,7 @@ def _is_there(path: Path) -> bool:
 
 def _drawn(path: Path) -> str:
     """Draw the run; a sentence that says where, or why not."""
-    from drftjax.figures import save_figure
+    from drftjax.common.figures import save_figure
     from hils.run_figure import plot_hils
 
     picture = path.with_suffix(".png")

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from drftjax.commands.runtime import WHOLE_LOOPS  # which imports no JAX
+from drftjax.common.jax_config import WHOLE_LOOPS
 
 if TYPE_CHECKING:
-    from command_line import Drft
+    from tests.helpers.drft_command import Drft
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -44,26 +44,30 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 # Files that take about a minute and more: they start first, lest a worker is left alone with one.
 LONGEST = (
-    "test_fit_more",
-    "test_design",
-    "test_notebooks",
-    "test_cluster",
-    "test_path_parameters",
-    "test_hils_run",
-    "test_fit_priors",
-    "test_search",
-    "test_history",
-    "test_null_runs",
-    "test_odd_readings",
-    "test_fit",
-    "test_zeta_path",
-    "test_pairs",
+    "identify/test_profiles_bootstrap_multistart",
+    "identify/test_design",
+    "package/test_notebooks",
+    "identify/test_cluster",
+    "identify/test_fit_path_jointly",
+    "hils/commands/test_run",
+    "identify/test_priors",
+    "diagnose/hypotheses/test_screening",
+    "diagnose/test_missing_dynamic_terms",
+    "identify/test_unmodified_rig",
+    "identify/test_outliers",
+    "identify/test_fit_constant",
+    "identify/test_zeta_path",
+    "diagnose/hypotheses/test_pair_screening",
 )
+
+
+def _named(path: Path) -> str:
+    return path.relative_to(ROOT / "tests").with_suffix("").as_posix()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
+    items.sort(key=lambda item: places.get(_named(item.path), len(places)))
 
 
 @pytest.fixture(scope="session")
@@ -94,7 +98,7 @@ def compiled() -> Iterator[list[str]]:
 @pytest.fixture
 def drft(monkeypatch, capsys) -> "Drft":
     """`drft` run inside the test's own process."""
-    from command_line import Drft
+    from tests.helpers.drft_command import Drft
 
     return Drft(monkeypatch, capsys)
 

@@ -1,1 +1,0 @@
-"""The `drft` command: the root in `main`, one module for each subcommand."""

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
 
 EXAMPLES = """
 Examples:
@@ -39,14 +40,15 @@ def effects(
     """Effects that a set-up may have beyond the reference model, and what they do."""
     if markdown and name is not None:
         raise InputError(f"--markdown is a list of all effects; leave out {name!r} or --markdown")
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from drftjax.effects import correction, table
+    from drftjax.effects import correction
+    from drftjax.effects import listing as table
     from drftjax.effects.catalogue import effect_class
 
     if plot is not None:
-        from drftjax.figures import check_figure_name
+        from drftjax.common.figures import check_figure_name
 
         check_figure_name(plot)
     if name == correction.NAME:
@@ -66,8 +68,8 @@ def effects(
         console.print(table.listing())
         console.print(f"\n{table.BESIDES}")
     if plot is not None:
-        from drftjax.effects import portrait
-        from drftjax.figures import save_figure
+        from drftjax.common.figures import save_figure
+        from drftjax.simulation import effect_gallery as portrait
 
         everything = [each for _, those in table.by_stage() for each in those]
         figure = portrait.sheet(everything) if chosen is None else portrait.portrait(chosen)

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.group import CommandGroup
-from drftjax.errors import InputError
+from drftjax.commands.options import CommandGroup
+from drftjax.common.errors import InputError
 
 app = typer.Typer(
     name="log",
@@ -17,10 +17,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+
 Files = Annotated[
     list[Path],
     typer.Argument(metavar="FILE", help="Run logs, or folders of them.", show_default=False),
 ]
+
+
 TimeLimit = Annotated[float, typer.Option(help="For reading one file [s].", min=0.1)]
 
 
@@ -71,8 +74,8 @@ def plot(
     import warnings
     from io import BytesIO
 
+    from drftjax.common.output_files import replace_file
     from drftjax.runlog.check import read_run_guarded
-    from drftjax.runlog.replace import replace_file
 
     kinds = (".png", ".svg", ".pdf")
     if output.suffix.lower() not in kinds:
@@ -124,9 +127,9 @@ def import_(
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
     """Make run logs from a CSV or TSV table, as a mapping says what its columns mean."""
-    from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.hdf5.api import write_run
+    from drftjax.runlog.importers.table import import_named
     from drftjax.runlog.plausibility import doubts
-    from drftjax.runlog.table import import_named
 
     imported = import_named(table, _mapping(mapping))
     targets = _targets(output, [each.name for each in imported])
@@ -143,8 +146,8 @@ def import_(
 
 def _mapping(given: str) -> Path:
     """A mapping's file, given by its path or by the name of one that ships with the project."""
-    from drftjax.datafiles import data_file, data_names
-    from drftjax.runlog.rules import nearest
+    from drftjax.common.package_data import data_file, data_names
+    from drftjax.runlog.validation import nearest
 
     if Path(given).is_file():
         return Path(given)
@@ -158,9 +161,9 @@ def _mapping(given: str) -> Path:
 
 def _targets(output: Path, names: list[str]) -> list[Path]:
     """Where each run goes: the file itself for one run, a folder of safe names for many."""
+    from drftjax.common.output_files import make_folder
     from drftjax.runlog.files import HDF5_ENDINGS
-    from drftjax.runlog.names import safe_names
-    from drftjax.runlog.replace import make_folder
+    from drftjax.runlog.importers.file_names import safe_names
 
     if output.suffix in HDF5_ENDINGS and not output.is_dir():
         if len(names) != 1:

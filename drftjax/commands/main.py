@@ -25,12 +25,16 @@ from typer.core import TyperCommand
 from typer.main import get_command
 
 import drftjax
-from drftjax.commands.group import CommandGroup
-from drftjax.errors import InputError
+from drftjax.commands.options import CommandGroup
+from drftjax.common.errors import InputError
 
 GROUP = "drft.commands"
+
+
 # An interrupt that was lost is raised again after this: not from where it would be lost again [s].
 AGAIN = 0.05
+
+
 INTERRUPTED = 128 + 2  # how a shell numbers a program that Ctrl-C ended
 
 

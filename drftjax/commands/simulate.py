@@ -5,10 +5,11 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.folders import leaves_no_empty_folder
-from drftjax.errors import InputError
+from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
 
 EXAMPLES = """
 Examples:
@@ -53,17 +54,18 @@ def simulate(
     rate: Annotated[float, typer.Option(help="Rows a second in the output [Hz].")] = 100.0,
 ) -> None:
     """Simulate a run of a wheel on sand and write it as a run log."""
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from drftjax import saved
-    from drftjax import setup as setups
-    from drftjax.like import setup_like
+    from drftjax.common.output_files import require_places
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import HDF5_ENDINGS
-    from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.hdf5.api import write_run
     from drftjax.runlog.plausibility import doubts
-    from drftjax.runlog.replace import require_places
+    from drftjax.setups import fitted_model as saved
+    from drftjax.setups import setup as setups
+    from drftjax.setups.from_run import setup_like
+    from drftjax.setups.simulated_run import simulated_run, summary
 
     given = [each for each in (setup, like, source) if each is not None]
     if len(given) != 1:
@@ -78,7 +80,7 @@ def simulate(
     if output is not None and output.suffix not in HDF5_ENDINGS:
         raise InputError(f"{output}: a run log's name must end in {', '.join(HDF5_ENDINGS)}")
     if plot is not None:
-        from drftjax.figures import check_figure_name
+        from drftjax.common.figures import check_figure_name
 
         check_figure_name(plot)
     require_places([each for each in (output, plot) if each is not None], given)
@@ -99,9 +101,9 @@ def simulate(
         chosen.terrain.inertial_coefficient = inertial
     if step is not None:
         chosen.integrator.step = step
-    log = saved.simulated_run(chosen, interval=1 / rate, at=sampled)
+    log = simulated_run(chosen, interval=1 / rate, at=sampled)
 
-    typer.echo(saved.summary(log))
+    typer.echo(summary(log))
     time = log.measured.time
     if sampled is None and len(time) > 1 and abs((time[1] - time[0]) * rate - 1) > 1e-6:
         true, steps = 1 / (time[1] - time[0]), chosen.integrator.step
@@ -112,7 +114,7 @@ def simulate(
         write_run(output, log)
         typer.echo(f"run log written to {output}")
     if plot is not None:
-        from drftjax.figures import save_figure
+        from drftjax.common.figures import save_figure
         from drftjax.runlog.figure import plot_run
 
         save_figure(plot_run(log), plot)

@@ -10,18 +10,19 @@ from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import entry_points
 
+from drftjax.common.errors import InputError
 from drftjax.effects import correction
+from drftjax.effects.base import About, AbstractEffect
 from drftjax.effects.drive import DRIVE
 from drftjax.effects.rig import RIG
 from drftjax.effects.sensor import SENSOR
-from drftjax.effects.stage import About, AbstractEffect
 from drftjax.effects.stress import STRESS
 from drftjax.effects.surface import SURFACE
 from drftjax.effects.terrain import TERRAIN
 from drftjax.effects.wheel import WHEEL
-from drftjax.errors import InputError
 
 GROUP = "drft.effects"
+
 
 # In the order that they act in a step: what turns, what touches, what bears, what reads.
 OURS: tuple[type[AbstractEffect], ...] = (

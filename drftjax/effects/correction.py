@@ -17,8 +17,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.load import along_x, along_z
-from drftjax.effects.stage import (
+from drftjax.common.errors import InputError
+from drftjax.effects.base import (
     About,
     AbstractDrive,
     AbstractEffect,
@@ -28,19 +28,28 @@ from drftjax.effects.stage import (
     AbstractZetaFactor,
     Memory,
     Moment,
+    along_x,
+    along_z,
     strength,
 )
-from drftjax.errors import InputError
 
 if TYPE_CHECKING:
-    from drftjax.simulator import Output
+    from drftjax.physics.state import Output
 
 NAME = "correction"
+
+
 READING = "reading "
+
+
 FIELDS = ("stage", "variable", "knots", "values")
 
+
 Number = Float[Array, ""]
+
+
 Pair = Float[Array, "2"]
+
 
 # What a curve may stand on, with its unit.
 VARIABLES = {
@@ -54,10 +63,18 @@ VARIABLES = {
     "vx": "m/s",
     "vz": "m/s",
 }
+
+
 # A drive knows no more than how it turns, the surface no more than what has gone by.
 DRIVE_KNOWS = ("angular velocity", "turning", "time", "wheel angle")
+
+
 SURFACE_KNOWS = ("travel", "turning", "time")
+
+
 TURN = 2 * math.pi
+
+
 # More knots than these are no curve, and would take long to compile.
 MOST_KNOTS = 100
 

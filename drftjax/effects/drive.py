@@ -5,10 +5,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.stage import About, AbstractDrive, Memory, MemorylessDrive, shape, strength
+from drftjax.effects.base import About, AbstractDrive, Memory, MemorylessDrive, shape, strength
 
 # Regulariser: angle [rad] over which a drive takes up its play.
 PLAY_WIDTH = 0.01
+
 
 Number = Float[Array, ""]
 

@@ -5,15 +5,28 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.load import MemorylessLoad, along_x, along_z
-from drftjax.effects.stage import About, AbstractLoad, Memory, Moment, strength
+from drftjax.effects.base import (
+    About,
+    AbstractLoad,
+    Memory,
+    MemorylessLoad,
+    Moment,
+    along_x,
+    along_z,
+    strength,
+)
 
 Number = Float[Array, ""]
+
+
 Pair = Float[Array, "2"]
+
 
 # Regularisers: speeds [m/s] over which dry friction turns over. The vertical guide moves by tenths
 # of a millimetre a second, the carriage by centimetres.
 VERTICAL_STICK = 1e-4
+
+
 HORIZONTAL_STICK = 1e-3
 
 

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.stage import About, AbstractSensor, Memory, strength
+from drftjax.effects.base import About, AbstractSensor, Memory, strength
 
 if TYPE_CHECKING:
-    from drftjax.simulator import Output
+    from drftjax.physics.state import Output
 
 Number = Float[Array, ""]
+
 
 # A delay keeps so many readings, so far apart or a little more [s].
 KEPT, KEPT_EVERY = 101, 0.01

@@ -1,29 +1,33 @@
 """Terrain: a stress law other than the model's."""
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.stage import (
+from drftjax.common.errors import InputError
+from drftjax.effects.base import (
     About,
     AbstractAdjustment,
     AbstractStressFactor,
+    Adjustable,
+    Model,
     shape,
     strength,
 )
-from drftjax.errors import InputError
-from drftjax.stress import Dynamic, PlateMotion
-
-if TYPE_CHECKING:
-    from drftjax.simulator import Simulator
+from drftjax.physics.stress import Dynamic, PlateMotion
 
 Number = Float[Array, ""]
+
+
 Each = Float[Array, " plates"]
+
 
 # Depth [m] that depth_hardening pivots about and rigid_floor and cohesion are measured in.
 REFERENCE_DEPTH = 0.02
+
+
 # Regulariser: depth [m] over which cohesion fades in under the surface.
 ONSET_DEPTH = 0.002
 
@@ -93,8 +97,8 @@ class Cohesion(AbstractStressFactor):
         return 1 + self.depth / jnp.maximum(motion.depth, ONSET_DEPTH)
 
 
-def _dynamic(simulator: "Simulator", name: str) -> Dynamic:
-    law = simulator.terrain.law
+def _dynamic(model: Adjustable, name: str) -> Dynamic:
+    law = model.terrain.law
     if not isinstance(law, Dynamic):
         raise InputError(f"{name} needs the dynamic stress law, if with its terms at 0")
     return law
@@ -111,9 +115,9 @@ class MomentumFlux(AbstractAdjustment):
     )
     excess: Number = strength("-", 1.0, "true lambda less the model's")
 
-    def adjust(self, simulator: "Simulator") -> "Simulator":
-        true = _dynamic(simulator, "momentum_flux").inertial_coefficient + self.excess
-        return eqx.tree_at(lambda s: s.terrain.law.inertial_coefficient, simulator, true)
+    def adjust(self, model: Model) -> Model:
+        true = _dynamic(model, "momentum_flux").inertial_coefficient + self.excess
+        return eqx.tree_at(lambda s: s.terrain.law.inertial_coefficient, model, true)
 
 
 class HeightDecrease(AbstractAdjustment):
@@ -127,9 +131,9 @@ class HeightDecrease(AbstractAdjustment):
     )
     excess: Number = strength("-", 1.0, "true share of delta_h less the model's")
 
-    def adjust(self, simulator: "Simulator") -> "Simulator":
-        true = _dynamic(simulator, "height_decrease").height_decrease + self.excess
-        return eqx.tree_at(lambda s: s.terrain.law.height_decrease, simulator, true)
+    def adjust(self, model: Model) -> Model:
+        true = _dynamic(model, "height_decrease").height_decrease + self.excess
+        return eqx.tree_at(lambda s: s.terrain.law.height_decrease, model, true)
 
 
 STRESS = (RateHardening, DepthHardening, RigidFloor, Cohesion, MomentumFlux, HeightDecrease)

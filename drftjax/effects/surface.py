@@ -6,15 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects import places
-from drftjax.effects.stage import (
-    About,
-    AbstractPlane,
-    Memory,
-    MemorylessSurface,
-    Moment,
-    strength,
-)
+from drftjax.effects import spatial as places
+from drftjax.effects.base import About, AbstractPlane, Memory, MemorylessSurface, Moment, strength
 
 Number = Float[Array, ""]
 

@@ -5,21 +5,24 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects import places
-from drftjax.effects.load import along_x
-from drftjax.effects.stage import (
+from drftjax.effects import spatial as places
+from drftjax.effects.base import (
     About,
     AbstractSandLoad,
     AbstractZetaFactor,
     Memory,
     MemorylessZetaFactor,
     Moment,
+    along_x,
     shape,
     strength,
 )
 
 Number = Float[Array, ""]
+
+
 Pair = Float[Array, "2"]
+
 
 # Regulariser: way [m] that the rim turns back over which a wheel parts from the pile ahead of it.
 PARTING = 0.01

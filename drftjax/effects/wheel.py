@@ -1,28 +1,26 @@
 """Wheel: what its true shape and mass differ by."""
 
 import dataclasses
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.arrays import require_between
-from drftjax.effects.load import MemorylessLoad
-from drftjax.effects.stage import (
+from drftjax.common.arrays import require_between
+from drftjax.common.errors import InputError
+from drftjax.effects.base import (
     About,
     AbstractAdjustment,
     AbstractPlacement,
     Memory,
+    MemorylessLoad,
+    Model,
     Moment,
     strength,
 )
-from drftjax.errors import InputError
-from drftjax.outline import OutlineWheel
-from drftjax.wheel import LARGEST_RADIUS, SMALLEST_RADIUS, GrouserWheel, Plates
-
-if TYPE_CHECKING:
-    from drftjax.simulator import Simulator
+from drftjax.physics.outline_wheel import OutlineWheel
+from drftjax.physics.wheel import LARGEST_RADIUS, SMALLEST_RADIUS, GrouserWheel, Plates
 
 Number = Float[Array, ""]
 
@@ -35,13 +33,13 @@ class WheelRadius(AbstractAdjustment):
     )
     excess: Number = strength("m", 0.003, "true radius less the stated one")
 
-    def adjust(self, simulator: "Simulator") -> "Simulator":
-        radius = simulator.wheel.radius + self.excess
+    def adjust(self, model: Model) -> Model:
+        radius = model.wheel.radius + self.excess
         require_between("the wheel's true radius", radius, SMALLEST_RADIUS, LARGEST_RADIUS, " m")
-        if isinstance(simulator.wheel, OutlineWheel):
-            larger = simulator.wheel.points * (radius / simulator.wheel.radius)
-            simulator = eqx.tree_at(lambda s: s.wheel.points, simulator, larger)
-        return eqx.tree_at(lambda s: s.wheel.radius, simulator, radius)
+        if isinstance(model.wheel, OutlineWheel):
+            larger = model.wheel.points * (radius / model.wheel.radius)
+            model = eqx.tree_at(lambda s: s.wheel.points, model, larger)
+        return eqx.tree_at(lambda s: s.wheel.radius, model, radius)
 
 
 class GrouserHeight(AbstractAdjustment):
@@ -55,13 +53,13 @@ class GrouserHeight(AbstractAdjustment):
     )
     excess: Number = strength("m", 0.003, "true height less the stated one")
 
-    def adjust(self, simulator: "Simulator") -> "Simulator":
-        if not isinstance(simulator.wheel, GrouserWheel):
+    def adjust(self, model: Model) -> Model:
+        if not isinstance(model.wheel, GrouserWheel):
             raise InputError("grouser_height needs a wheel with grousers")
-        height = simulator.wheel.grouser_height + self.excess
+        height = model.wheel.grouser_height + self.excess
         # A rounding below none is none.
         require_between("the grousers' true height", height, -1e-9, LARGEST_RADIUS, " m")
-        return eqx.tree_at(lambda s: s.wheel.grouser_height, simulator, height)
+        return eqx.tree_at(lambda s: s.wheel.grouser_height, model, height)
 
 
 class Eccentricity(AbstractPlacement):

@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 from drftjax.runlog.content import Violation
-from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
-from drftjax.runlog.layout import SCHEMA, run_from
 from drftjax.runlog.record import RunLog
-from drftjax.runlog.result import FIT_SCHEMA
+from drftjax.runlog.result_file import FIT_SCHEMA
+from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
+from drftjax.runlog.schema import SCHEMA, run_from
 
 
 def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violation]:

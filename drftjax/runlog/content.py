@@ -20,6 +20,8 @@ class Level(StrEnum):
 
 
 Found = tuple[str, str, Level]
+
+
 """A finding before the file has a name: where, why, how far."""
 
 
@@ -72,11 +74,6 @@ class Content:
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
     groups: Mapping[str, Group] = field(default_factory=dict)
     datasets: Mapping[str, Dataset] = field(default_factory=dict)
-
-
-def printable(text: str) -> str:
-    """A file's words without what would steer a terminal or break a line."""
-    return "".join(each if each.isprintable() else "\ufffd" for each in text)
 
 
 def real_column(values: NDArray[Any] | None) -> NDArray[np.float64] | None:

@@ -8,12 +8,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from drftjax.errors import InputError
-from drftjax.runlog.layout import UNITS
+from drftjax.common.errors import InputError
 from drftjax.runlog.record import RunLog
+from drftjax.runlog.schema import UNITS
 
 LARGEST_DRAWN: Final = 1e30
+
+
 """No rig has a number beyond this in any unit; near the largest of all, axes overflow."""
+
 
 Panel = Callable[[Axes, RunLog], None]
 

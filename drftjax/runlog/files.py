@@ -5,7 +5,7 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Final
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 
 HDF5_ENDINGS: Final = (".h5", ".hdf5")
 

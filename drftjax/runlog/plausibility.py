@@ -6,20 +6,31 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 from drftjax.runlog.record import RunLog
 
 GRAVITY: Final = 9.81
+
+
 HARDEST_SAND: Final = 3e6
+
+
 """Stress under depth that no dry sand reaches [N/m3]: three times the generic one of RFT."""
+
+
 ZEROING: Final = 5e-4
+
+
 """Touch-down is found to this by hand [m]."""
+
 
 LARGEST: Final = {
     ("command", "omega"): (10.0, "rad/s", "deg/s"),
     ("measured", "x"): (50.0, "m", "mm"),
     ("measured", "z"): (1.0, "m", "mm"),
 }
+
+
 """Larger numbers than these on a rig are likely of the unit that stands last."""
 
 

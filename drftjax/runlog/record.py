@@ -15,12 +15,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drftjax.errors import InputError
-from drftjax.runlog import rules
+from drftjax.common.errors import InputError
+from drftjax.runlog import validation as rules
 
 Reals = NDArray[np.float64]
 
+
 CHANNELS: Final = ("x", "z", "fx", "fz", "torque")
+
+
 """What a rig may measure, in the format's order."""
 
 

@@ -3,15 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
-from drftjax.errors import InputError
-from drftjax.runlog.guard import TIME_LIMIT, GuardedReader
-from drftjax.runlog.hdf5 import write_run
-from drftjax.runlog.layout import run_from
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import require_places
+from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.recording_lock import PART
-from drftjax.runlog.replace import require_places
+from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
+from drftjax.runlog.schema import run_from
 
 CUT_OFF = "cut off; the committed rows were kept"
+
+
 """The end_reason of a repaired run."""
 
 

@@ -10,9 +10,9 @@ from rich.console import Group as Stack
 from rich.table import Table
 from rich.text import Text
 
-from drftjax.runlog.content import printable
-from drftjax.runlog.layout import UNITS
+from drftjax.common.text import printable
 from drftjax.runlog.record import RunLog
+from drftjax.runlog.schema import UNITS
 
 
 @dataclass(frozen=True)

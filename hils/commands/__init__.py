@@ -2,7 +2,7 @@
 
 import typer
 
-from drftjax.commands.group import CommandGroup
+from drftjax.commands.options import CommandGroup
 from hils.commands.paper import EXAMPLES as PAPER_EXAMPLES
 from hils.commands.paper import paper
 from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
@@ -24,11 +24,23 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+
+
 app.command(epilog=PAPER_EXAMPLES)(paper)
+
+
 app.command(epilog=PORTS_EXAMPLES)(ports)
+
+
 app.command(epilog=REPLAY_EXAMPLES)(replay)
+
+
 app.command(epilog=RIG_EXAMPLES)(rig)
+
+
 app.command(epilog=RUN_EXAMPLES)(run)
+
+
 app.command(epilog=STOP_EXAMPLES)(stop)
 
 

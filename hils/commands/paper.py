@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.folders import leaves_no_empty_folder
+from drftjax.commands.options import leaves_no_empty_folder
 
 EXAMPLES = """
 Examples:
@@ -42,7 +42,7 @@ def paper(
     ticks: Annotated[bool, typer.Option(help="One run at each of some other ticks too.")] = True,
 ) -> None:
     """Make the paper's experiment again: HILS runs beside free runs on sand that loosens."""
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
     from hils.realtime import answer_at_once
@@ -50,17 +50,17 @@ def paper(
     answer_at_once()
     from rich.console import Console
 
-    from drftjax.datafiles import data_file
-    from drftjax.figures import save_figure
-    from drftjax.runlog.replace import make_folder, replace_file
-    from drftjax.setup import read_setup
-    from drftjax.structfile import as_json
-    from hils.guard import CommandLimits
-    from hils.loop_setup import LoopSetUp
-    from hils.paper import Experiment, by_tick, loosening_rig, make
-    from hils.paper_figures import ripple_figure, runs_figure, trajectory_figure
-    from hils.paper_report import report
-    from hils.virtual_setup import read_virtual_setup
+    from drftjax.common.figures import save_figure
+    from drftjax.common.output_files import make_folder, replace_file
+    from drftjax.common.package_data import data_file
+    from drftjax.common.structured_files import as_json
+    from drftjax.setups.setup import read_setup
+    from hils.control.limits import CommandLimits
+    from hils.control.loop_config import LoopSetUp
+    from hils.experiment.experiment import Experiment, by_tick, loosening_rig, make
+    from hils.experiment.figures import ripple_figure, runs_figure, trajectory_figure
+    from hils.experiment.report import report
+    from hils.rig_sim.config import read_virtual_setup
 
     experiment = Experiment(
         loop=LoopSetUp(

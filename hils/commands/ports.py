@@ -4,11 +4,14 @@ from typing import Annotated
 
 import typer
 
-from drftjax.errors import InputError
-from hils.pace import USUAL_BAUD, watchdog_ms
+from drftjax.common.errors import InputError
+from hils.link.timing import USUAL_BAUD, watchdog_ms
 
 LONGEST_PATIENCE = 60.0  # [s]
+
+
 ASKED_TICK = 10_000  # [us]; any that every rig can take
+
 
 EXAMPLES = """
 Examples:
@@ -43,9 +46,9 @@ def ports(
     ] = 0.0,
 ) -> None:
     """List serial ports, and which of them answer HELLO."""
-    from drftjax.arrays import require_between
-    from hils.port import Listed, latency_timer, require_baud_rate
-    from hils.port import ports as listed
+    from drftjax.common.arrays import require_between
+    from hils.link.ports import Listed, latency_timer, require_baud_rate
+    from hils.link.ports import ports as listed
 
     require_baud_rate(baud)
     require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")
@@ -75,10 +78,10 @@ def _asked(name: str, baud: int, patience: float) -> str:
         InputError: it cannot be opened, or no rig answers.
     """
     from hils.clock import MonotonicClock
-    from hils.port import open_port
-    from hils.port_link import PortLink
-    from hils.session import Session
-    from hils.wire import Hello
+    from hils.link.messages import Hello
+    from hils.link.port_link import PortLink
+    from hils.link.ports import open_port
+    from hils.procedure.session import Session
 
     clock = MonotonicClock()
     link = PortLink(open_port(name, baud), clock)

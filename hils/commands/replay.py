@@ -20,13 +20,13 @@ def replay(
     files: Annotated[list[Path], typer.Argument(metavar="FILE", show_default=False)],
 ) -> None:
     """Feed recorded readings to the loop again, and compare its zeta with the recorded one."""
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
     from hils.realtime import answer_at_once
 
     # As for the run itself: other flags may make other kernels, and those another last bit.
     configure_jax()
     answer_at_once()
-    from drftjax.errors import InputError
+    from drftjax.common.errors import InputError
     from drftjax.runlog.check import read_runs_guarded
     from hils.replay import replay as again
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 
 EXAMPLES = """
 Examples:
@@ -64,16 +64,16 @@ def rig(
     if link is not None and socket is not None:
         raise InputError("--link names a pseudo-terminal; it does not go with --socket")
 
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
     from hils.realtime import answer_at_once
 
     configure_jax()
     answer_at_once()
-    from hils.faults import FaultScript, read_faults
-    from hils.rig_ends import PtyEnd, SocketEnd
-    from hils.rig_process import serve
-    from hils.virtual_rig import VirtualRig
-    from hils.virtual_setup import VirtualSetUp, read_virtual_setup
+    from hils.rig_sim.config import VirtualSetUp, read_virtual_setup
+    from hils.rig_sim.endpoints import PtyEnd, SocketEnd
+    from hils.rig_sim.faults import FaultScript, read_faults
+    from hils.rig_sim.rig import VirtualRig
+    from hils.rig_sim.server import serve
 
     chosen = VirtualSetUp() if setup is None else read_virtual_setup(setup)
     script = FaultScript() if faults is None else read_faults(faults)

@@ -5,14 +5,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from drftjax.commands.given import refuse_given
-from drftjax.errors import InputError
-from hils.pace import USUAL_BAUD, require_baud
+from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_given
+from drftjax.common.errors import InputError
+from hils.link.timing import USUAL_BAUD, require_baud
 
 # Ports whose line has no baud rate.
 WITHOUT_BAUD = ("socket://", "loop://")
-USUAL_OMEGA_MAX = 2.0  # [rad/s]
+
+
 OF_THE_TUNER = ("tuner", "zeta_step", "tolerance", "number", "tuning_ticks")
+
 
 EXAMPLES = """
 Examples:
@@ -111,20 +113,21 @@ def run(
         refuse_given(context, ("between",), "one run has none after it; give --repeat")
     if not port:
         raise InputError("--port is empty, must be a device or a URL; drft hils ports lists them")
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    from drftjax.setup import read_setup
-    from hils.guard import CommandLimits
-    from hils.loop import Overruns
-    from hils.loop_setup import LoopSetUp, TunerSetUp
-    from hils.loop_setup import profile as profile_of
-    from hils.operator_dialogue import Terminal, Unattended
-    from hils.procedure import Procedure, ZeroAt
-    from hils.screen import viewable
+    from drftjax.setups.setup import read_setup
+    from drftjax.tuning.registry import TunerSetUp
+    from hils.control.limits import CommandLimits
+    from hils.control.loop import Overruns
+    from hils.control.loop_config import LoopSetUp
+    from hils.control.loop_config import profile as profile_of
+    from hils.monitor.terminal import viewable
+    from hils.procedure.operator_prompts import Terminal, Unattended
+    from hils.procedure.procedure import Procedure, ZeroAt
     from hils.series import Series, file_names, make_series
 
     given = {"zeta_step": zeta_step, "tolerance": tolerance}

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.errors import InputError
+from drftjax.common.errors import InputError
 
 EXAMPLES = """
 Examples:
@@ -18,6 +18,7 @@ Without --now the wheel is ramped down, with it the rig makes an emergency stop.
 file is closed. Keep the rig's own emergency stop in reach all the same.
 """
 
+
 # A ramp on a loaded computer; closing the file may take its own time after that [s].
 LONGEST_RAMP = 60.0
 
@@ -29,9 +30,9 @@ def stop(
     now: Annotated[bool, typer.Option("--now", help="Emergency stop, without a ramp.")] = False,
 ) -> None:
     """Stop the runs that are under way on this computer."""
-    from hils.recorder import CLOSE_LIMIT
-    from hils.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
-    from hils.under_way import ended, runs_under_way, tell
+    from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
+    from hils.procedure.active_runs import ended, runs_under_way, tell
+    from hils.recording.recorder import CLOSE_LIMIT
 
     every = runs_under_way()
     runs = [run for run in every if port is None or run.port == port]

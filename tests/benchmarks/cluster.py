@@ -16,15 +16,15 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from rich.progress import Progress
 
-from identify.cluster import Local, Log, connected, fit_on
-from identify.lone_fit import Answer, Settings, Term, _set_up, answers, fit_logs
-from identify.lone_result import decoded, encoded
-from identify.store import Store
+from identify.cluster.result_codec import decoded, encoded
+from identify.cluster.scheduler import Local, Log, connected, fit_on
+from identify.cluster.store import Store
+from identify.cluster.worker import Answer, Settings, Term, _set_up, answers, fit_logs
 
 # The step is the one that a fit takes by itself.
 SETTINGS = Settings((Term("terrain.zeta", None, None, None),), step=5e-4)
@@ -34,9 +34,8 @@ PROFILE = ([0.0, 0.2, 0.7, 1.0], [0.0, 0.0, 0.5, 0.5])
 
 def write_logs(folder: Path, count: int) -> list[Log]:
     """Runs on fifty sands, each with noise of its own."""
-    from virtual_runs import recorded, setup_of
-
-    from drftjax.runlog.hdf5 import write_run
+    from drftjax.runlog.hdf5.api import write_run
+    from tests.helpers.synthetic_runs import recorded, setup_of
 
     clean = [recorded(setup_of(PROFILE, zeta), noise=0.0) for zeta in np.linspace(0.6, 0.9, SANDS)]
     logs = []
@@ -82,10 +81,10 @@ def on_cluster(logs: Sequence[Log], workers: int, store: Store) -> tuple[float, 
 
 def plainly(logs: Sequence[Log]) -> list:
     """The same logs fitted as a program of one's own would, without what makes tasks of them."""
-    from drftjax.runlog.hdf5 import read_run
-    from identify.candidate import candidate
-    from identify.fitting import fit
-    from identify.parameter import parameter
+    from drftjax.recorded.prepared_run import candidate
+    from drftjax.runlog.hdf5.api import read_run
+    from identify.fit_constant import fit
+    from identify.parameters.parameter import parameter
 
     zeta = [parameter("zeta", shared=False)]
     runs = [candidate(log.path.stem, read_run(log.path), step=SETTINGS.step) for log in logs]

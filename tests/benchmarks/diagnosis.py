@@ -18,7 +18,7 @@ FOLDERS = ("../shared/blind/practice/set_12", "../shared/blind/practice/set_07")
 
 
 def main() -> None:
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
     import jax
@@ -27,10 +27,10 @@ def main() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from diagnose.case import Case
-    from diagnose.diagnosis import diagnose
+    from diagnose.dataset import Case
+    from diagnose.pipeline import diagnose
     from drftjax.effects.catalogue import catalogue
-    from identify.candidate import candidates_of
+    from drftjax.recorded.prepared_run import candidates_of
 
     effects = tuple(catalogue().values())
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
@@ -51,7 +51,7 @@ def _simulated_once(case) -> float:
     """Seconds that the runs take one after another, compiled; the shortest of a few."""
     import numpy as np
 
-    from diagnose.response import Model
+    from diagnose.model.augmented_model import Model
 
     def once() -> float:
         begun = time.perf_counter()

@@ -10,7 +10,7 @@ import argparse
 import time
 from dataclasses import replace
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 
 configure_jax()
 
@@ -18,11 +18,12 @@ import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from drftjax.command import command_at  # noqa: E402
 from drftjax.effects.catalogue import catalogue  # noqa: E402
-from drftjax.effects.entry import typical  # noqa: E402
-from drftjax.rollout import simulate, step_times  # noqa: E402
-from drftjax.simulator import Simulator, State  # noqa: E402
+from drftjax.effects.serialization import typical  # noqa: E402
+from drftjax.physics.command import command_at  # noqa: E402
+from drftjax.physics.state import State  # noqa: E402
+from drftjax.simulation.rollout import simulate, step_times  # noqa: E402
+from drftjax.simulation.simulator import Simulator  # noqa: E402
 
 KNOTS = (0.0, 2.0, 7.0, 17.0, 22.0, 24.0)
 OMEGA = (0.0, 0.0, 0.5236, 0.5236, 0.0, 0.0)

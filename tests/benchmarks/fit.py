@@ -15,16 +15,16 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def main() -> None:
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax(devices=_cores())
     import jax
     from rich.console import Console
     from rich.table import Table
 
-    from identify.candidate import candidates_of
-    from identify.fitting import fit
-    from identify.parameter import parameter
+    from drftjax.recorded.prepared_run import candidates_of
+    from identify.fit_constant import fit
+    from identify.parameters.parameter import parameter
 
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(

@@ -12,9 +12,9 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 
-from mutated_frames import Tally, judge_batch
+from tests.helpers.frame_fuzzer import Tally, judge_batch
 
 BATCH = 20_000
 

@@ -16,9 +16,9 @@ import tempfile
 import time
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 
-from recording_host import trial
+from tests.helpers.recording_host import trial
 
 VICTIMS = (("host",), ("recorder",), ("host", "recorder"))
 

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 
 PROFILE = Path(__file__).resolve().parents[2] / "data" / "paper.toml"
 BAUD = 921600
@@ -85,8 +85,8 @@ def main() -> None:
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    from drftjax.saved import simulated_run
-    from drftjax.setup import read_setup
+    from drftjax.setups.setup import read_setup
+    from drftjax.setups.simulated_run import simulated_run
 
     setup = read_setup(PROFILE)
     truth = simulated_run(setup)
@@ -117,16 +117,17 @@ def main() -> None:
 
 def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder: Path) -> None:
     """Make a run and print its line."""
+    from drftjax.tuning.registry import TunerSetUp
     from hils.clock import MonotonicClock
-    from hils.guard import CommandLimits
-    from hils.loop_setup import LoopSetUp, TunerSetUp
-    from hils.operator_dialogue import Unattended
-    from hils.port import SocketPort, open_port
-    from hils.port_link import PortLink
-    from hils.procedure import Procedure, run
+    from hils.control.limits import CommandLimits
+    from hils.control.loop_config import LoopSetUp
+    from hils.control.stop_request import StopRequest
+    from hils.link.port_link import PortLink
+    from hils.link.ports import SocketPort, open_port
+    from hils.procedure.operator_prompts import Unattended
+    from hils.procedure.procedure import Procedure, run
     from hils.realtime import timely
-    from hils.recorder import Recorder
-    from hils.stop_request import StopRequest
+    from hils.recording.recorder import Recorder
 
     numbers = {"zeta_step": 1e-3 * given.tick / 0.01} if given.tuner == "step" else {}
     loop = LoopSetUp(
@@ -163,7 +164,7 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
     if report.loop is None:
         print(f"{number:4d}  {report.reason}")
         return
-    from drftjax.runlog.hdf5 import read_run
+    from drftjax.runlog.hdf5.api import read_run
 
     online = read_run(path).online
     assert online is not None

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.loop_peer DESCRIPTOR TRAJECTORY.npy
 
-It answers by `hils.rig_protocol`, and nothing else: what is measured is the host.
+It answers by `hils.rig_sim.firmware`, and nothing else: what is measured is the host.
 """
 
 import os
@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
-from hils.rig_protocol import RigIdentity, RigProtocol
-from hils.wire import RigState
+from hils.link.messages import RigState
+from hils.rig_sim.firmware import RigIdentity, RigProtocol
 
 # How long it waits for bytes before it looks at its own clock [s].
 GLANCE = 2e-3

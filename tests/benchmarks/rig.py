@@ -21,18 +21,18 @@ from pathlib import Path
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
-from hils.receiver import Receiver
-from hils.wire import FROM_RIG, Arm, Drive, Frame, Hello, Measurement, encode
+from drftjax.common.jax_config import configure_jax
+from hils.link.framing import Receiver
+from hils.link.messages import FROM_RIG, Arm, Drive, Frame, Hello, Measurement, encode
 from tests.benchmarks.loop import machine
-from tests.test_rig_process import HOST, Rig, opened
+from tests.hils.rig_sim.test_server import HOST, Rig, opened
 
 TICK_MS, WATCHDOG_MS = 10, 50
 
 
 def physics_speed(setup) -> tuple[float, float]:
     """Times real time at a tick of 10 ms, and a single step's call [us]."""
-    from hils.rig_physics import REST, Demand
+    from hils.rig_sim.physics import REST, Demand
 
     physics = setup.build()
     packed, last, steps = physics.held(), REST, round(0.01 / setup.physics.step)
@@ -107,8 +107,8 @@ def main() -> None:
     import jax
 
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    from hils.simulated import QUICK
-    from hils.virtual_setup import VirtualSetUp
+    from hils.rig_sim.config import VirtualSetUp
+    from hils.rig_sim.in_process import QUICK
 
     print(machine())
     for name, setup in {"default": VirtualSetUp(), "quick": VirtualSetUp(physics=QUICK)}.items():

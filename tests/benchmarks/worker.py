@@ -15,15 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax import integrator as integrators
-from drftjax.command import command_at
-from drftjax.ensemble import simulate_ensemble
-from drftjax.rollout import simulate, step_times
-from drftjax.scaling import ConstantZeta
-from drftjax.simulator import Simulator, State
-from drftjax.stress import Dynamic
-from drftjax.terrain import Terrain
-from drftjax.wheel import GrouserWheel
+from drftjax.physics import integrator as integrators
+from drftjax.physics.command import command_at
+from drftjax.physics.state import State
+from drftjax.physics.stress import Dynamic
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel
+from drftjax.simulation.ensemble import simulate_ensemble
+from drftjax.simulation.rollout import simulate, step_times
+from drftjax.simulation.simulator import Simulator
 from tests.benchmarks.cases import DURATION, PAPER_ZETA, ZETAS, Case
 
 # Deep enough for the lightest sand of the cases, and half of the wheel is left out.

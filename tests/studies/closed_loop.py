@@ -2,7 +2,7 @@
 
 The rig is a second simulation whose carriage is driven at the first one's speed. There is no wire,
 no clock and no guard here, so that what is seen comes from eq. 7 and the sand; the whole loop with
-all of these is `hils.paper`.
+all of these is `hils.experiment.experiment`.
 """
 
 import dataclasses
@@ -14,16 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from drftjax.command import Command
 from drftjax.effects.terrain import Loosening
-from drftjax.integrator import HeldPace
-from drftjax.rig import DrivenCarriage
-from drftjax.scaling import ConstantZeta
-from drftjax.simulator import Simulator, State
-from drftjax.statics import sinkage_under_load, zeta_from_sinkage
-from drftjax.terrain import Terrain
-from drftjax.tuner import tunable
-from drftjax.wheel import GrouserWheel, PlainWheel
+from drftjax.physics.command import Command
+from drftjax.physics.integrator import HeldPace
+from drftjax.physics.rig import DrivenCarriage
+from drftjax.physics.state import State
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel, PlainWheel
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import sinkage_under_load, zeta_from_sinkage
+from drftjax.tuning.step_tuner import tunable
 
 STEP = 1e-3
 STEPS_A_ROW = 10

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 
 from . import cmu_data as data
 from . import cmu_driving as driving

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.runlog.importers.table import import_table, read_table
 from drftjax.runlog.record import RunLog
-from drftjax.runlog.table import import_table, read_table
 
 ROOT = Path(__file__).resolve().parents[2]
 MAPPINGS = ROOT / "data" / "import"

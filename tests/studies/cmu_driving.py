@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.integrator import AbstractIntegrator, HeldPace, Rosenbrock
-from drftjax.simulator import Simulator
-from drftjax.stress import Dynamic
-from drftjax.wheel import GrouserWheel, PlainWheel
+from drftjax.physics.integrator import AbstractIntegrator, HeldPace, Rosenbrock
+from drftjax.physics.stress import Dynamic
+from drftjax.physics.wheel import GrouserWheel, PlainWheel
+from drftjax.simulation.simulator import Simulator
 
 from .cmu_data import (
     GROUSER,

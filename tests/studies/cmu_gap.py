@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from diagnose.response import Model
-from drftjax.commands.runtime import configure_jax
-from drftjax.effects import chain
+from diagnose.model.augmented_model import Model
+from drftjax.common.jax_config import configure_jax
+from drftjax.effects import composition as chain
+from drftjax.effects.base import Moment
 from drftjax.effects.catalogue import effect_class, numbers
-from drftjax.effects.stage import Moment
-from drftjax.simulator import Simulator, State
+from drftjax.physics.state import State
+from drftjax.simulation.simulator import Simulator
 
 from . import cmu_data as data
 from . import cmu_driving as driving

@@ -10,9 +10,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from drftjax.simulator import Simulator
-from drftjax.statics import vertical_support
-from drftjax.stress import NEWTON_PER_CUBIC_CENTIMETRE, StressCoefficients
+from drftjax.physics.stress import NEWTON_PER_CUBIC_CENTIMETRE, StressCoefficients
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import vertical_support
 
 from .cmu_data import Intrusion, Reals
 from .cmu_steady import pitch_of

@@ -11,15 +11,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.command import Command
-from drftjax.integrator import DEFAULT_STEP
-from drftjax.rig import DrivenCarriage, Rig
-from drftjax.rollout import simulate
-from drftjax.scaling import ConstantZeta
-from drftjax.simulator import Simulator, State
-from drftjax.stress import Dynamic
-from drftjax.terrain import Terrain
-from drftjax.wheel import AbstractWheel
+from drftjax.physics.command import Command
+from drftjax.physics.integrator import DEFAULT_STEP
+from drftjax.physics.rig import DrivenCarriage, Rig
+from drftjax.physics.state import State
+from drftjax.physics.stress import Dynamic
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import AbstractWheel
+from drftjax.simulation.rollout import simulate
+from drftjax.simulation.simulator import Simulator
 
 DURATION = 20.0
 # Wheel angles over a pitch at which a held wheel's force is taken.

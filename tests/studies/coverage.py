@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-TESTS = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ZETA, LAMBDA = "terrain.zeta", "terrain.inertial_coefficient"
 NINETY = 1.645
 # Knots in time [s] and omega [rad/s]: fast enough that lambda matters.
@@ -52,8 +52,8 @@ def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> 
         seed: Of truths and noise.
         report: Called with the number of the batch.
     """
-    from identify.fitting import MODEL_ERROR, fit
-    from identify.parameter import own, shared
+    from identify.fit_constant import MODEL_ERROR, fit
+    from identify.parameters.parameter import own, shared
 
     random = np.random.default_rng(seed)
     error = MODEL_ERROR if offsets else {}
@@ -72,10 +72,9 @@ def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> 
 
 
 def _run(name: str, zeta: float, factor: float, random, error):
-    from virtual_runs import coarse, recorded, setup_of
-
     from drftjax.runlog.record import Measured
-    from identify.optimum import phases_of
+    from identify.uncertainty.estimate import phases_of
+    from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
     setup = setup_of(BRISK, zeta)
     setup.terrain.inertial_coefficient = factor
@@ -98,8 +97,8 @@ def main() -> None:
     arguments.add_argument("--white", action="store_true", help="no constants in the phases")
     arguments.add_argument("--seed", type=int, default=0)
     given = arguments.parse_args()
-    sys.path.insert(0, str(TESTS))
-    from drftjax.commands.runtime import configure_jax
+    sys.path.insert(0, str(ROOT))
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax(devices=1)
     begin = time.perf_counter()

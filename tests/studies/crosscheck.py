@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 from drftjax.runlog.record import Measured, RunLog
-from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp, ZetaKnots
+from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp, ZetaKnots
 
 SEED = 20240719
 NOISE = 20e-6
@@ -47,7 +47,7 @@ def known_setup(
     title: str, path: KnownPath, grid: np.ndarray, time=TIME, omega=OMEGA, plate_size: float = 4e-3
 ) -> SetUp:
     """A set-up whose zeta is a known path's between the knots of a grid, resting at its start."""
-    from drftjax.statics import sinkage_under_load
+    from drftjax.simulation.statics import sinkage_under_load
 
     command = CommandSetUp([*map(float, time)], [*map(float, omega)], None, "deg/s")
     setup = SetUp(command=command, title=title)
@@ -61,7 +61,7 @@ def known_setup(
 
 def known_run(setup: SetUp, random: np.random.Generator, noise: float = NOISE) -> RunLog:
     """A set-up's run as a rig would log it, which believes in the paper's zeta."""
-    from drftjax.saved import simulated_run
+    from drftjax.setups.simulated_run import simulated_run
 
     run = simulated_run(setup, 1 / RATE)
     assert run.measured.x is not None
@@ -80,10 +80,11 @@ def main() -> None:
     parser.add_argument("-o", type=Path, default=Path("out/crosscheck"))
     stem = parser.parse_args().o
     configure_jax()
-    from identify.candidate import candidate
-    from identify.crosscheck import crosscheck
-    from identify.crosscheck_command import tables, write
-    from identify.tuner_replays import Setting
+    from drftjax.recorded.prepared_run import candidate
+    from identify.commands.crosscheck import write
+    from identify.crosscheck.crosscheck import crosscheck
+    from identify.crosscheck.replays import Setting
+    from identify.crosscheck.report import tables
 
     random = np.random.default_rng(SEED)
     grid = np.arange(0.0, TIME[-1] + FINEST / 2, FINEST)

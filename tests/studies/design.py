@@ -13,13 +13,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from drftjax.recorded.prepared_run import candidate
 from drftjax.runlog.record import Measured
-from drftjax.saved import simulated_run
-from drftjax.setup import SetUp, read_setup
-from identify.candidate import candidate
-from identify.design import promised
-from identify.fitting import fit
-from identify.parameter import parameter
+from drftjax.setups.setup import SetUp, read_setup
+from drftjax.setups.simulated_run import simulated_run
+from identify.design.design import promised
+from identify.fit_constant import fit
+from identify.parameters.parameter import parameter
 
 NOISE = {"x": 5e-5, "z": 2e-5}
 

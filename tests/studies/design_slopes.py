@@ -12,7 +12,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 
 PAPER = Path(__file__).resolve().parents[2] / "data" / "paper.toml"
 PEAKS = (60.0, 150.0)  # [deg/s]
@@ -24,8 +24,8 @@ def slopes(objective, at):
     """Exact gradient, and central differences over each width, by their names."""
     import equinox as eqx
 
-    from drftjax.ensemble import map_runs
-    from identify.information import value_and_gradient
+    from drftjax.simulation.ensemble import map_runs
+    from identify.design.fisher_information import value_and_gradient
 
     @eqx.filter_jit
     def differences(objective, at, width):
@@ -44,10 +44,10 @@ def main() -> None:
     configure_jax()
     import equinox as eqx
 
-    from drftjax.setup import read_setup
-    from drftjax.stress import Sharp
-    from identify.design import search_objective, trapezoid
-    from identify.limits import Limits
+    from drftjax.physics.stress import Sharp
+    from drftjax.setups.setup import read_setup
+    from identify.design.design import search_objective, trapezoid
+    from identify.design.limits import Limits
 
     limits = Limits()
     setup = read_setup(PAPER)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
-from drftjax.runlog.hdf5 import write_run
+from drftjax.common.jax_config import configure_jax
+from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured, RunLog
 
 FOLDER = Path(__file__).parents[2] / "data" / "runs"
@@ -31,9 +31,9 @@ PROFILES = {
 
 def make(name: str, random: np.random.Generator) -> RunLog:
     """One run of our rig, as its operator would log it."""
-    from drftjax.saved import simulated_run
-    from drftjax.setup import CommandSetUp, IntegratorSetUp, SetUp
-    from drftjax.statics import sinkage_under_load
+    from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp
+    from drftjax.setups.simulated_run import simulated_run
+    from drftjax.simulation.statics import sinkage_under_load
 
     time, omega = PROFILES[name]
     setup = SetUp(

@@ -17,18 +17,19 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from diagnose.case import Case
-from diagnose.diagnosis import Diagnosis, diagnose
-from diagnose.hypothesis import Hypothesis
-from diagnose.left_out import at_mean_sinkage, predicted_unseen
-from diagnose.mean_sinkage import residuals_of
-from drftjax.commands.runtime import configure_jax
+from diagnose.dataset import Case
+from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
+from diagnose.gap.zeta_matching import residuals_of
+from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.pipeline import diagnose
+from diagnose.result import Diagnosis
+from drftjax.common.jax_config import configure_jax
+from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, effect_class
-from drftjax.effects.stage import AbstractEffect
 from drftjax.effects.stress import REFERENCE_DEPTH
-from drftjax.runlog.hdf5 import read_run
-from drftjax.setup import setup_from_run
-from identify.candidate import Candidate, candidate
+from drftjax.recorded.prepared_run import Candidate, candidate
+from drftjax.runlog.hdf5.api import read_run
+from drftjax.setups.from_run import setup_from_run
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT.parent / "shared" / "granular"

@@ -13,16 +13,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.case import Case
-from diagnose.diagnosis import Diagnosis, diagnose
-from diagnose.left_out import at_mean_sinkage, predicted_unseen
-from diagnose.mean_sinkage import residuals_of
+from diagnose.dataset import Case
+from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
+from diagnose.gap.zeta_matching import residuals_of
+from diagnose.pipeline import diagnose
+from diagnose.result import Diagnosis
+from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue
-from drftjax.effects.stage import AbstractEffect
+from drftjax.recorded.prepared_run import candidate
 from drftjax.runlog.record import Measured, RunLog
-from drftjax.saved import simulated_run
-from drftjax.setup import CommandSetUp, SetUp
-from identify.candidate import candidate
+from drftjax.setups.setup import CommandSetUp, SetUp
+from drftjax.setups.simulated_run import simulated_run
 
 # Top speeds [deg/s] of the runs; two of each half a case share a command.
 FAST = (60.0, 120.0, 120.0, 200.0, 300.0)
@@ -91,7 +92,7 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
 
 def main() -> None:
     """Print both diagnoses."""
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
     for name, tops in (("fast", FAST), ("slow", SLOW)):

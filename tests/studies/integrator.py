@@ -18,13 +18,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from drftjax.integrator import DEFAULT_STEP, AbstractIntegrator, Explicit, HeldPace, Rosenbrock
-from drftjax.rollout import simulate
-from drftjax.scaling import ConstantZeta
-from drftjax.simulator import Output, Simulator
-from drftjax.statics import REST
-from drftjax.terrain import Terrain
-from drftjax.wheel import GrouserWheel
+from drftjax.physics.integrator import (
+    DEFAULT_STEP,
+    AbstractIntegrator,
+    Explicit,
+    HeldPace,
+    Rosenbrock,
+)
+from drftjax.physics.state import Output
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel
+from drftjax.simulation.rollout import simulate
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import REST
 from tests.studies.runs import Run, profile, reference, roll
 
 INTEGRATORS = (Rosenbrock(), HeldPace(), Explicit())

@@ -8,7 +8,7 @@ read at 50 Hz with 20 um of noise, and fitted with a reference model that has no
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 from tests.studies.crosscheck import known_run, known_setup
 
 SEED = 3
@@ -26,9 +26,9 @@ SPACINGS = (1.0, 0.5, 0.25)
 
 def main() -> None:
     configure_jax()
-    from identify.candidate import candidate
-    from identify.crosscheck import crosscheck
-    from identify.tuner_replays import Setting
+    from drftjax.recorded.prepared_run import candidate
+    from identify.crosscheck.crosscheck import crosscheck
+    from identify.crosscheck.replays import Setting
 
     random = np.random.default_rng(SEED)
     runs = []

@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from identify.candidate import Candidate, candidates_of
-from identify.fitting import fit
-from identify.parameter import parameter
-from identify.repeats import noise_floor
-from identify.result import RunFit
+from drftjax.recorded.prepared_run import Candidate, candidates_of
+from identify.fit_constant import fit
+from identify.parameters.parameter import parameter
+from identify.results.noise_floor import noise_floor
+from identify.results.values import RunFit
 
 FOLDERS = ("../shared/blind/practice/set_03", "../shared/blind/practice/set_08")
 # After the wheel begins to turn: what "at the start" is the mean of, and where a rise is looked
@@ -124,7 +124,7 @@ def _rise(candidate: Candidate, zeta: float) -> tuple[float, float]:
 
 
 def main() -> None:
-    from drftjax.commands.runtime import configure_jax
+    from drftjax.common.jax_config import configure_jax
 
     configure_jax()
     print(

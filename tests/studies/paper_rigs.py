@@ -9,8 +9,8 @@ what is left comes from the rig. Two minutes.
 import copy
 from typing import Any
 
-from drftjax.commands.runtime import configure_jax
-from hils.virtual_setup import VirtualSetUp
+from drftjax.common.jax_config import configure_jax
+from hils.rig_sim.config import VirtualSetUp
 
 RIGS: dict[str, dict[str, Any]] = {
     "nothing but loosening": {},
@@ -27,7 +27,7 @@ MM = 1e3
 
 def rig_of(differs: dict[str, Any]) -> VirtualSetUp:
     """The loosening rig, its beds alike, that differs so."""
-    from hils.paper import loosening_rig
+    from hils.experiment.experiment import loosening_rig
 
     rig = copy.deepcopy(loosening_rig(scatter=0.0))
     for part in ("rig", "wheel"):
@@ -43,12 +43,12 @@ def main() -> None:
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    from drftjax.datafiles import data_file
-    from drftjax.setup import read_setup
-    from hils.guard import CommandLimits
-    from hils.loop_setup import LoopSetUp
-    from hils.paper import Experiment, make
-    from hils.paper_report import table
+    from drftjax.common.package_data import data_file
+    from drftjax.setups.setup import read_setup
+    from hils.control.limits import CommandLimits
+    from hils.control.loop_config import LoopSetUp
+    from hils.experiment.experiment import Experiment, make
+    from hils.experiment.report import table
 
     loop = LoopSetUp(setup=read_setup(data_file("paper.toml")), commands=CommandLimits(2.0, 0.3))
     rows = []

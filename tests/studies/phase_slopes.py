@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
+from drftjax.common.jax_config import configure_jax
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.surface import SurfaceSlope
-from drftjax.integrator import HeldPace
-from drftjax.setup import read_setup
+from drftjax.physics.integrator import HeldPace
+from drftjax.setups.setup import read_setup
 
 STEPS = (2e-3, 5e-4)
 # Strengths, and the change that the wide difference spans to either side.

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
-from hils.spectrum import order, spectrum
+from drftjax.common.jax_config import configure_jax
+from hils.experiment.spectrum import order, spectrum
 from tests.studies.closed_loop import INTERVAL, LOSS, SPEED, ZETA, Setting, Traces, run
 
 DURATION, SETTLED = 60.0, 15.0
@@ -153,12 +153,12 @@ def linear(zeta: float = ZETA * (1 - LOSS), omega: float = SPEED) -> Linear:
     import jax
     import jax.numpy as jnp
 
-    from drftjax.command import Command
-    from drftjax.integrator import HeldPace
-    from drftjax.scaling import ConstantZeta
-    from drftjax.simulator import Simulator, State
-    from drftjax.terrain import Terrain
-    from drftjax.wheel import PlainWheel
+    from drftjax.physics.command import Command
+    from drftjax.physics.integrator import HeldPace
+    from drftjax.physics.state import State
+    from drftjax.physics.terrain import ConstantZeta, Terrain
+    from drftjax.physics.wheel import PlainWheel
+    from drftjax.simulation.simulator import Simulator
 
     wheel = PlainWheel(plate_size=2e-4)
     simulator = Simulator(wheel, Terrain(ConstantZeta(zeta)), integrator=HeldPace()).prepared()
@@ -214,11 +214,12 @@ def whole() -> list[tuple[str, ...]]:
     """Some settings in the loop itself: link, clock, guard, counts, and the paper's profile."""
     import msgspec
 
-    from drftjax.datafiles import data_file
-    from drftjax.setup import read_setup
-    from hils.guard import CommandLimits
-    from hils.loop_setup import LoopSetUp, TunerSetUp
-    from hils.paper import Experiment, loosening_rig, make
+    from drftjax.common.package_data import data_file
+    from drftjax.setups.setup import read_setup
+    from drftjax.tuning.registry import TunerSetUp
+    from hils.control.limits import CommandLimits
+    from hils.control.loop_config import LoopSetUp
+    from hils.experiment.experiment import Experiment, loosening_rig, make
 
     rows = []
     for tick, tolerance, degrees, noise in WHOLE:
@@ -247,7 +248,7 @@ def whole() -> list[tuple[str, ...]]:
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from hils.paper_report import table
+    from hils.experiment.report import table
 
     print(f"\n{title}\n\n{table(head, rows)}", flush=True)
 
@@ -427,7 +428,7 @@ def draw(output: Path, full: list[Found], bare: list[Found]) -> None:
     """Spectra of four loops, and the tuner's own frequency by the wheel's speed."""
     from matplotlib.figure import Figure
 
-    from drftjax.figures import save_figure
+    from drftjax.common.figures import save_figure
 
     kinds = {
         "tick 10 ms, 0.1 mm": Setting(),

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from drftjax.command import Command, command_at
-from drftjax.integrator import AbstractIntegrator
-from drftjax.rig import Rig
-from drftjax.rollout import simulate, step_times
-from drftjax.runlog.hdf5 import read_run
-from drftjax.scaling import ConstantZeta
-from drftjax.simulator import Output, Simulator, State
-from drftjax.stress import Dynamic, QuasiStatic
-from drftjax.terrain import Terrain
-from drftjax.wheel import GrouserWheel, PlainWheel
+from drftjax.physics.command import Command, command_at
+from drftjax.physics.integrator import AbstractIntegrator
+from drftjax.physics.rig import Rig
+from drftjax.physics.state import Output, State
+from drftjax.physics.stress import Dynamic, QuasiStatic
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel, PlainWheel
+from drftjax.runlog.hdf5.api import read_run
+from drftjax.simulation.rollout import simulate, step_times
+from drftjax.simulation.simulator import Simulator
 
 REFERENCE_RUNS = (
     "paper",

@@ -3,7 +3,7 @@
     python -m tests.studies.tuners
 
 prints the tables of `docs/hils-tuners.md`, in a few minutes. The rig's sand, plates, step and
-carriage are its own (`hils.virtual_rig`); its scale counts in steps and is noisy; the loop sees a
+carriage are its own (`hils.rig_sim.rig`); its scale counts in steps and is noisy; the loop sees a
 reading a tick late. Everything is in virtual time, so the tables come out the same each time.
 """
 
@@ -12,19 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drftjax.commands.runtime import configure_jax
-from drftjax.effects.entry import Entry
-from drftjax.setup import TerrainSetUp, ZetaKnots, read_setup
+from drftjax.common.jax_config import configure_jax
+from drftjax.effects.serialization import Entry
+from drftjax.setups.setup import TerrainSetUp, ZetaKnots, read_setup
+from drftjax.tuning.registry import TunerSetUp
 from hils.clock import VirtualClock
-from hils.guard import CommandLimits
-from hils.loop_setup import LoopSetUp, TunerSetUp
-from hils.operator_dialogue import Unattended
-from hils.procedure import Procedure, run
-from hils.rows import KeptRows
-from hils.simulated import soft_rig
-from hils.stop_request import StopRequest
-from hils.virtual_rig import VirtualRig
-from hils.virtual_setup import PhysicsSetUp, VirtualSetUp
+from hils.control.limits import CommandLimits
+from hils.control.loop_config import LoopSetUp
+from hils.control.stop_request import StopRequest
+from hils.procedure.operator_prompts import Unattended
+from hils.procedure.procedure import Procedure, run
+from hils.recording.sinks import KeptRows
+from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
+from hils.rig_sim.in_process import soft_rig
+from hils.rig_sim.rig import VirtualRig
 
 PROFILE = "data/paper.toml"
 PHYSICS = PhysicsSetUp(step=5e-4, plate_size=2e-3)

@@ -15,32 +15,41 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.runlog import layout, recording_lock
-from drftjax.runlog.content import (
-    Attribute,
-    Content,
-    Dataset,
-    Found,
-    Group,
-    Level,
-    Violation,
-    printable,
-)
-from drftjax.runlog.hdf5.committed import COMMITTED, committed_rows, committed_values
-from drftjax.runlog.seal import seal_holds
-from drftjax.structfile import HDF5
+from drftjax.common.structured_files import HDF5
+from drftjax.common.text import printable
+from drftjax.runlog import recording_lock
+from drftjax.runlog import schema as layout
+from drftjax.runlog.content import Attribute, Content, Dataset, Found, Group, Level, Violation
+from drftjax.runlog.hdf5.checksum import seal_holds
 
 SIZE_LIMIT: Final = 512 * 2**20
+
+
 """Most bytes that a file's datasets may declare together."""
+
+
 OBJECT_LIMIT: Final = 2000
+
+
 """Most objects in a file, and most rows of an attribute."""
+
+
 BUILT_IN_FILTERS: Final = 255
+
+
 """HDF5 numbers its own filters up to here; others need a plug-in, which is code."""
+
 
 # What h5py raises when the library finds damage, from place to place.
 _LIBRARY_ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
+
+
 _AT_WORK: Final = "is still being recorded; it can be read when the run has ended"
+
+
 _NO_HDF5: Final = "is not an HDF5 file"
+
+
 _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS")
 
 
@@ -395,3 +404,43 @@ def _plain(value: Any) -> Attribute:
         items = [_plain(each) for each in value]
         return cast(Attribute, items[0] if len(items) == 1 else items)
     return value.item() if isinstance(value, np.generic) else value
+
+
+COMMITTED: Final = "n_committed"
+
+
+GROUPS: Final = ("command", "measured", "online", "events")
+
+
+"""The groups that /n_committed counts, in its order."""
+
+
+def committed_rows(file: h5py.File) -> dict[str, int]:
+    """Rows that are committed, by group.
+
+    Raises:
+        KeyError: The file is no recording.
+    """
+    counts = np.asarray(cast(h5py.Dataset, file[COMMITTED])[()])
+    return {title: int(rows) for title, rows in zip(GROUPS, counts, strict=False) if title in file}
+
+
+def committed_values(node: h5py.Dataset, rows: int) -> NDArray[Any]:
+    """The first rows of a dataset.
+
+    A kill can fall into the rewriting of the last chunk, so that its checksum fails. The rows
+    that were committed before are the same in the old and in the new chunk.
+
+    Raises:
+        OSError: They cannot be read.
+    """
+    if node.shape[0] < rows:
+        raise OSError(f"{node.shape[0]} rows of {rows} are there")
+    try:
+        return np.asarray(node[:rows])
+    except OSError:
+        side = cast(tuple[int, ...], node.chunks)[0]
+        start = (rows - 1) // side * side
+        _, chunk = node.id.read_direct_chunk((start,))
+        last = np.frombuffer(chunk, node.dtype, rows - start)
+        return np.concatenate([np.asarray(node[:start]), last])

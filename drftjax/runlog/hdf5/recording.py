@@ -16,19 +16,21 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.errors import InputError
-from drftjax.runlog import layout, recording_lock
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import put_new_file
+from drftjax.runlog import recording_lock
+from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute
-from drftjax.runlog.hdf5.committed import COMMITTED, GROUPS
-from drftjax.runlog.hdf5.reading import SIZE_LIMIT, survey_recording
+from drftjax.runlog.hdf5.checksum import sealed
+from drftjax.runlog.hdf5.reading import COMMITTED, GROUPS, SIZE_LIMIT, survey_recording
 from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
-from drftjax.runlog.head import Head
+from drftjax.runlog.header import Head
 from drftjax.runlog.record import ONLINE_INTEGERS
-from drftjax.runlog.recording_place import RESERVE, require_room
-from drftjax.runlog.replace import put_new_file
-from drftjax.runlog.seal import sealed
+from drftjax.runlog.recording_lock import RESERVE, require_room
 
 ROWS_IN_CHUNK: Final = 512
+
+
 """Rows that a kill within a write can reach: a chunk of float64 is a page of memory."""
 
 

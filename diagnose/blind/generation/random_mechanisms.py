@@ -1,0 +1,355 @@
+"""What may be wrong with a plant: every name of the catalogue in a form drawn by lot, and more.
+
+A recipe draws the form (exponents, shapes, signs); how strong it is comes after, as one number.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from diagnose.blind.plant import bed, drive, machine, sand
+from diagnose.blind.plant import sensors as instrument
+from diagnose.blind.plant import unlisted as stranger
+from diagnose.blind.plant.plant import Change, Part
+from diagnose.blind.plant.random_profiles import Curve, drawn_profile, drawn_variation
+
+UNKNOWN = "unknown"
+
+
+Random = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Something wrong, of a form that is settled and a strength that is not.
+
+    Attributes:
+        name: The answer that is right: a name of the catalogue, or `UNKNOWN`.
+        kind: The plant's own name of it.
+        stage: Where it acts.
+        build: Makes it from its strength.
+        typical: A strength to begin a search at, in units of its own.
+        most: The greatest strength that a rig may show.
+        form: What it looks like, for the labels.
+    """
+
+    name: str
+    kind: str
+    stage: str
+    build: Callable[[float], Part]
+    typical: float
+    most: float
+    form: dict[str, Any] = field(default_factory=dict)
+
+
+Made = tuple[Callable[[float], Part], float, float, dict[str, Any]]
+
+
+Recipe = Callable[[Random], Made]
+
+
+def _sign(random: Random) -> float:
+    return float(random.choice([-1.0, 1.0]))
+
+
+def _log(random: Random, low: float, high: float) -> float:
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def _part(kind: type, **numbers: Any) -> Part:
+    """An effect of these numbers, which its fields turn into arrays."""
+    return kind(**numbers)
+
+
+def _effect(kind: type, number: str, typical: float, most: float, signed: bool = True, **shapes):
+    """A recipe for an effect of one strength; `shapes` says how each other number is drawn."""
+
+    def recipe(random: Random) -> Made:
+        sign = _sign(random) if signed else 1.0
+        form = {name: float(draw(random)) for name, draw in shapes.items()}
+        return (
+            lambda size: kind(**{number: sign * size}, **form),
+            typical,
+            most,
+            form | {"sign": sign},
+        )
+
+    return recipe
+
+
+def _change(where: Callable[[Any], Any], typical: float, least: float, most: float) -> Recipe:
+    """A recipe for a number of the simulator that is off by at least `least`, at most `most`."""
+
+    def recipe(random: Random) -> Made:
+        sign = _sign(random)
+        farthest = most if sign > 0 else -least
+        return lambda size: Change(where, sign * size), typical, farthest, {"sign": sign}
+
+    return recipe
+
+
+def _between(low: float, high: float) -> Callable[[Random], float]:
+    return lambda random: random.uniform(low, high)
+
+
+def _between_log(low: float, high: float) -> Callable[[Random], float]:
+    return lambda random: _log(random, low, high)
+
+
+def _loosening(random: Random) -> Made:
+    form = {
+        "form": float(random.integers(3)),
+        "decay": _log(random, 0.5, 6.0),
+        "power": float(random.uniform(0.6, 1.6)),
+    }
+    return lambda size: _part(sand.Loosening, loss=size, **form), 0.1, 0.6, form
+
+
+def _variation(random: Random) -> Made:
+    curve, values = drawn_variation(random)
+    sign = _sign(random)
+    form = {"curve": curve, "sign": sign}
+    table = Curve(values)
+    return (
+        lambda size: _part(sand.TerrainVariation, excess=sign * size, curve=table),
+        0.1,
+        0.6,
+        form,
+    )
+
+
+def _profile(random: Random) -> Made:
+    curve, values = drawn_profile(random)
+    sign = _sign(random)
+    form = {"curve": curve, "sign": sign}
+    table = Curve(values)
+    return (
+        lambda size: _part(bed.SurfaceProfile, amplitude=sign * size, curve=table),
+        0.001,
+        0.008,
+        form,
+    )
+
+
+def _excavation(random: Random) -> Made:
+    power = float(random.choice([random.uniform(-1, -0.3), random.uniform(0.3, 0.8)]))
+    form = {"length": _log(random, 0.05, 0.5), "power": power}
+    return lambda size: _part(bed.Excavation, rate=size, **form), 0.05, 0.5, form
+
+
+def _gain(random: Random) -> Made:
+    sign, bend = _sign(random), float(random.uniform(0, 0.2))
+    return lambda size: drive.SpeedGain(sign * size, bend), 0.03, 0.15, {"sign": sign, "bend": bend}
+
+
+def _lag(random: Random) -> Made:
+    damping = float(random.uniform(0.6, 1.3))
+    return lambda size: drive.SpeedLag(size, damping), 0.1, 0.6, {"damping": damping}
+
+
+def _ripple(random: Random) -> Made:
+    order = _log(random, 2.0, 40.0)
+    form = {
+        "order": float(np.round(order)) if random.random() < 0.6 else order,
+        "phase": float(random.uniform(0, 6.28)),
+        "second": float(random.uniform(0.1, 0.5)),
+        "second_phase": float(random.uniform(0, 6.28)),
+    }
+    return lambda size: drive.SpeedRipple(size, **form), 0.03, 0.25, form
+
+
+def _backlash(random: Random) -> Made:
+    snap = float(random.uniform(0.01, 0.04))
+    return lambda size: drive.Backlash(size, snap), 0.05, 0.4, {"snap": snap}
+
+
+def _sensor(kind: type, typical: float, most: float, name: str, low: float, high: float) -> Recipe:
+    def recipe(random: Random) -> Made:
+        sign, value = _sign(random), float(random.uniform(low, high))
+        form = {"sign": sign, name: value}
+        return lambda size: kind(sign * size, value), typical, most, form
+
+    return recipe
+
+
+def _delay(random: Random) -> Made:
+    return instrument.MeasurementDelay, 0.1, 0.6, {}
+
+
+def _filter(random: Random) -> Made:
+    form = str(random.choice(["mean", "second order"]))
+    return lambda size: instrument.MeasurementFilter(size, form), 0.1, 0.6, {"form": form}
+
+
+def _crosstalk(random: Random) -> Made:
+    sign = _sign(random)
+    return lambda size: instrument.DriveCrosstalk(sign * size), 2e-4, 5e-3, {"sign": sign}
+
+
+_phase = _between(0, 6.28)
+
+
+_power = _between(0.8, 1.3)
+
+
+_surplus = _between(0, 0.4)
+
+
+# By stage: what an answer may name.
+CATALOGUE: dict[str, dict[str, Recipe]] = {
+    "terrain": {
+        "loosening": _loosening,
+        "slip_softening": _effect(
+            sand.SlipSoftening, "loss", 0.1, 0.6, False, power=_between(0.25, 0.9)
+        ),
+        "rate_hardening": _effect(
+            bed.RateHardening, "excess", 0.1, 0.8, False, power=_between(0.3, 1.0)
+        ),
+        "depth_hardening": _effect(bed.DepthHardening, "power", 0.1, 0.5),
+        "terrain_variation": _variation,
+        "surface_profile": _profile,
+        "surface_slope": _effect(
+            bed.SurfaceSlope, "slope", 0.005, 0.05, bend=_between(-0.15, 0.15)
+        ),
+        "rigid_floor": _effect(
+            bed.RigidFloor,
+            "excess",
+            0.1,
+            5.0,
+            False,
+            floor=_between(0.028, 0.042),
+            scale=_between(0.005, 0.015),
+        ),
+        "cohesion": _effect(
+            bed.Cohesion, "depth", 0.001, 0.008, False, onset=_between(0.001, 0.005)
+        ),
+        "excavation": _excavation,
+        "bulldozing": _effect(
+            sand.Bulldozing, "force", 3.0, 30.0, False, length=_between_log(0.1, 0.8)
+        ),
+        "momentum_flux": _change(lambda s: s.terrain.law.inertial_coefficient, 0.8, -1.1, 2.5),
+        "height_decrease": _change(lambda s: s.terrain.law.height_decrease, 0.8, -1.0, 2.0),
+    },
+    "wheel": {
+        "wheel_radius": _change(lambda s: s.wheel.radius, 0.002, -0.012, 0.012),
+        "grouser_height": _change(lambda s: s.wheel.grouser_height, 0.002, -0.017, 0.006),
+        "eccentricity": _effect(machine.Eccentricity, "offset", 0.001, 0.006, False, phase=_phase),
+        "imbalance": _effect(machine.Imbalance, "moment_of_mass", 0.2, 2.0, False, phase=_phase),
+    },
+    "rig": {
+        "vertical_load": _effect(machine.VerticalLoad, "force", 5.0, 40.0),
+        "vertical_coulomb": _effect(
+            machine.VerticalCoulomb,
+            "force",
+            5.0,
+            40.0,
+            False,
+            stick=_between_log(5e-5, 4e-4),
+            surplus=_surplus,
+        ),
+        "vertical_viscous": _effect(
+            machine.VerticalViscous, "damping", 500.0, 10000.0, False, power=_power
+        ),
+        "horizontal_coulomb": _effect(
+            machine.HorizontalCoulomb,
+            "force",
+            3.0,
+            25.0,
+            False,
+            stick=_between_log(5e-4, 4e-3),
+            surplus=_surplus,
+        ),
+        "horizontal_viscous": _effect(
+            machine.HorizontalViscous, "damping", 20.0, 150.0, False, power=_power
+        ),
+        "drawbar": _effect(machine.Drawbar, "force", 3.0, 25.0),
+        "cable_spring": _effect(
+            machine.CableSpring, "stiffness", 4.0, 25.0, bend=_between(-0.2, 0.3)
+        ),
+        "vertical_spring": _effect(
+            machine.VerticalSpring, "stiffness", 300.0, 2500.0, False, bend=_between(-0.2, 0.4)
+        ),
+    },
+    "drive": {
+        "speed_gain": _gain,
+        "speed_lag": _lag,
+        "speed_ripple": _ripple,
+        "backlash": _backlash,
+    },
+    "sensor": {
+        "sinkage_gain": _sensor(instrument.SinkageGain, 0.02, 0.15, "bend", -0.1, 0.1),
+        "sinkage_drift": _sensor(instrument.SinkageDrift, 2e-5, 3e-4, "power", 0.8, 1.25),
+        "travel_gain": _sensor(instrument.TravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
+        "measurement_delay": _delay,
+        "measurement_filter": _filter,
+    },
+}
+
+
+# By the plant's own name: what no answer can name.
+STRANGERS: dict[str, Recipe] = {
+    "damaged_grouser": _effect(
+        stranger.DamagedGrouser, "loss", 0.2, 0.8, phase=_phase, narrowness=_between(6, 30)
+    ),
+    "healing": _effect(
+        stranger.Healing,
+        "loss",
+        0.2,
+        0.7,
+        False,
+        turning=_between(0.3, 2.0),
+        recovery=_between(1.0, 5.0),
+    ),
+    "swing": _effect(
+        stranger.Swing, "excess", 0.05, 0.3, False, period=_between(5.0, 14.0), phase=_phase
+    ),
+    "thixotropy": _effect(
+        stranger.Thixotropy,
+        "loss",
+        0.2,
+        0.7,
+        False,
+        length=_between_log(0.01, 0.1),
+        recovery=_between(0.5, 3.0),
+    ),
+    "rise_and_fall": _effect(
+        stranger.RiseAndFall, "excess", 0.1, 0.6, speed=_between_log(1e-3, 5e-3)
+    ),
+    "critical_speed": _effect(
+        stranger.CriticalSpeed,
+        "loss",
+        0.2,
+        0.7,
+        omega=_between(0.4, 0.95),
+        width=_between(0.1, 0.3),
+    ),
+    "catch": _effect(
+        stranger.Catch, "force", 5.0, 40.0, place=_between(0.1, 0.5), length=_between(0.05, 0.3)
+    ),
+    "sinkage_drag": _effect(stranger.SinkageDrag, "drag", 20.0, 400.0, False),
+    "jamming_guide": _effect(
+        stranger.JammingGuide, "friction", 200.0, 1500.0, False, stick=_between_log(1e-4, 5e-4)
+    ),
+    "travel_lift": _effect(stranger.TravelLift, "lift", 100.0, 600.0),
+    "drive_crosstalk": _crosstalk,
+}
+
+
+def stage_of(name: str) -> str:
+    """Where an effect of the catalogue acts."""
+    return next(stage for stage, names in CATALOGUE.items() if name in names)
+
+
+def draw(name: str, random: Random) -> Mechanism:
+    """An effect of the catalogue, in a form drawn by lot."""
+    stage = stage_of(name)
+    build, typical, most, form = CATALOGUE[stage][name](random)
+    return Mechanism(name, name, stage, build, typical, most, form)
+
+
+def draw_stranger(kind: str, random: Random) -> Mechanism:
+    """A mechanism outside the catalogue, in a form drawn by lot."""
+    build, typical, most, form = STRANGERS[kind](random)
+    return Mechanism(UNKNOWN, kind, UNKNOWN, build, typical, most, form)

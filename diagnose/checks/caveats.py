@@ -1,0 +1,58 @@
+"""What a case's runs cannot say, whatever comes of them."""
+
+from diagnose.dataset import Case
+from drftjax.recorded.observation import comparable
+from drftjax.recorded.repeats import conditions
+
+
+def caveats(case: Case) -> list[str]:
+    """What these runs cannot say, in sentences."""
+    return [*_of_conditions(case), *_of_channels(case), *_of_places(case)]
+
+
+def _of_places(case: Case) -> list[str]:
+    origin = case.candidates[0].setup.start.origin
+    if not origin:
+        return []
+    return [f"x = 0 is {origin:.4g} m of the recorded x, where the run nearest to zero starts."]
+
+
+def _of_conditions(case: Case) -> list[str]:
+    if len(case.candidates) == 1:
+        return [
+            "One run only: nothing can be predicted that was not fitted, and no repeat shows what "
+            "is chance; what follows is a description of this run, not a finding."
+        ]
+    if len(conditions(case.candidates)) == 1:
+        return [
+            "All runs have one command and load: no run of another condition checks the effect."
+        ]
+    return []
+
+
+def _of_channels(case: Case) -> list[str]:
+    """Channels that are given, lack in all runs or in some, or are not compared."""
+    driven = case.candidates[0].setup.rig.carriage == "driven"
+    notes = []
+    if driven:
+        notes.append(
+            "The carriage was driven: x is given, and effects show in sinkage, forces and torque."
+        )
+    for channel in comparable(driven):
+        lacking = [c.name for c in case.candidates if channel not in c.observation.channels]
+        # Torque of a free carriage is more than most rigs record.
+        if len(lacking) == len(case.candidates) and (driven or channel != "torque"):
+            notes.append(f"No run has {channel}: effects that show in it cannot be told apart.")
+        elif lacking and len(lacking) < len(case.candidates):
+            lack = "lacks" if len(lacking) == 1 else "lack"
+            note = f"{', '.join(lacking)} {lack} {channel}, which other runs have"
+            unplaced = "; taken to start at x = 0, wherever that was" if channel == "x" else ""
+            notes.append(f"{note}{unplaced}.")
+    unused = sorted({channel for c in case.candidates for channel in c.observation.unused})
+    if unused and not driven:
+        was = "was" if len(unused) == 1 else "were"
+        notes.append(
+            f"{', '.join(unused)} {was} recorded and not compared: of a free carriage x, z and "
+            "torque are."
+        )
+    return notes

@@ -1,0 +1,103 @@
+"""`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.common.errors import InputError
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+EXAMPLES = """
+Examples:
+
+  drft diagnose runs/*.h5 -o out/diagnosis
+
+  drft diagnose runs/ --effects loosening,vertical_spring,bulldozing
+
+The folder given by -o holds diagnosis.json, model.toml (the model with what was found) and
+report.html (one page, to open in a browser). `drft evaluate --model out/diagnosis/model.toml
+OTHER_RUNS` holds the model against runs that it was not found on.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
+def diagnose(
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder of the result's files.")
+    ] = None,
+    effects: Annotated[
+        str | None,
+        typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the verdict alone.")] = False,
+) -> None:
+    """Find which effect makes runs of a rig differ from the model, where, and by how much."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from drftjax.common.jax_config import configure_jax
+
+    configure_jax()
+    from diagnose.api import diagnosed, effects_among
+    from diagnose.report.model_writer import MARK
+    from diagnose.report.text import gap_table, paragraphs, verdict, write
+    from diagnose.rig_runs import gather
+    from drftjax.common.output_files import require_places
+    from drftjax.common.text import printable
+    from drftjax.setups.generated_files import require_own_setup
+
+    chosen = effects_among(_names(effects))
+    if output is not None:
+        require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
+        require_own_setup(output / "model.toml", MARK)
+    console = Console()
+
+    def say(text: str, style: str | None = None) -> None:
+        # File names may hold brackets, and are to be copied from one line.
+        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("reading runs", total=None)
+        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
+
+        def report(stage: str) -> None:
+            bar.update(task, description=stage)
+
+        found = diagnosed(gathered, chosen, report, lambda left_out: say(left_out, "yellow"))
+
+    say(verdict(found), "bold")
+    if not quiet:
+        console.print(gap_table(found))
+        for paragraph in paragraphs(found):
+            say(paragraph)
+    if output is not None:
+        written = write(found, output)
+        if not quiet:
+            say(f"written: {', '.join(str(each) for each in written)}")
+
+
+def _names(given: str | None) -> list[str] | None:
+    """Names of effects with commas between; nothing where none are asked for.
+
+    Raises:
+        InputError: for a text that names none.
+    """
+    if given is None:
+        return None
+    names = [each.strip() for each in given.split(",") if each.strip()]
+    if not names:
+        raise InputError("--effects names no effect; `drft effects` lists them")
+    return names
+
+
+if __name__ == "__main__":
+    app()

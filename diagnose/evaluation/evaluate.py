@@ -1,0 +1,103 @@
+"""A model with effects against runs that it was not found on."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from diagnose.checks import outlier_runs as odd_runs
+from diagnose.dataset import Case
+from diagnose.evaluation.result import Evaluation
+from diagnose.gap.discretization_error import APART, own_errors
+from diagnose.gap.gap import Gap, gaps
+from diagnose.gap.noise_floor import noise_floors
+from diagnose.gap.selected_effects import as_model
+from diagnose.gap.zeta_matching import REFERENCE, WITH, Followed, followed, residuals_of
+from diagnose.model.augmented_model import Model
+from diagnose.result import Diagnosis
+from diagnose.rig_runs import from_one_start
+from drftjax.common.errors import InputError
+from drftjax.effects.base import AbstractEffect
+from drftjax.recorded.prepared_run import candidates_of
+
+if TYPE_CHECKING:
+    pass
+
+
+def evaluated(
+    case: Case,
+    effects: Sequence[AbstractEffect],
+    left_out: Mapping[str, str] | None = None,
+    caveats: Sequence[str] = (),
+) -> Evaluation:
+    """The gap of runs without and with effects whose numbers stay as they are.
+
+    Args:
+        case: The runs.
+        effects: Added to what each run's set-up says.
+        left_out: Why other runs are not among them, by name.
+        caveats: What is known to speak against the comparison, in sentences.
+
+    A run whose wheel leaves what the model covers, with or without the effects, is left out.
+
+    Raises:
+        InputError: where no run is left.
+    """
+    model, coordinates = as_model(effects)
+    before = followed(case, Model(), np.zeros(0))
+    after = followed(case, model, coordinates) if effects else before
+    if lost := _not_covered(case, after, WITH) | _not_covered(case, before, REFERENCE):
+        kept = [each for run, each in enumerate(case.candidates) if run not in lost]
+        if not kept:
+            raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
+        why = {case.candidates[run].name: each for run, each in lost.items()}
+        return evaluated(Case.of(kept), effects, {**(left_out or {}), **why}, caveats)
+    residuals = residuals_of(before), residuals_of(after)
+    own = own_errors(case, np.array([each.log_zeta for each in before]))
+
+    def by_zeta(run: int) -> np.ndarray:
+        """Along a straight line over one per cent."""
+        at, nothing = before[run].log_zeta, np.zeros(0)
+        here, there = (case.predicted(Model(), run, each, nothing) for each in (at, at + APART))
+        return (there - here) / APART
+
+    floors, how = noise_floors(case, *residuals, own, by_zeta)
+    gap = gaps(case, *residuals, floors)
+    doubts = [*caveats, *odd_runs.of_repeats(case, residuals, own, by_zeta)]
+    return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
+
+
+def _not_covered(case: Case, runs: Sequence[Followed], model: str) -> dict[int, str]:
+    """Runs whose wheel takes off, or sinks deeper than its plates cover, by number, and why."""
+    z, found = case.channels.index("z"), {}
+    for run, each in enumerate(runs):
+        name = case.candidates[run].name
+        limit = float(case.candidates[run].trial.simulator.wheel.cut().sinkage_limit)
+        farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
+        if not np.isfinite(farthest):
+            found[run] = f"{name}: its simulation by {model} diverges"
+        elif not farthest < limit:
+            found[run] = (
+                f"{name}: by {model} its z reaches {1e3 * farthest:.4g} mm, must stay within "
+                f"{1e3 * limit:.4g} mm, which the wheel's plates cover"
+            )
+    return found
+
+
+def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
+    """The gap before and after on other runs of the same rig, by channel.
+
+    Args:
+        diagnosis: Whose effects or correction are added, with their numbers as they are.
+        paths: The other runs.
+    """
+    case = Case.of(from_one_start(candidates_of(list(paths)), diagnosis.origin))
+    before = followed(case, Model(), np.zeros(0))
+    after = followed(case, *as_model(diagnosis.added.effects))
+    return gaps(
+        case,
+        [each.residual for each in before],
+        [each.residual for each in after],
+        diagnosis.floors,
+    )

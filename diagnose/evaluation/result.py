@@ -1,0 +1,186 @@
+"""Evaluation: the gap of runs without and with the effects of a model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from diagnose.dataset import Case
+from diagnose.gap.gap import Gap
+from diagnose.gap.zeta_matching import REFERENCE, WITH, Followed, not_met
+from drftjax.common.rich_text import summary_html, summary_text
+from drftjax.effects.base import AbstractEffect
+from drftjax.recorded.observation import SHOWN
+from drftjax.tuning.step_tuner import StepTuner
+
+if TYPE_CHECKING:
+    from diagnose.evaluation.tuner_activity import Moves
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation:
+    """What a model leaves of the gap.
+
+    Attributes:
+        case: The runs.
+        effects: What the model adds to the reference model.
+        before, after: Each run by the reference model, and with the effects.
+        gap: Pooled over the runs, by channel.
+        floors: Noise floor of each channel [m, N, N m].
+        how: On what the floors rest.
+        doubts: What speaks against the comparison, in sentences.
+        left_out: Why other runs are not among them, by name.
+    """
+
+    case: Case
+    effects: tuple[AbstractEffect, ...]
+    before: list[Followed]
+    after: list[Followed]
+    gap: Mapping[str, Gap]
+    floors: Mapping[str, float]
+    how: str
+    doubts: Sequence[str] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> list[str]:
+        """What else must be known, in sentences."""
+        with_them = not_met(self.case, self.after, WITH) if self.effects else []
+        return [
+            self.how,
+            *self.doubts,
+            *not_met(self.case, self.before, REFERENCE),
+            *with_them,
+            *(f"Left out: {why}" for why in self.left_out.values()),
+        ]
+
+    def summary(self, width: int = 110) -> str:
+        """Table and notes as text, so many columns wide."""
+        return summary_text([gap_table(self), *sentences(self)], width)
+
+    def __repr__(self) -> str:
+        names = ", ".join(each.about.name for each in self.effects) or "no effect"
+        return f"<Evaluation of {len(self.case.candidates)} runs: {names}>"
+
+    def _repr_html_(self) -> str:
+        return summary_html([gap_table(self), *sentences(self)])
+
+    def tuned(
+        self, tick: float = 0.01, zeta_step: float = 1e-3, tolerance: float = 1e-4
+    ) -> "list[tuple[Moves, Moves]]":
+        """How the online tuner of eq. 7 moves zeta in each run, before and after.
+
+        Args:
+            tick: Its control period [s].
+            zeta_step: Change of zeta on one tick [-].
+            tolerance: Error of the sinkage that is left alone [m].
+
+        Raises:
+            InputError: where a number cannot be, a replay diverges, or no tick falls where a wheel
+                moves.
+        """
+        from diagnose.evaluation.tuner_activity import moves
+
+        with jax.enable_x64(True):
+            return moves(self.case, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance))
+
+    def rmse(self, run: int) -> dict[str, tuple[float, float]]:
+        """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""
+        pairs = zip(
+            self.case.channels, self.before[run].residual, self.after[run].residual, strict=True
+        )
+        return {
+            channel: (_rms(before), _rms(after))
+            for channel, before, after in pairs
+            if np.isfinite(before).all()
+        }
+
+    def zeta(self, run: int) -> tuple[float, float]:
+        """zeta of one run by the reference model, and with the effects."""
+        own = float(self.case.candidates[run].setup.terrain.zeta)  # pyright: ignore
+        first, last = (float(np.exp(f[run].log_zeta)) for f in (self.before, self.after))
+        return own * first, own * last
+
+    def document(self) -> dict:
+        """Plain values, in the layout of the JSON file."""
+        return {
+            "floor": {channel: _named(channel, floor=f) for channel, f in self.floors.items()},
+            "gap": {
+                channel: {
+                    **_named(channel, before=gap.before, after=gap.after, floor=gap.floor),
+                    "shrinkage": gap.shrinkage,
+                    "shrinkage_interval": None if gap.interval is None else list(gap.interval),
+                }
+                for channel, gap in self.gap.items()
+            },
+            "runs": [
+                {
+                    "name": each.name,
+                    "zeta": dict(zip(("before", "after"), self.zeta(run), strict=True)),
+                    "gap": {
+                        channel: _named(channel, before=before, after=after)
+                        for channel, (before, after) in self.rmse(run).items()
+                    },
+                }
+                for run, each in enumerate(self.case.candidates)
+            ],
+            "notes": self.notes,
+        }
+
+
+def _named(channel: str, **values: float) -> dict[str, float | str]:
+    """Numbers of a channel in the unit that is given beside them."""
+    unit, scale = SHOWN[channel]
+    return {**{name: value * scale for name, value in values.items()}, "unit": unit}
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def sentences(found: Evaluation) -> list[str]:
+    """What the numbers rest on."""
+    names = ", ".join(each.about.name for each in found.effects)
+    if not names:
+        return ["The model has no effect: it is the reference model.", *found.notes]
+    return [
+        f"before: the reference model; after: with {names}. zeta is each run's own, and all else "
+        "what its log believes.",
+        *found.notes,
+    ]
+
+
+def gap_table(found: Evaluation) -> Table:
+    """The gap of every run and of all, before and after."""
+    table = Table()
+    table.add_column("run")
+    table.add_column("zeta", justify="right")
+    channels = found.case.channels
+    for channel in channels:
+        table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
+    for run, each in enumerate(found.case.candidates):
+        cells = found.rmse(run)
+        first, last = found.zeta(run)
+        table.add_row(
+            escape(each.name),
+            f"{first:.4f} → {last:.4f}",
+            *(_pair(channel, *cells[channel]) if channel in cells else "-" for channel in channels),
+        )
+    table.add_section()
+    gaps = [found.gap[channel] for channel in channels]
+    pairs = zip(channels, gaps, strict=True)
+    table.add_row("all runs", "", *(_pair(c, gap.before, gap.after) for c, gap in pairs))
+    scaled = [f"{SHOWN[c][1] * found.floors[c]:.3f}" for c in channels]
+    table.add_row("noise floor", "", *scaled)
+    floors = [f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}" for gap in gaps]
+    table.add_row("in floors", "", *floors)
+    return table
+
+
+def _pair(channel: str, before: float, after: float) -> str:
+    scale = SHOWN[channel][1]
+    return f"{scale * before:.3f} → {scale * after:.3f}"

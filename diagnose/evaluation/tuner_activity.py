@@ -1,0 +1,158 @@
+"""How much the online tuner of eq. 7 has to move zeta, without effects and with them.
+
+Recorded runs are replayed through `drftjax.tuning.step_tuner.replay`. Each replay starts from the
+zeta that meets the run's mean sinkage by the model it is replayed with, so what is counted is the
+moving to and fro, not the way there. The tuner compares true sinkages: it sees no effect on a
+sensor. What it leaves of the sinkage's error is small with any model, right or wrong.
+
+A run that was made in the loop is fed to that very loop again: its tuner, tick and readings, and a
+simulated carriage that is free, as the loop's is; its zeta(0) is what the sinkage at rest tells.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diagnose.dataset import Case
+from diagnose.model.augmented_model import with_effects
+from drftjax.common.errors import InputError, RunError
+from drftjax.effects.base import AbstractEffect
+from drftjax.effects.serialization import entry_of
+from drftjax.physics.command import Command
+from drftjax.recorded.commanded_motion import asked_to_move
+from drftjax.recorded.prepared_run import Candidate
+from drftjax.simulation.trial import Trial
+from drftjax.tuning.step_tuner import Loop, StepTuner, known_sinkage, replay, tick_commands, tunable
+from hils.replay import retuned
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """How one replay moved zeta while the wheel was asked to move.
+
+    Attributes:
+        moved: Sum of |dzeta| [-].
+        range: Largest less smallest zeta [-].
+        sinkage: RMSE of the simulated sinkage while it is tuned [m]; NaN where it never is.
+        time: Ticks from the first on which the wheel is asked to move to the last [s], shape
+            (ticks,).
+        zeta: On each of them [-], shape (ticks,).
+        in_its_loop: Whether it was replayed in the loop that it was made in.
+    """
+
+    moved: float
+    range: float
+    sinkage: float
+    time: np.ndarray
+    zeta: np.ndarray
+    in_its_loop: bool = False
+
+
+def moves(
+    case: Case,
+    effects: Sequence[AbstractEffect],
+    zeta: Callable[[int], tuple[float, float]],
+    tuner: StepTuner,
+) -> list[tuple[Moves, Moves]]:
+    """By run, the tuner's moves by the reference model and with the effects.
+
+    Args:
+        case: The runs.
+        effects: Of the model.
+        zeta: By run, that which meets its mean sinkage by the reference model and with the effects.
+        tuner: Of runs that were not made in the loop.
+
+    Raises:
+        InputError: where a replay diverges, or no tick falls where a wheel moves.
+    """
+    effects = tuple(effects)
+    tick = float(tuner.tick)
+    longest = max(float(each.trial.time[-1]) for each in case.candidates)
+    ticks = max(1, math.ceil(longest / tick - 1e-9))
+    finest = min(float(each.trial.step) for each in case.candidates)
+    substeps = max(1, math.ceil(tick / finest - 1e-9))
+    starts = tick * np.arange(ticks)
+
+    def of(run: int) -> tuple[Moves, Moves]:
+        if _has_its_loop(case.candidates[run]):
+            return _in_its_loop(case, run, ()), _in_its_loop(case, run, effects)
+        recorded = jnp.asarray(_known(case, run, starts))
+
+        def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> Moves:
+            arrays = jax.tree.map(jnp.asarray, effects)
+            start = jnp.asarray(zeta)
+            found = _replay(case.trials[run], arrays, start, recorded, tuner, substeps)
+            return _moves(case, run, starts, *map(np.asarray, found))
+
+        before, after = zeta(run)
+        return moved((), before), moved(effects, after)
+
+    return case.each_run(of)
+
+
+def _has_its_loop(each: Candidate) -> bool:
+    made = each.made_in_loop
+    return made is not None and made.online is not None and made.online.loop is not None
+
+
+def _in_its_loop(case: Case, run: int, effects: tuple[AbstractEffect, ...]) -> Moves:
+    each = case.candidates[run]
+    assert each.made_in_loop is not None
+    try:
+        told = retuned(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
+    except InputError as problem:
+        raise RunError(each.name, str(problem)) from None
+    return replace(_moves(case, run, told.time, told.zeta, told.error), in_its_loop=True)
+
+
+def _known(case: Case, run: int, starts: np.ndarray) -> np.ndarray:
+    observation = case.candidates[run].observation
+    z = observation.values[observation.channels.index("z")]
+    return known_sinkage(starts, observation.time, -z)
+
+
+@eqx.filter_jit
+def _replay(
+    trial: Trial,
+    effects: tuple[AbstractEffect, ...],
+    zeta: Float[Array, ""],
+    recorded: Float[Array, " ticks"],
+    tuner: StepTuner,
+    substeps: int,
+) -> tuple[Float[Array, " ticks"], Float[Array, " ticks"]]:
+    """zeta on each tick, NaN where the replay diverges, and the error of the sinkage [m]."""
+    ticks = recorded.shape[0]
+    simulator = with_effects(trial, effects).simulator
+    commands = tick_commands(ticks, substeps, tuner.tick, trial.time, trial.omega, trial.vx)
+    first = Command(trial.omega[0], trial.vx[0], zeta)
+    state = tunable(simulator).remembered(trial.start, first)
+    _, found = replay(simulator, Loop(state, zeta), commands, recorded, tuner)
+    return jnp.where(jnp.isfinite(found.output.z), found.zeta, jnp.nan), found.error
+
+
+def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np.ndarray) -> Moves:
+    each = case.candidates[run]
+    knots = np.asarray(each.trial.time)
+    moving = np.flatnonzero(asked_to_move(each.trial, starts) & (starts < knots[-1]))
+    if not moving.size:
+        raise InputError(f"{each.name}: no tick falls where the wheel moves; give a shorter tick")
+    ticks = slice(moving[0], moving[-1] + 1)
+    counted = zeta[ticks]
+    if not np.isfinite(counted).all():
+        raise InputError(
+            f"{each.name}: a replay of the tuner diverges; give a shorter tick or a smaller step"
+        )
+    known = error[ticks][np.isfinite(error[ticks])]
+    return Moves(
+        moved=float(np.abs(np.diff(counted)).sum()),
+        range=float(np.ptp(counted)),
+        sinkage=float(np.sqrt(np.mean(known**2))) if known.size else math.nan,
+        time=starts[ticks],
+        zeta=counted,
+    )

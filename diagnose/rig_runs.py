@@ -1,0 +1,195 @@
+"""Run logs on their way into a diagnosis: found, read in a guarded way, and of one wheel."""
+
+import copy
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+
+from drftjax.common.errors import InputError
+from drftjax.recorded.gather import Gathered
+from drftjax.recorded.gather import gather as gather_runs
+from drftjax.recorded.prepared_run import STEPS_A_ROW, Candidate
+from drftjax.setups.setup import SetUp, ZetaKnots
+
+# Wheels are the same where their lengths agree to so many places of a millimetre.
+PLACES = 3
+
+
+# x counts from where the runs start if they start farther from zero than this [m].
+AT_ZERO = 0.01
+
+
+def gather(
+    given: Sequence[Path],
+    tell: Callable[[str], None] = lambda _: None,
+    origin: float | None = None,
+) -> Gathered:
+    """Runs of one wheel from files and folders; what cannot be used is left out, and says why.
+
+    Args:
+        given: Run logs, and folders of them.
+        tell: Called with a sentence for every run that is left out.
+        origin: See `from_one_start`.
+
+    Raises:
+        InputError: where none can be used, or the runs are of several wheels and none prevails.
+    """
+    gathered = gather_runs(given, sinkage=True, tell=tell)
+    kept = of_one_rig(gathered.candidates, origin)
+    for why in kept.left_out.values():
+        tell(f"left out: {why}")
+    return Gathered(kept.candidates, gathered.left_out | kept.left_out)
+
+
+def of_one_rig(candidates: Sequence[Candidate], origin: float | None = None) -> Gathered:
+    """The runs of one wheel, each once, from one start, and why the others are left out.
+
+    Args:
+        candidates: The runs.
+        origin: See `from_one_start`.
+
+    Raises:
+        InputError: where the runs are of several wheels and none prevails.
+    """
+    kept = of_one_wheel(candidates)
+    once = each_reading_once(kept.candidates)
+    return Gathered(from_one_start(once.candidates, origin), kept.left_out | once.left_out)
+
+
+def usable(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs that a gap can be told of, and why the others are left out.
+
+    Raises:
+        InputError: where there are none.
+    """
+    kept, left_out = [], {}
+    for each in candidates:
+        if "z" not in each.observation.channels:
+            left_out[each.name] = f"{each.name}: has no z, so its sinkage is not known"
+        elif isinstance(each.setup.terrain.zeta, ZetaKnots):
+            left_out[each.name] = (
+                f"{each.name}: the zeta of its set-up changes in time, must be one number: what "
+                "changes would be the gap"
+            )
+        else:
+            kept.append(each)
+    if not kept:
+        why = next(iter(left_out.values()), "there is no run: give files, folders or run logs")
+        raise InputError(why)
+    return Gathered(kept, left_out)
+
+
+def each_reading_once(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs without copies of others, which would pass for repeats that agree to the last digit.
+
+    A file that was saved anew, or given another title, holds the very readings of the first.
+    """
+    kept: list[Candidate] = []
+    left_out = {}
+    for each in candidates:
+        first = next((other for other in kept if _same_readings(each, other)), None)
+        if first is None:
+            kept.append(each)
+        else:
+            left_out[each.name] = f"{each.name}: has the very readings of {first.name}"
+    return Gathered(kept, left_out)
+
+
+def _same_readings(one: Candidate, other: Candidate) -> bool:
+    ours, theirs = one.observation, other.observation
+    return (
+        ours.channels == theirs.channels
+        and np.array_equal(ours.time, theirs.time)
+        and np.array_equal(ours.values, theirs.values)
+    )
+
+
+def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
+    """The runs of the wheel and carriage that most have, and why the others are left out.
+
+    Raises:
+        InputError: where two kinds have as many runs each.
+    """
+    kinds: dict[str, list[Candidate]] = {}
+    for each in candidates:
+        kinds.setdefault(kind_of(each.setup), []).append(each)
+    ranked = sorted(kinds.items(), key=lambda kind: -len(kind[1]))
+    kind, kept = ranked[0]
+    if len(ranked) > 1 and len(ranked[1][1]) == len(kept):
+        told = "; ".join(f"{', '.join(c.name for c in runs)}: {kind}" for kind, runs in ranked[:2])
+        raise InputError(
+            f"the runs are of different wheels or carriages ({told}); diagnose each apart"
+        )
+    others = {
+        each.name: f"{each.name}: has {other}, where the {len(kept)} runs kept have {kind}"
+        for other, runs in ranked[1:]
+        for each in runs
+    }
+    return Gathered(kept, others)
+
+
+def from_one_start(candidates: Sequence[Candidate], origin: float | None = None) -> list[Candidate]:
+    """Runs whose x counts from one place, which their set-ups then tell.
+
+    All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
+    x = 0; those that set-ups hold already have places of the recorded x, and nothing is moved.
+    Where a run without x started nobody knows: it is taken to start at x = 0.
+
+    Args:
+        candidates: The runs.
+        origin: Recorded x that x = 0 is to stand for [m], as a model was found with; where none is
+            given, the start nearest to zero, or zero where that is as good as there.
+    """
+    known = any(each.setup.effects for each in candidates)
+    starts = [each.setup.start.x for each in candidates if _has_x(each)]
+    if known or not starts:
+        return list(candidates)
+    if origin is None:
+        nearest = min(starts, key=abs)
+        origin = 0.0 if abs(nearest) <= AT_ZERO else nearest
+    return [_counted_from(each, origin) for each in candidates]
+
+
+def _counted_from(each: Candidate, origin: float) -> Candidate:
+    setup, observation = copy.deepcopy(each.setup), each.observation
+    setup.start.origin = origin
+    if origin == 0.0 or not _has_x(each):
+        return dataclasses.replace(each, setup=setup)
+    setup.start.x -= origin
+    values = observation.values.copy()
+    if "x" in observation.channels:
+        values[observation.channels.index("x")] -= origin
+    return dataclasses.replace(
+        each,
+        setup=setup,
+        trial=setup.trial(STEPS_A_ROW * setup.integrator.step),
+        observation=dataclasses.replace(observation, values=values),
+    )
+
+
+def _has_x(each: Candidate) -> bool:
+    """Whether its x was recorded; that of a driven carriage is not compared."""
+    return "x" in (*each.observation.channels, *each.observation.unused)
+
+
+def kind_of(setup: SetUp) -> str:
+    """Wheel and carriage in words: runs of one rig have the same."""
+    wheel = setup.wheel
+    words = f"a wheel of radius {_mm(wheel.radius)}, width {_mm(wheel.width)}, "
+    if wheel.shape == "grouser":
+        tip = f"{_mm(wheel.grouser_height)} x {_mm(wheel.grouser_thickness)}"
+        words += f"{wheel.grouser_count} grousers of {tip}"
+        words += "" if wheel.grouser_fraction == 1 else f" (fraction {wheel.grouser_fraction:g})"
+    elif wheel.shape == "outline":
+        corners = np.round(1e3 * np.asarray(wheel.points), PLACES) + 0.0  # no minus zero
+        words += f"an outline of {len(corners)} corners ({crc32(corners.tobytes()):08x})"
+    else:
+        words += "no grousers"
+    return f"{words}, on a {setup.rig.carriage} carriage"
+
+
+def _mm(length: float) -> str:
+    return f"{round(1e3 * length, PLACES):g} mm"

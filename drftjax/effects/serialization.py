@@ -1,0 +1,68 @@
+"""Effects as a file holds them: a name, and numbers that are left out at their defaults.
+
+An entry of the name `correction` is no effect of the catalogue: it says itself what it acts on.
+"""
+
+import math
+from collections.abc import Mapping
+
+from drftjax.common.errors import InputError
+from drftjax.effects import correction
+from drftjax.effects.base import AbstractEffect
+from drftjax.effects.catalogue import effect_class, numbers
+
+Entry = dict[str, str | float | list[float]]
+
+
+def built(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
+    """The effect that an entry describes.
+
+    Args:
+        entry: Its name, and numbers by their fields.
+        place: Which entry of the file it is, from 1 on.
+
+    Raises:
+        InputError: says which entry, what was given and what must hold.
+    """
+    name = entry.get("name")
+    if not isinstance(name, str):
+        raise InputError(f"[[effect]] {place} needs a name; `drft effects` lists them")
+    if name == correction.NAME:
+        return correction.built(entry)
+    effect = effect_class(name)
+    known = numbers(effect)
+    given = {}
+    for field, value in entry.items():
+        if field == "name":
+            continue
+        if field not in known:
+            has = ", ".join(f"{each} [{about['unit']}]" for each, about in known.items())
+            raise InputError(f"the effect {name!r} has no number {field!r}; it has {has}")
+        if not isinstance(value, float | int):
+            raise InputError(f"{name}.{field} is {value!r}, must be a number")
+        least = known[field]["least"]
+        if not math.isfinite(value):
+            raise InputError(f"{name}.{field} is {value:g}, must be finite")
+        if value < least or (value == least and "starts" in known[field]):
+            bound = "above 0" if "starts" in known[field] else f"{least:g} or more"
+            raise InputError(f"{name}.{field} is {value:g}, must be {bound}")
+        if value > known[field]["most"]:
+            most, unit = known[field]["most"], known[field]["unit"]
+            unit = "" if unit == "-" else f" {unit}"
+            raise InputError(f"{name}.{field} is {value:g}{unit}, must be {most:g}{unit} or less")
+        given[field] = float(value)
+    return effect(**given)
+
+
+def entry_of(effect: AbstractEffect) -> Entry:
+    """An effect as a file holds it: what `built` makes it of again."""
+    if isinstance(effect, correction.Curve):
+        return correction.entry_of(effect)
+    fields = {field: float(getattr(effect, field)) for field in numbers(type(effect))}
+    return {"name": effect.about.name, **fields}
+
+
+def typical(effect: type[AbstractEffect]) -> AbstractEffect:
+    """The effect with every strength at its typical size."""
+    about = numbers(effect)
+    return effect(**{field: each["typical"] for field, each in about.items() if "typical" in each})

@@ -1,0 +1,238 @@
+"""Runs side by side: one compiled program simulates and differentiates a whole batch.
+
+Runs differ in length and in their recorded times, so all are padded to the longest and masked:
+a padded row weighs nothing. The batch is spread over the machine's devices, a share of the runs
+on each.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, Mesh, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from drftjax.common.errors import InputError
+from drftjax.physics.state import Output
+from drftjax.recorded.observation import Observation
+from drftjax.runlog.record import CHANNELS
+from drftjax.simulation.trial import Trial
+
+Values = TypeVar("Values")
+
+
+OTHER_KIND = "has another kind of wheel, terrain, carriage or integrator"
+
+
+class Observed(eqx.Module):
+    """Padded recordings of a batch, runs leading.
+
+    Attributes:
+        row: Row of the simulation before each recorded time, shape (runs, samples).
+        share: Way from that row to the next [-], shape (runs, samples).
+        intervals: Usual intervals from the sample before, more than one after a gap, shape (runs,
+            samples).
+        values: Recorded channels, shape (runs, channels, samples).
+        weight: 1 / noise of a sample that counts, 0 of a padded one, like `values`.
+        compared_rows, all_rows: Rows of the simulation up to the last sample that counts, and up
+            to the last one, shape (runs,).
+    """
+
+    row: Int[Array, "runs samples"]
+    share: Float[Array, "runs samples"]
+    intervals: Float[Array, "runs samples"]
+    values: Float[Array, "runs channels samples"]
+    weight: Float[Array, "runs channels samples"]
+    compared_rows: Int[Array, " runs"]
+    all_rows: Int[Array, " runs"]
+
+
+class Batch(eqx.Module):
+    """Trials and what was recorded of them, ready for one compiled program.
+
+    Attributes:
+        trials: Trials stacked along a leading axis of runs.
+        observed: Their recordings.
+        channels: Names of the channels compared; one that a run lacks weighs nothing there.
+        runs: Number of true runs; the rest are padding that weighs nothing.
+        order: Runs in the order in which the devices take them, an equal number each.
+    """
+
+    trials: Trial
+    observed: Observed
+    channels: tuple[str, ...] = eqx.field(static=True)
+    runs: Int[Array, ""]
+    order: Int[Array, " runs"]
+
+
+def make_batch(
+    trials: Sequence[Trial],
+    observations: Sequence[Observation],
+    multiple: int = 1,
+    size: Callable[[int], int] | None = None,
+) -> Batch:
+    """Stack trials and observations, padded to a multiple of the devices.
+
+    Args:
+        trials: One for each run, all of the same kind of wheel, law and carriage.
+        observations: What was recorded of each.
+        multiple: The number of runs is padded to a multiple of this.
+        size: What lengths are padded to; `roomy` where none is given.
+
+    Raises:
+        InputError: where the trials are not alike.
+    """
+    for number, trial in enumerate(trials[1:], start=2):
+        if not alike(trial, trials[0]):
+            raise InputError(f"run {number} {OTHER_KIND} than the first; fit such runs apart")
+    channels = tuple(c for c in CHANNELS if any(c in o.channels for o in observations))
+    size = roomy if size is None else size
+    rows = size(max(trial.rows for trial in trials))
+    knots = size(max(len(trial.time) for trial in trials))
+    samples = size(max(len(o.time) for o in observations))
+    padded = [of_lengths(trial, rows, knots) for trial in trials]
+    recorded = [
+        _observed(o, channels, samples, trial)
+        for o, trial in zip(observations, trials, strict=True)
+    ]
+    padding = multiple * roomy(math.ceil(len(trials) / multiple)) - len(trials)
+    padded += padded[:1] * padding
+    nothing = 0 * recorded[0].weight, jnp.asarray(0), jnp.asarray(0)
+    silent = eqx.tree_at(lambda o: (o.weight, o.compared_rows, o.all_rows), recorded[0], nothing)
+    recorded += [silent] * padding
+    stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
+    return Batch(
+        jax.tree.map(stack, *padded),
+        jax.tree.map(stack, *recorded),
+        channels,
+        jnp.asarray(len(trials)),
+        jnp.asarray(_shares([int(each.compared_rows) for each in recorded], multiple)),
+    )
+
+
+def _shares(work: list[int], devices: int) -> np.ndarray:
+    """The runs in an order that gives each device as many, and about as much work."""
+    places = len(work) // devices
+    shares: list[list[int]] = [[] for _ in range(devices)]
+    for run in sorted(range(len(work)), key=lambda run: -work[run]):
+        open_shares = [share for share in shares if len(share) < places]
+        min(open_shares, key=lambda share: sum(work[r] for r in share)).append(run)
+    return np.array([run for share in shares for run in share])
+
+
+def roomy(count: int) -> int:
+    """The next of 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, ...: a size that batches share.
+
+    A program is compiled for sizes; padded to these, batches of about one size share it, for at
+    most a quarter more to compute.
+    """
+    unit = 2 ** max(0, (count - 1).bit_length() - 3)
+    return unit * math.ceil(count / unit)
+
+
+def alike(trial: Trial, other: Trial) -> bool:
+    """Whether one compiled program runs both: the same kind of wheel, terrain, rig and method."""
+
+    def kind(trial: Trial) -> tuple:
+        parts = jax.tree.leaves((trial.simulator, trial.start))
+        return jax.tree.structure(of_lengths(trial, 1, 1)), [each.shape for each in parts]
+
+    return kind(trial) == kind(other)
+
+
+def of_lengths(trial: Trial, rows: int, knots: int) -> Trial:
+    """The trial with so many rows, and with knots of its command added up to so many."""
+    missing = max(0, knots - len(trial.time))
+    later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
+    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
+    return Trial(
+        trial.simulator,
+        trial.start,
+        jnp.concatenate([trial.time, later]),
+        hold(trial.omega),
+        hold(trial.vx),
+        trial.step,
+        trial.every,
+        rows,
+    )
+
+
+def _observed(
+    observation: Observation, channels: tuple[str, ...], samples: int, trial: Trial
+) -> Observed:
+    interval = trial.every * float(trial.step)
+    place = np.clip(observation.time / interval, 0, None)
+    row = np.clip(np.floor(place + 1e-9), 0, trial.rows - 1)
+    share = np.clip(place - row, 0, 1)
+    extra = samples - len(observation.time)
+    values = np.zeros((len(channels), len(observation.time)))
+    weight = np.zeros_like(values)
+    for channel, (recorded, noise) in observation.by_channel().items():
+        values[channels.index(channel)] = recorded
+        weight[channels.index(channel)] = observation.counts / noise
+
+    def padded(values: np.ndarray, dtype: type = float, filling: float = 0) -> Array:
+        width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
+        return jnp.asarray(np.pad(values, width, constant_values=filling), dtype)
+
+    return Observed(
+        padded(row, int),
+        padded(share),
+        padded(observation.intervals, filling=1),
+        padded(values),
+        padded(weight),
+        jnp.asarray(int(row[observation.counts].max(initial=-1)) + 1),
+        jnp.asarray(int(row.max(initial=-1)) + 1),
+    )
+
+
+def sampled(output: Output, observed: Observed, channels: tuple[str, ...]) -> Array:
+    """Simulated channels of one run at its recorded times, shape (channels, samples)."""
+    return between_rows(jnp.stack([getattr(output, each) for each in channels]), observed)
+
+
+def between_rows(rows: Float[Array, "channels rows"], observed: Observed) -> Array:
+    """Channels at the recorded times of a run, shape (channels, samples)."""
+    before, after = rows[:, observed.row], rows[:, observed.row + 1]
+    return before + observed.share * (after - before)
+
+
+def over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
+    """What `one` makes of every run, a share of the runs on each device.
+
+    Args:
+        batch: The runs.
+        mesh: The devices.
+        one: Of a run's trial, its recording, what is shared, and what is the run's own.
+        shared: Anything, the same for every run.
+        own: Arrays with a leading axis of runs.
+
+    Returns:
+        What `one` returns, its arrays with a leading axis of runs, in the batch's order.
+    """
+    spread, whole = PartitionSpec("runs"), PartitionSpec()
+    trials, observed, each = jax.tree.map(
+        lambda leaf: leaf[batch.order], (batch.trials, batch.observed, own)
+    )
+
+    # One run after the other on a device: each ends with its own rows, and none is padded.
+    def in_turn(trials: Trial, observed: Observed, shared, own):
+        return jax.lax.map(lambda run: one(run[0], run[1], shared, run[2]), (trials, observed, own))
+
+    shares = jax.shard_map(
+        in_turn,
+        mesh=mesh,
+        in_specs=(spread, spread, whole, spread),
+        out_specs=spread,
+        check_vma=False,
+    )(trials, observed, shared, each)
+    return jax.tree.map(lambda leaf: leaf[jnp.argsort(batch.order)], shares)
+
+
+def device_mesh() -> Mesh:
+    """All of JAX's devices in a row, to share the runs of a batch."""
+    return jax.make_mesh((jax.device_count(),), ("runs",), axis_types=(AxisType.Auto,))

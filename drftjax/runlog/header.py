@@ -1,0 +1,67 @@
+"""What is known of a run before its first row: everything in a run log but the columns."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from drftjax.common.errors import InputError
+from drftjax.runlog import validation as rules
+from drftjax.runlog.record import CHANNELS, Setup
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineHead:
+    """The numbers of a control loop that hold for the whole run.
+
+    Attributes:
+        tick: Control period [s].
+        zeta_step: Change of zeta in one tuning step [-].
+        tolerance: Sinkage error that is left alone [m].
+        loop: All that the loop was given, as JSON, so that the run can be replayed; None where
+            it is not kept.
+        flag_meanings: A word for each bit of the flags.
+    """
+
+    tick: float
+    zeta_step: float
+    tolerance: float
+    loop: str | None = None
+    flag_meanings: Mapping[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """A run log without its rows.
+
+    Attributes:
+        setup: What the operator believes about the rig.
+        source: One of the format's sources, such as "measured" or "virtual rig".
+        title: What people call the run.
+        channels: Of /measured, beside time: names among x, z, fx, fz, torque.
+        driven: Whether the carriage is driven, so that /command has vx.
+        online: What the control loop adds; None where there is none.
+        event_meanings: A word for each code of /events.
+        created, run_id, notes, software, software_version: As in `RunLog`.
+    """
+
+    setup: Setup
+    source: str
+    title: str
+    channels: tuple[str, ...] = ("x", "z")
+    driven: bool = False
+    online: OnlineHead | None = None
+    event_meanings: Mapping[int, str] = field(default_factory=dict)
+    created: str | None = None
+    run_id: str | None = None
+    notes: str | None = None
+    software: str | None = None
+    software_version: str | None = None
+
+    def __post_init__(self) -> None:
+        for sentence in rules.source_problems(self.source):
+            raise InputError(sentence)
+        known = [each for each in CHANNELS if each in self.channels]
+        if not known or len(known) != len(self.channels):
+            raise InputError(
+                f"channels are {', '.join(self.channels) or 'none'}, they must be some of "
+                f"{', '.join(CHANNELS)}"
+            )

@@ -1,0 +1,191 @@
+"""The mapping language: a small TOML file that says what the columns of a table mean."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+
+from drftjax.common.errors import InputError
+from drftjax.common.structured_files import explain
+from drftjax.runlog.validation import nearest
+
+Quantity = float | str
+
+
+"""A number in SI, or text with its unit such as "62.5 mm"."""
+
+
+class Source(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where one channel or one number of the set-up comes from.
+
+    Attributes:
+        column: Heading of the column; or
+        constant: one value for all rows.
+        unit: Of the column; SI's where it is not given.
+        sign: -1 where the table counts the other way.
+        divide_by: A radius under a rim speed, gravity under a weight.
+        offset: Added last, in the direction of the channel.
+        average: Whether every row gets the mean over the run's rows.
+        zero_at_first_row: Whether the run's first value is subtracted.
+    """
+
+    column: str | None = None
+    constant: Quantity | None = None
+    unit: str | None = None
+    sign: Literal[1, -1] = 1
+    divide_by: Quantity | None = None
+    offset: Quantity | None = None
+    average: bool = False
+    zero_at_first_row: bool = False
+
+
+class Condition(msgspec.Struct, forbid_unknown_fields=True, frozen=True, rename={"start": "from"}):
+    """Which rows are taken, by one column, in the column's own unit; bounds are included."""
+
+    equals: float | str | None = None
+    one_of: list[float | str] | None = None
+    start: float | None = None
+    to: float | None = None
+
+
+class CommandMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """/command; without vx the carriage ran free."""
+
+    omega: Source
+    vx: Source | None = None
+
+
+class MeasuredMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """/measured; a channel that is not named was not measured."""
+
+    x: Source | None = None
+    z: Source | None = None
+    fx: Source | None = None
+    fz: Source | None = None
+    torque: Source | None = None
+
+
+Given = Quantity | Source
+
+
+class SetupMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """/setup; each a quantity, or a source that is averaged over the run's rows."""
+
+    wheel_radius: Given | None = None
+    wheel_width: Given | None = None
+    grouser_count: Given | None = None
+    grouser_height: Given | None = None
+    grouser_thickness: Given | None = None
+    mass_x: Given | None = None
+    mass_z: Given | None = None
+    gravity: Given | None = None
+    bulk_density: Given | None = None
+    sinkage_static: Given | None = None
+    scaling_factor_initial: Given | None = None
+
+
+class Mapping(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A whole mapping.
+
+    Attributes:
+        rows: "samples" where the rows of a run follow one another in time; "steady" where each
+            row is the mean of a run of its own.
+        title: Title of a run; {heading} stands for that column's cell, {file} for the table's
+            name without its ending.
+        name: Name of a run's file, with the same braces; the title where it is not given.
+        files: Patterns of the tables that this mapping is for; any where it is empty.
+        source: Of the run log.
+        notes: Kept in every run.
+        separator: Between cells; a tab in .tsv and .txt, a comma else.
+        skip_lines: Lines above the headings.
+        group_by: Columns whose cells together tell one run from another.
+        duration: Of a steady run: so long the command is held, and the mean stands at its end.
+        select: Conditions by column; all must hold.
+        time: The time of a row; not for steady rows.
+    """
+
+    rows: Literal["samples", "steady"]
+    title: str
+    command: CommandMap
+    measured: MeasuredMap
+    setup: SetupMap = SetupMap()
+    name: str | None = None
+    files: list[str] = []
+    source: str = "measured"
+    notes: str | None = None
+    separator: str | None = None
+    skip_lines: int = 0
+    group_by: list[str] = []
+    duration: Quantity | None = None
+    select: dict[str, Condition] = {}
+    time: Source | None = None
+
+
+_PARTS: Final = (Mapping, Source, Condition, CommandMap, MeasuredMap, SetupMap)
+
+
+_UNKNOWN: Final = re.compile(r"unknown field `(.+?)`(?: - at `\$\.?(.*)`)?")
+
+
+def read_mapping(path: Path) -> Mapping:
+    """Read a mapping; an InputError names the file, the place in it and what must hold."""
+    try:
+        mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8-sig")), Mapping)
+        _require_whole(mapping)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path}: the mapping cannot be read: {reason}") from error
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: {_explain(str(error))}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, InputError) as error:
+        raise InputError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply for a mapping") from error
+    return mapping
+
+
+def sources(mapping: Mapping) -> dict[str, Source]:
+    """Every source that is given, by its place in the mapping."""
+    found: dict[str, Any] = {"time": mapping.time}
+    for title in ("command", "measured", "setup"):
+        part = getattr(mapping, title)
+        found |= {f"{title}.{name}": getattr(part, name) for name in part.__struct_fields__}
+    return {place: each for place, each in found.items() if isinstance(each, Source)}
+
+
+def _require_whole(mapping: Mapping) -> None:
+    """What the types cannot say."""
+    steady = mapping.rows == "steady"
+    if steady and (mapping.duration is None or mapping.time is not None):
+        raise InputError("steady rows need a duration and have no [time]")
+    if not steady and (mapping.time is None or mapping.duration is not None):
+        raise InputError("rows that are samples need a [time] and have no duration")
+    if steady and mapping.group_by:
+        raise InputError("steady rows are a run each, so they have no group_by")
+    if mapping.skip_lines < 0:
+        raise InputError(f"skip_lines is {mapping.skip_lines}, it must not be negative")
+    if mapping.separator is not None and len(mapping.separator) != 1:
+        raise InputError(f"separator is {mapping.separator!r}, it must be one character")
+    if not any(getattr(mapping.measured, name) for name in MeasuredMap.__struct_fields__):
+        raise InputError(f"[measured] must have one of {', '.join(MeasuredMap.__struct_fields__)}")
+    for column, condition in mapping.select.items():
+        if condition.one_of == []:
+            raise InputError(f"select.{column}.one_of is empty, so no row could meet it")
+        if condition == Condition():
+            raise InputError(f"select.{column} must have equals, one_of, from or to")
+    for place, each in sources(mapping).items():
+        if (each.column is None) == (each.constant is None):
+            raise InputError(f"{place} must have either a column or a constant")
+        if each.constant is not None and each.unit is not None:
+            raise InputError(f"{place}: write a constant's unit with it, like '10 mm/s'")
+
+
+def _explain(message: str) -> str:
+    unknown = _UNKNOWN.search(message)
+    if unknown is None:
+        return explain(message, Mapping)
+    keys = sorted({name for part in _PARTS for name in part.__struct_encode_fields__})
+    place = f" in [{unknown[2]}]" if unknown[2] else ""
+    return f"there is no key {unknown[1]!r}{place}; {nearest(unknown[1], keys)}"

@@ -1,0 +1,101 @@
+"""What the numbers of a run log must satisfy, one sentence for each rule that is broken.
+
+The same rules guard a record when it is built, a file when it is read and a file when it is
+checked; the first two stop at the first sentence, the last lists them all.
+"""
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+SOURCES: Final = ("measured", "virtual rig", "simulated", "imported")
+
+
+POSITIVE: Final = frozenset(
+    {"wheel_radius", "wheel_width", "mass_x", "mass_z", "gravity", "bulk_density"}
+)
+
+
+NOT_NEGATIVE: Final = frozenset(
+    {"grouser_count", "grouser_height", "grouser_thickness", "scaling_factor_initial"}
+)
+
+
+def axis_problems(name: str, time: NDArray[np.float64], repeats: bool = False) -> Iterator[str]:
+    """Breaches of a time axis: finite, and increasing from row to row.
+
+    Args:
+        name: What the sentences call it.
+        time: Times [s].
+        repeats: Whether neighbours may be equal (two events can fall on one tick).
+    """
+    finite = np.isfinite(time)
+    if not finite.all():
+        yield _not_finite(name, time)
+        return
+    steps = np.diff(time)
+    wrong = np.flatnonzero(steps < 0 if repeats else steps <= 0)
+    if wrong.size:
+        row = int(wrong[0])
+        yield (
+            f"{name} must increase from row to row, but row {row + 1} is {time[row + 1]:g} s "
+            f"after {time[row]:g} s ({wrong.size} such rows)"
+        )
+
+
+def channel_problems(name: str, values: NDArray[np.generic], rows: int, axis: str) -> Iterator[str]:
+    """Breaches of a channel: one finite value for each row of its time axis."""
+    if values.shape != (rows,):
+        yield (
+            f"{name} has {_extent(values.shape)} but {axis} has {rows} rows; the lengths must agree"
+        )
+    if not np.isfinite(values).all():
+        yield _not_finite(name, values)
+
+
+def setup_problems(name: str, value: float) -> Iterator[str]:
+    """Breaches of one number of the set-up: finite, and of a sign that can exist."""
+    if not np.isfinite(value):
+        yield f"{name} is {value}, it must be a finite number"
+    elif name in POSITIVE and value <= 0:
+        yield f"{name} is {value:g}, it must be above 0"
+    elif name in NOT_NEGATIVE and value < 0:
+        yield f"{name} is {value:g}, it must not be negative"
+    elif name == "grouser_count" and value != int(value):
+        yield f"{name} is {value:g}, it must be a whole number"
+
+
+def text_problems(name: str, text: str) -> Iterator[str]:
+    """Breaches of a text: no character that a file of UTF-8 text cannot hold."""
+    odd = next((each for each in text if each == "\0" or "\ud800" <= each <= "\udfff"), None)
+    if odd is not None:
+        yield f"{name} holds the character {odd!r}, which cannot be written; leave it out"
+
+
+def source_problems(source: str) -> Iterator[str]:
+    """A source is one of the four that the format knows."""
+    if source not in SOURCES:
+        yield f"source is {source!r}, it must be one of {', '.join(map(repr, SOURCES))}"
+
+
+def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
+    """A hint that names the closest known words, or all of them where none is close."""
+    close = get_close_matches(name, known, n=3, cutoff=0.5)
+    if close:
+        return "did you mean " + " or ".join(map(repr, close)) + "?"
+    return "known are " + ", ".join(known) if known else "there are none"
+
+
+def _not_finite(name: str, values: NDArray[np.generic]) -> str:
+    bad = np.flatnonzero(~np.isfinite(values.ravel()))
+    return (
+        f"{name} has {bad.size} values that are not finite, the first in row {bad[0]}; "
+        "leave out a channel or a row that was not measured"
+    )
+
+
+def _extent(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]} rows" if len(shape) == 1 else f"shape {shape}"

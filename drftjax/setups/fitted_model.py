@@ -1,0 +1,104 @@
+"""Models as files: fitted set-ups read back, and a simulated run as a run log."""
+
+from difflib import get_close_matches
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from drftjax.common.errors import InputError
+from drftjax.common.structured_files import read_document, to_structure
+from drftjax.runlog.files import HDF5_ENDINGS
+from drftjax.runlog.hdf5.api import read_result
+from drftjax.runlog.result_file import FIT_SCHEMA, ResultGroup
+from drftjax.setups.setup import SetUp, read_setup
+
+
+class FittedRun(msgspec.Struct):
+    """One run of a fit's result, as far as a simulation needs it."""
+
+    name: str
+    setup: SetUp
+
+
+class FittedRuns(msgspec.Struct):
+    """A fit's result, as far as a simulation needs it."""
+
+    schema: str
+    schema_version: int
+    runs: list[FittedRun]
+
+
+def read_model(path: str | Path, run: str | None = None) -> SetUp:
+    """A set-up from a fit's result, JSON or HDF5, or from a set-up file (TOML).
+
+    Args:
+        path: The result file.
+        run: Which run's model; may be left out where there is one only.
+
+    Raises:
+        InputError: names the file and what must hold.
+    """
+    path = Path(path)
+    if path.suffix == ".toml":
+        if run is not None:
+            raise InputError(f"{path} is one set-up and holds no runs; leave --run out")
+        return read_setup(path)
+    fitted = _from_hdf5(path) if path.suffix in HDF5_ENDINGS else _from_json(path)
+    names = list(fitted)
+    if not names:
+        raise InputError(f"{path} holds no runs")
+    if run is None and len(names) == 1:
+        return fitted[names[0]]
+    if run is None:
+        raise InputError(f"{path} holds {len(names)} runs; name one by --run: {', '.join(names)}")
+    if run not in fitted:
+        near = get_close_matches(run, names, n=3, cutoff=0.3) or names
+        raise InputError(f"{path} holds no run {run!r}; did you mean {' or '.join(near)}?")
+    return fitted[run]
+
+
+def _from_json(path: Path) -> dict[str, SetUp]:
+    document = read_document(path)
+    if document.get("schema") != FIT_SCHEMA:
+        raise InputError(
+            f"{path}: is not a fit's result; its schema must be {FIT_SCHEMA!r} (of a diagnosis "
+            "give model.toml)"
+        )
+    if document.get("schema_version") != 1:
+        raise InputError(
+            f"{path}: schema_version {document.get('schema_version')} is not known here (1 is)"
+        )
+    return {each.name: each.setup for each in to_structure(document, FittedRuns, path).runs}
+
+
+def _from_hdf5(path: Path) -> dict[str, SetUp]:
+    result = read_result(path, FIT_SCHEMA)
+    fitted = {}
+    for name, group in result.groups.items():
+        command = {
+            column: group[f"command_{column}"].tolist()
+            for column in ("time", "omega", "vx")
+            if f"command_{column}" in group.datasets
+        }
+        try:
+            rest = msgspec.json.decode(str(group.attributes["setup"]))
+            fitted[name] = to_structure({**rest, "command": command}, SetUp, path)
+        except (KeyError, TypeError, msgspec.DecodeError):
+            raise InputError(f"{path}: the group {name} holds no set-up of a fitted run") from None
+    return fitted
+
+
+def model_group(
+    setup: SetUp, datasets: dict[str, tuple[np.ndarray, str]], attributes: dict[str, float]
+) -> ResultGroup:
+    """A fitted run as an HDF5 group: its set-up and command, with datasets of the caller's."""
+    rest = msgspec.to_builtins(setup)
+    command = rest.pop("command")
+    radians = setup.command.build()
+    columns = {"command_time": (radians.time, "s"), "command_omega": (radians.omega, "rad/s")}
+    if command["vx"] is not None:
+        columns["command_vx"] = (np.asarray(command["vx"]), "m/s")
+    return ResultGroup(
+        columns | datasets, {"setup": msgspec.json.encode(rest).decode(), **attributes}
+    )

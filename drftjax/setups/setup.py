@@ -1,0 +1,344 @@
+"""The set-up of a trial as a file: what TOML and JSON hold, and how a trial is built from it."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drftjax.common.arrays import require_between
+from drftjax.common.errors import InputError
+from drftjax.common.structured_files import read_document, to_structure
+from drftjax.effects.catalogue import catalogue, effect_class, numbers
+from drftjax.effects.serialization import Entry, built
+from drftjax.physics.integrator import (
+    DEFAULT_STEP,
+    AbstractIntegrator,
+    Explicit,
+    HeldPace,
+    Rosenbrock,
+)
+from drftjax.physics.outline_wheel import OutlineWheel, read_outline
+from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
+from drftjax.physics.state import State
+from drftjax.physics.stress import (
+    COEFFICIENT_NAMES,
+    AbstractStressLaw,
+    Dynamic,
+    QuasiStatic,
+    StressCoefficients,
+)
+from drftjax.physics.terrain import ConstantZeta, KnotZeta, Terrain
+from drftjax.physics.wheel import (
+    DEFAULT_PLATE_SIZE,
+    DEFAULT_REACH,
+    AbstractWheel,
+    GrouserWheel,
+    PlainWheel,
+)
+from drftjax.runlog.record import Command as RunCommand
+from drftjax.runlog.validation import text_problems
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.trial import ROW_INTERVAL, Trial
+
+# Hours of a run at the default step; more is a slip of units, and would fill the memory.
+MOST_STEPS = 2e7
+
+
+FASTEST = 100.0  # that a command may turn a wheel [rad/s]
+
+
+INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
+    "rosenbrock": Rosenbrock,
+    "held pace": HeldPace,
+    "explicit": Explicit,
+}
+
+
+COEFFICIENTS = {
+    "generic": StressCoefficients.generic,
+    "loose poppy seeds": StressCoefficients.loose_poppy_seeds,
+    "close poppy seeds": StressCoefficients.close_poppy_seeds,
+}
+
+
+class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[wheel]: lengths in metres. `outline` names a CSV file, or `points` lists its corners."""
+
+    shape: Literal["grouser", "plain", "outline"] = "grouser"
+    radius: float = 0.150
+    width: float = 0.120
+    grouser_count: int = 12
+    grouser_height: float = 0.018
+    grouser_thickness: float = 0.009
+    grouser_fraction: float = 1.0
+    outline: str | None = None
+    points: list[tuple[float, float]] | None = None
+    plate_size: float = DEFAULT_PLATE_SIZE
+
+    def build(self, reach: float = DEFAULT_REACH) -> AbstractWheel:
+        """The wheel; one with grousers carries those that come within `reach` [rad] of the sand."""
+        if self.shape != "outline" and (self.outline is not None or self.points is not None):
+            raise InputError(
+                f"[wheel] gives an outline, but its shape is {self.shape!r}; say shape = 'outline'"
+            )
+        if self.shape == "plain":
+            return PlainWheel(self.radius, self.width, plate_size=self.plate_size)
+        if self.shape == "outline":
+            if self.points is None:
+                raise InputError("[wheel] of shape 'outline' needs points, or outline = a CSV file")
+            return OutlineWheel(self.points, self.radius, self.width, plate_size=self.plate_size)
+        return GrouserWheel(
+            self.radius,
+            self.width,
+            self.grouser_count,
+            self.grouser_height,
+            self.grouser_thickness,
+            self.grouser_fraction,
+            plate_size=self.plate_size,
+            reach=reach,
+        )
+
+
+class ZetaKnots(msgspec.Struct, forbid_unknown_fields=True):
+    """zeta at knots in time [s] from the command's first knot on, linear in between."""
+
+    time: list[float]
+    value: list[float]
+
+
+class TerrainSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[terrain]: zeta, the stress law and its numbers (bulk_density in kg/m3)."""
+
+    zeta: float | ZetaKnots = 0.7823
+    law: Literal["dynamic", "quasi-static"] = "dynamic"
+    coefficients: str | list[float] = "generic"
+    inertial_coefficient: float = 1.1
+    bulk_density: float = 1490.0
+    height_decrease: float = 1.0
+
+    def stress_coefficients(self) -> StressCoefficients:
+        """The nine coefficients, of a named set or as listed."""
+        if isinstance(self.coefficients, str):
+            if self.coefficients not in COEFFICIENTS:
+                raise InputError(
+                    f"stress coefficients {self.coefficients!r} are not known; give one of "
+                    f"{', '.join(map(repr, COEFFICIENTS))} or nine numbers in N/cm3"
+                )
+            return COEFFICIENTS[self.coefficients]()
+        if len(self.coefficients) != len(COEFFICIENT_NAMES):
+            raise InputError(
+                f"stress coefficients are {len(self.coefficients)} numbers, must be nine "
+                f"({' '.join(COEFFICIENT_NAMES)} in N/cm3)"
+            )
+        return StressCoefficients(self.coefficients)
+
+    def put_coefficient(self, name: str, value: float) -> None:
+        """Write one of the nine [N/cm3]; a named set becomes a list."""
+        values = self.stress_coefficients().values.tolist()
+        values[COEFFICIENT_NAMES.index(name)] = value
+        self.coefficients = values
+
+    def build(self) -> Terrain:
+        coefficients = self.stress_coefficients()
+        law: AbstractStressLaw = (
+            QuasiStatic(coefficients)
+            if self.law == "quasi-static"
+            else Dynamic(
+                self.inertial_coefficient, self.bulk_density, self.height_decrease, coefficients
+            )
+        )
+        if isinstance(self.zeta, ZetaKnots):
+            return Terrain(KnotZeta(self.zeta.time, self.zeta.value), law)
+        return Terrain(ConstantZeta(self.zeta), law)
+
+
+class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[rig]: masses in kg, damping in N s/m, drawbar_load in N, gravity in m/s2."""
+
+    mass_x: float = 13.902
+    mass_z: float = 18.837
+    damping_x: float = 0.0
+    damping_z: float = 0.0
+    drawbar_load: float = 0.0
+    gravity: float = 9.81
+    carriage: Literal["free", "driven"] = "free"
+
+    def build(self) -> Rig:
+        return Rig(
+            self.mass_x,
+            self.mass_z,
+            self.damping_x,
+            self.damping_z,
+            self.drawbar_load,
+            self.gravity,
+            DrivenCarriage() if self.carriage == "driven" else FreeCarriage(),
+        )
+
+
+class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s.
+
+    `origin` is where the x of this set-up counts from on the rig's own scale [m]: what a diagnosis
+    leaves behind, so that its effects keep their places on the bed.
+    """
+
+    sinkage: float = 0.0176
+    x: float = 0.0
+    angle: float = 0.0
+    speed: float = 0.0
+    origin: float | None = None
+
+
+class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[command]: knots of a profile, linear in between: time in s, omega, and vx in m/s."""
+
+    time: list[float]
+    omega: list[float]
+    vx: list[float] | None = None
+    omega_unit: Literal["rad/s", "deg/s"] = "rad/s"
+
+    def build(self) -> RunCommand:
+        omega = np.asarray(self.omega, dtype=float)
+        fastest = _farthest(omega)
+        if self.omega_unit == "deg/s":
+            most = np.degrees(FASTEST)
+            require_between("command omega", fastest, -most, most, " deg/s")
+            omega = np.radians(omega)
+        hint = " rad/s; are these deg/s?" if np.isfinite(fastest) else " rad/s"
+        require_between("command omega", _farthest(omega), -FASTEST, FASTEST, hint)
+        if self.vx is not None:
+            require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
+        vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
+        try:
+            command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+        except InputError as problem:
+            raise InputError(f"command.{problem}") from None
+        if len(command.time) < 2:
+            raise InputError("the command has one knot in time, needs two or more")
+        return command
+
+
+def _farthest(values: ArrayLike) -> float:
+    """The value farthest from zero, or one that is not finite: what a refusal should show."""
+    given = np.asarray(values, dtype=float)
+    return float(given[np.argmax(np.abs(given))]) if given.size else 0.0
+
+
+class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """[integrator]: the method and its step in seconds."""
+
+    method: Literal["rosenbrock", "held pace", "explicit"] = "rosenbrock"
+    step: float = DEFAULT_STEP
+
+
+class SetUp(msgspec.Struct, forbid_unknown_fields=True):
+    """A trial as a file holds it. The defaults are Tables 1 to 3 of Fuke et al. 2024."""
+
+    command: CommandSetUp
+    title: str = "simulated run"
+    wheel: WheelSetUp = msgspec.field(default_factory=WheelSetUp)
+    terrain: TerrainSetUp = msgspec.field(default_factory=TerrainSetUp)
+    rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
+    start: StartSetUp = msgspec.field(default_factory=StartSetUp)
+    integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
+    # [[effect]] each: a name and numbers; `drft effects` lists them.
+    effects: list[Entry] = msgspec.field(default_factory=list, name="effect")
+
+    def trial(self, interval: float = ROW_INTERVAL) -> Trial:
+        """The trial that this set-up describes, ready to run.
+
+        Args:
+            interval: Time between rows of its output [s].
+
+        Raises:
+            InputError: says which number cannot be, and what must hold.
+        """
+        for reason in text_problems("title", self.title):
+            raise InputError(reason)
+        require_between("integrator step", self.integrator.step, 1e-6, 0.1, " s")
+        simulator = Simulator(
+            self.wheel.build(),
+            self.terrain.build(),
+            self.rig.build(),
+            INTEGRATORS[self.integrator.method](),
+            tuple(built(entry, place) for place, entry in enumerate(self.effects, start=1)),
+        )
+        simulator.check()
+        command = self.command.build()
+        if self.rig.carriage == "driven" and command.vx is None:
+            raise InputError("the carriage is driven, so [command] needs vx in m/s")
+        if self.rig.carriage == "free" and command.vx is not None:
+            raise InputError("[command] gives vx, but the carriage of [rig] is free, not 'driven'")
+        radius = self.wheel.radius
+        require_between("start sinkage", self.start.sinkage, -radius, radius, " m; are these mm?")
+        require_between("start x", self.start.x, -1e3, 1e3, " m")
+        require_between("start origin", self.start.origin or 0.0, -1e3, 1e3, " m")
+        require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
+        require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")
+        require_between(
+            "the number of steps",
+            (command.time[-1] - command.time[0]) / self.integrator.step,
+            0,
+            MOST_STEPS,
+            " (times are in seconds)",
+        )
+        start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
+        return Trial.of(simulator, start, command, self.integrator.step, interval)
+
+
+def read_setup(path: str | Path) -> SetUp:
+    """A set-up file (TOML or JSON); a wheel's outline is looked for beside it.
+
+    Raises:
+        InputError: names the file, the entry and what must hold.
+    """
+    path = Path(path)
+    setup = to_structure(read_document(path), SetUp, path)
+    find_outline(setup.wheel, path)
+    try:
+        setup.trial()
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+    return setup
+
+
+def find_outline(wheel: WheelSetUp, path: Path) -> None:
+    """Read the corners of a wheel whose outline lies beside its set-up file.
+
+    Raises:
+        InputError: names the set-up file, and that of the outline.
+    """
+    if wheel.outline is None:
+        return
+    if wheel.points is not None:
+        raise InputError(f"{path}: [wheel] has both points and an outline; give one of them")
+    try:
+        wheel.points = [(x, z) for x, z in read_outline(path.parent / wheel.outline).tolist()]
+    except InputError as problem:
+        raise InputError(f"{path}: outline of [wheel]: {problem}") from None
+
+
+def put_effects(setup: SetUp, names: Iterable[str]) -> None:
+    """Add to a set-up the effects whose numbers are to be fitted, where it has none of them.
+
+    A number that may not be negative starts from its typical size where it is zero: its logarithm
+    is fitted, or its place within its bounds.
+
+    Args:
+        setup: Changed in place.
+        names: Parameters' names, those of other numbers among them.
+    """
+    for name in names:
+        if name.partition(".")[0] not in catalogue():
+            continue
+        title, field = name.split(".")
+        entry = next((each for each in setup.effects if each.get("name") == title), None)
+        if entry is None:
+            entry = Entry(name=title)
+            setup.effects.append(entry)
+        about = numbers(effect_class(title))[field]
+        if "typical" in about and about["least"] == 0 and not entry.get(field):
+            entry[field] = about["typical"]

@@ -1,0 +1,109 @@
+"""A set-up simulated, as a run log."""
+
+import math
+
+import equinox as eqx
+import msgspec
+import numpy as np
+
+from drftjax import __version__
+from drftjax.common.errors import InputError
+from drftjax.common.text import printable
+from drftjax.runlog import record
+from drftjax.setups.command_knots import _held_until
+from drftjax.setups.setup import SetUp
+from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
+
+_run = eqx.filter_jit(Trial.run)
+
+
+# Of times of rows, written in decimals [s].
+ROUNDING = 1e-9
+
+
+def simulated_run(
+    setup: SetUp, interval: float = ROW_INTERVAL, at: np.ndarray | None = None
+) -> record.RunLog:
+    """Simulate a set-up and give the run as a run log, forces and torque included.
+
+    Args:
+        setup: What is simulated.
+        interval: Time between rows [s]; rounded to whole steps.
+        at: Times of the rows [s] in place of that, met by interpolation; past the command's end
+            its last value holds.
+
+    Raises:
+        InputError: where the set-up cannot be, or the run leaves what the model covers.
+    """
+    if at is not None and len(at) > 1:
+        interval = min(interval, float(np.median(np.diff(at))))
+    command = setup.command.build()
+    end = command.time[-1] + ROUNDING
+    held = setup
+    if at is not None and len(at) and at[-1] > end:
+        held = msgspec.structs.replace(setup, command=_held_until(at[-1], setup.command))
+    lasts = held.command.time[-1] - held.command.time[0]
+    if interval > lasts + ROUNDING:
+        raise InputError(
+            f"rows {interval:g} s apart are farther than the command lasts ({lasts:g} s); ask for "
+            "more rows a second"
+        )
+    trial = held.trial(interval)
+    output = _run(trial)
+    check_output(output, trial.simulator)
+    time = np.asarray(output.time) + command.time[0]
+    rows = time[time <= end] if at is None else at
+    measured = {
+        name: np.interp(rows, time, np.asarray(getattr(output, name))) for name in record.CHANNELS
+    }
+    return record.RunLog(
+        setup=believed(setup, setup.start.sinkage, float(output.zeta[0])),
+        command=command,
+        measured=record.Measured(time=rows, **measured),
+        source="simulated",
+        title=setup.title,
+        software="drftjax",
+        software_version=__version__,
+    )
+
+
+def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
+    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-].
+
+    Args:
+        setup: What is believed of the rig.
+        sinkage: H at rest [m].
+        zeta: At the start; NaN of a wheel that hangs in the air, where nothing tells it, and
+            nothing carries it either [-].
+    """
+    in_the_air = math.isnan(zeta)
+    wheel = setup.wheel
+    grousers = wheel.shape == "grouser"
+    return record.Setup(
+        wheel_radius=wheel.radius,
+        # A run log has no place for an outline: without a width nothing takes it for a plain rim.
+        wheel_width=None if wheel.shape == "outline" else wheel.width,
+        grouser_count=wheel.grouser_count if grousers else 0,
+        grouser_height=wheel.grouser_height * wheel.grouser_fraction if grousers else None,
+        grouser_thickness=wheel.grouser_thickness if grousers else None,
+        mass_x=setup.rig.mass_x,
+        mass_z=setup.rig.mass_z,
+        gravity=setup.rig.gravity,
+        bulk_density=setup.terrain.bulk_density,
+        sinkage_static=None if in_the_air else sinkage,
+        scaling_factor_initial=None if in_the_air else zeta,
+    )
+
+
+def summary(run: record.RunLog) -> str:
+    """A run in one sentence: duration, deepest and final sinkage, and travel."""
+    measured = run.measured
+    lasts = measured.time[-1] - measured.time[0]
+    assert measured.x is not None
+    assert measured.z is not None
+    return (
+        f"{printable(run.title)}: {lasts:.4g} s, "
+        f"deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
+        f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, "
+        f"travel {measured.x[-1] - measured.x[0]:.4f} m"
+    )

@@ -1,0 +1,109 @@
+"""A whole run: the simulator's step scanned over a command."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from drftjax.common.arrays import Real, as_real
+from drftjax.physics.command import Command
+from drftjax.physics.state import Output, State
+from drftjax.simulation.simulator import Simulator
+
+
+def simulate(
+    simulator: Simulator,
+    state: State,
+    commands: Command,
+    dt: Float[Array, ""] | float,
+    *,
+    every: int = 1,
+) -> tuple[State, Output]:
+    """Scan `simulator.step` over `commands`.
+
+    Differentiable forward and backward. Backward, only the states between the rows kept are
+    stored and the steps in between are computed again, so memory stays small over long runs.
+
+    Args:
+        simulator: Every number of wheel, terrain and rig.
+        state: State at the start.
+        commands: One command for each step, shape (steps,); see `command_at`.
+        dt: Step [s].
+        every: Rows kept: each `every`-th step. Steps beyond the last whole row are not made.
+
+    Returns:
+        The state at the end, and the output at the end of each row, shape (steps // every,).
+    """
+    simulator = simulator.prepared()
+    state = simulator.remembered(state, jax.tree.map(lambda c: c[0], commands))
+    rows = commands.omega.shape[0] // every
+    blocks = jax.tree.map(lambda c: c[: rows * every].reshape(rows, every, *c.shape[1:]), commands)
+
+    def advance(both: tuple[State, Output], command: Command) -> tuple[tuple[State, Output], None]:
+        return simulator.step(both[0], command, dt), None
+
+    # The step stands in the program once: its compilation is most of what a short run costs.
+    @jax.checkpoint
+    def row(state: State, block: Command) -> tuple[State, Output]:
+        first = jax.tree.map(lambda c: c[0], block)
+        kept = jax.eval_shape(lambda: simulator.step(state, first, dt)[1])
+        kept = jax.tree.map(lambda value: jnp.zeros(value.shape, value.dtype), kept)
+        return jax.lax.scan(advance, (state, kept), block)[0]
+
+    return jax.lax.scan(row, state, blocks)
+
+
+def sweep(
+    simulator: Simulator,
+    state: State,
+    commands: Command,
+    dt: Float[Array, ""] | float,
+    rows: Int[Array, ""],
+    keep: Callable[[Output], Float[Array, " kept"]],
+    *,
+    every: int = 1,
+) -> Float[Array, "kept all_rows"]:
+    """As `simulate`, but for as many rows as `rows` says when it runs; differentiable forward only.
+
+    Runs of any length share one compiled program, and none pays for another's.
+
+    Args:
+        simulator, state, commands, dt, every: As for `simulate`.
+        rows: Rows to make, at most shape (steps,) // every.
+        keep: What is kept of each row.
+
+    Returns:
+        What is kept, with the state at the start as a first row; zero beyond `rows`.
+    """
+    simulator = simulator.prepared()
+    first = jax.tree.map(lambda c: c[0], commands)
+    state = simulator.remembered(state, first)
+    begun = keep(simulator.observe(state, first))
+    room = commands.omega.shape[0] // every
+    table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
+
+    def step(number: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
+        state, output = simulator.step(both[0], jax.tree.map(lambda c: c[number], commands), dt)
+        return state, keep(output)
+
+    # The step stands in the program once: its compilation is most of what a short run costs.
+    def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
+        state, table = carried
+        start = number * every
+        state, kept = jax.lax.fori_loop(start, start + every, step, (state, begun))
+        return state, table.at[number + 1].set(kept)
+
+    return jax.lax.fori_loop(0, rows, row, (state, table))[1].T
+
+
+def with_first_row(simulator: Simulator, state: State, command: Command, rows: Output) -> Output:
+    """`rows` with the state they started from as a first row."""
+    first = simulator.observe(simulator.remembered(state, command), command)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rows)
+
+
+def step_times(steps: int, dt: Real) -> Float[Array, " steps"]:
+    """Ends of the first `steps` steps of `dt` [s]."""
+    return as_real(np.arange(1, steps + 1)) * dt

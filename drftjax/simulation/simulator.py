@@ -1,0 +1,278 @@
+"""The DRFT simulator: one frozen object holds every number, one function makes a step."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.common.errors import InputError
+from drftjax.effects import composition as chain
+from drftjax.effects.base import AbstractAdjustment, AbstractEffect, Moment
+from drftjax.physics.command import Command
+from drftjax.physics.integrator import AbstractIntegrator, Rosenbrock, value_and_jacobian
+from drftjax.physics.rig import Rig
+from drftjax.physics.state import Output, State, slip
+from drftjax.physics.stress import PlateMotion, plate_motion
+from drftjax.physics.terrain import Terrain
+from drftjax.physics.wheel import AbstractWheel, GrouserWheel, Plates
+
+# Time [s] that an observation takes of an instrument that lags: none, but for a division.
+INSTANT = 1e-9
+
+
+class PlateLoad(eqx.Module):
+    """Stress on each plate, for figures.
+
+    Attributes:
+        plates: Plates turned to the wheel angle.
+        motion: Their depth and motion.
+        stress_x, stress_z: Force of the sand per plate area [Pa], shape (plates,).
+    """
+
+    plates: Plates
+    motion: PlateMotion
+    stress_x: Float[Array, " plates"]
+    stress_z: Float[Array, " plates"]
+
+
+class Simulator(eqx.Module):
+    """Wheel on sand, in a rig. The default is the set-up of Fuke, Ishikawa & Ishigami 2024.
+
+    Attributes:
+        wheel: Outline, cut into plates.
+        terrain: Stress law and zeta.
+        rig: Masses, damping, loads and carriage.
+        integrator: How a step linearises the sand's force in the velocity.
+        effects: Mechanisms beyond the reference model, each in its place, in the order given.
+    """
+
+    wheel: AbstractWheel = eqx.field(default_factory=GrouserWheel)
+    terrain: Terrain = eqx.field(default_factory=Terrain)
+    rig: Rig = eqx.field(default_factory=Rig)
+    integrator: AbstractIntegrator = eqx.field(default_factory=Rosenbrock)
+    effects: chain.Effects = ()
+
+    def __check_init__(self):
+        for effect in self.effects:
+            if not isinstance(effect, AbstractEffect):
+                raise InputError(f"{effect!r} is not an effect; see drftjax.effects")
+
+    def adjusted(self) -> "Simulator":
+        """The same simulator with the numbers that its effects change, these effects left out."""
+        simulator = self
+        for effect in self.effects:
+            if isinstance(effect, AbstractAdjustment):
+                simulator = effect.adjust(simulator)
+        rest = tuple(e for e in self.effects if not isinstance(e, AbstractAdjustment))
+        return dataclasses.replace(simulator, effects=rest)
+
+    def prepared(self) -> "Simulator":
+        """The same simulator, adjusted and with its wheel cut: what a loop should step."""
+        simulator = self.adjusted()
+        return dataclasses.replace(simulator, wheel=simulator.wheel.cut())
+
+    def check(self) -> None:
+        """Refuse effects that this wheel or law cannot have, or that leave grousers that cannot be.
+
+        Raises:
+            InputError: says which number, and what must hold.
+        """
+        wheel = self.adjusted().wheel
+        if isinstance(wheel, GrouserWheel):
+            wheel.check()
+
+    def begin(self, state: State, command: Command) -> State:
+        """The state that a run starts from: where it truly is, and a memory for each effect.
+
+        Args:
+            state: Where the wheel reads to be at rest, and how it moves.
+            command: Command at that time.
+        """
+        simulator = self.prepared()
+        effects = simulator.effects
+        if not effects:
+            return dataclasses.replace(state, memory=())
+        state = dataclasses.replace(state, position=chain.started(effects, state.position))
+        state = dataclasses.replace(state, memory=chain.begin(effects, state))
+        truth, dt = simulator._truth(state, command)
+        memory = chain.begin_reading(effects, state.memory, truth, dt)
+        return dataclasses.replace(state, memory=memory)
+
+    def remembered(self, state: State, command: Command) -> State:
+        """The state as it is, or begun where nothing is remembered yet."""
+        return state if state.memory else self.begin(state, command)
+
+    def plate_load(
+        self,
+        position: Float[Array, "2"],
+        velocity: Float[Array, "2"],
+        angle: Float[Array, ""],
+        omega: Float[Array, ""],
+        zeta: Float[Array, ""],
+        pace: Float[Array, "2"] | None = None,
+        memory: chain.Memories = (),
+    ) -> PlateLoad:
+        """Stress on every plate of the wheel in this place, at this motion.
+
+        Args:
+            position: Axle position (x, z) [m].
+            velocity: Axle velocity (x, z) [m/s].
+            angle: Wheel angle [rad].
+            omega: Angular velocity [rad/s].
+            zeta: Scaling factor [-].
+            pace: See `plate_motion`; `velocity` where none is given.
+            memory: What the effects remember; as at a run's start where it is not given.
+        """
+        self = self.prepared()
+        if not memory:
+            nought = jnp.zeros_like(angle)
+            memory = chain.begin(self.effects, State(nought, position, velocity, angle, omega))
+        pace = velocity if pace is None else pace
+        radius = self.wheel.radius
+        plates = chain.place(self.effects, self.wheel.cut().plates(angle), angle)
+        height_decrease = radius * (radius * omega**2 / self.rig.gravity)
+        height = position[1] + radius
+        motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
+        motion = chain.on_surface(self.effects, memory, motion, position[0], plates.x)
+        stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
+        factor = chain.stress_factor(self.effects, motion)
+        return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
+
+    def wrench(
+        self,
+        position: Float[Array, "2"],
+        velocity: Float[Array, "2"],
+        angle: Float[Array, ""],
+        omega: Float[Array, ""],
+        zeta: Float[Array, ""],
+        pace: Float[Array, "2"] | None = None,
+        memory: chain.Memories = (),
+    ) -> Float[Array, "3"]:
+        """The sand's force on the wheel (x, z) [N] and the drive torque against it [N m].
+
+        Arguments as for `plate_load`.
+        """
+        load = self.plate_load(position, velocity, angle, omega, zeta, pace, memory)
+        force_x = load.stress_x * load.plates.area
+        force_z = load.stress_z * load.plates.area
+        moment = load.plates.x * force_z - load.plates.z * force_x
+        return jnp.stack([force_x.sum(), force_z.sum(), moment.sum()])
+
+    def step(
+        self, state: State, command: Command, dt: Float[Array, ""] | float
+    ) -> tuple[State, Output]:
+        """One linearly implicit step: the force linearised in the velocity, solved once.
+
+        The velocity equation is stiff (the sand's force turns over within `REST_SPEED` of rest),
+        so the force is taken with the position moved along; `drftjax.physics.integrator` says how.
+
+        Args:
+            state: State at the start of the step.
+            command: Command at its end.
+            dt: Step [s].
+        """
+        self = self.prepared()
+        effects, dt = self.effects, jnp.asarray(dt, state.time.dtype)
+        if len(state.memory) != len(effects):
+            raise InputError("the state remembers nothing of the effects; start by `begin`")
+        omega, memory = chain.turn(effects, state.memory, command.omega, state.angle, dt)
+        time = state.time + dt
+        angle = state.angle + dt * (state.omega + omega) / 2
+        radius = self.wheel.radius
+        moment = Moment(
+            time, dt, state.position, state.velocity, angle, omega, command.omega, radius
+        )
+        zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
+
+        def sand_wrench(velocity, pace):
+            position = state.position + dt * velocity
+            sand = self.wrench(position, velocity, angle, omega, zeta, pace, memory)
+            piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
+            return sand.at[:2].add(piled)
+
+        def rig_load(velocity):
+            position = state.position + dt * velocity
+            return chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
+
+        start = self.rig.carriage.approach(state.velocity, command)
+        sand, by_velocity = self.integrator.linearise(sand_wrench, start)
+        held, held_by_velocity = value_and_jacobian(rig_load, start)
+        damping = jnp.stack([self.rig.damping_x, self.rig.damping_z])
+        inertia = jnp.diag(self.rig.mass() + dt * damping)
+        inertia = inertia - dt * (by_velocity[:2] + held_by_velocity)
+        impulse = dt * (sand[:2] + self.rig.load(start) + held)
+        velocity = self.rig.carriage.advance(start, impulse, inertia)
+
+        # z moves by the velocity that its force was balanced at. x bears on no force, so it may
+        # move by the mean, which has no error of first order while the wheel speeds up.
+        travel = jnp.stack([(state.velocity[0] + velocity[0]) / 2, velocity[1]])
+        position = state.position + dt * travel
+        memory = chain.advance(effects, memory, moment)
+        after = State(time, position, velocity, angle, omega)
+        truth = self._output(after, sand + by_velocity @ (velocity - start), zeta)
+        reading, memory = chain.read(effects, memory, truth, dt)
+        return dataclasses.replace(after, memory=memory), reading
+
+    def held(self, state: State, command: Command) -> Float[Array, "2"]:
+        """Force (x, z) of the rig and its effects on the wheel as it stands or moves [N].
+
+        Args:
+            state: Of the wheel; effects remember nothing before it.
+            command: Command at that time.
+        """
+        self = self.prepared()
+        memory, instant = chain.begin(self.effects, state), jnp.full_like(state.time, INSTANT)
+        moment = self._moment(state, command, instant)
+        place, velocity = state.position, state.velocity
+        held = chain.loads(self.effects, memory, place, velocity, moment, of_the_sand=False)
+        return self.rig.load(velocity) + held
+
+    def observe(self, state: State, command: Command) -> Output:
+        """The output of a state as it stands, without a step: a run's first row."""
+        self = self.prepared()
+        truth, dt = self._truth(state, command)
+        # Between two steps no time passes: a lagging instrument reads what it last held.
+        return chain.read(self.effects, state.memory, truth, dt)[0]
+
+    def _truth(self, state: State, command: Command) -> tuple[Output, Float[Array, ""]]:
+        """What is, before any instrument reads it, and the instant that a reading takes [s]."""
+        effects, memory = self.effects, state.memory
+        dt = jnp.full_like(state.time, INSTANT)
+        moment = self._moment(state, command, dt)
+        zeta = self.terrain.zeta(state.time, command) * chain.zeta_factor(effects, memory, moment)
+        place, velocity = state.position, state.velocity
+        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
+        piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
+        return self._output(state, sand.at[:2].add(piled), zeta), dt
+
+    def _moment(self, state: State, command: Command, dt: Float[Array, ""]) -> Moment:
+        return Moment(
+            state.time,
+            dt,
+            state.position,
+            state.velocity,
+            state.angle,
+            state.omega,
+            command.omega,
+            self.wheel.radius,
+        )
+
+    def _output(self, state: State, sand: Float[Array, "3"], zeta: Float[Array, ""]) -> Output:
+        x, z = state.position
+        vx, vz = state.velocity
+        return Output(
+            time=state.time,
+            x=x,
+            z=z,
+            vx=vx,
+            vz=vz,
+            angle=state.angle,
+            omega=state.omega,
+            fx=sand[0],
+            fz=sand[1],
+            torque=sand[2],
+            slip=slip(self.wheel.radius, state.omega, vx),
+            sinkage=-z,
+            zeta=zeta,
+        )

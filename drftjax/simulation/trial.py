@@ -1,0 +1,111 @@
+"""A trial: a simulator, where it starts and what it is commanded, over a whole run."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from drftjax.common.arrays import as_real
+from drftjax.common.errors import InputError
+from drftjax.physics.command import Command, command_at
+from drftjax.physics.state import Output, State
+from drftjax.runlog import record
+from drftjax.simulation.rollout import simulate, step_times, sweep, with_first_row
+from drftjax.simulation.simulator import Simulator
+
+ROW_INTERVAL = 0.01
+
+
+class Trial(eqx.Module):
+    """One run to simulate.
+
+    Attributes:
+        simulator: Every number of wheel, terrain and rig.
+        start: State at the first command.
+        time: Knots of the command, from zero on [s], shape (knots,).
+        omega: Commanded angular velocity [rad/s], shape (knots,).
+        vx: Commanded carriage speed [m/s], shape (knots,); zero where the carriage is free.
+        step: Integrator step [s].
+        every: Steps from one row of the output to the next.
+        rows: Rows of the output after the first, to the end of the command or past it.
+    """
+
+    simulator: Simulator
+    start: State
+    time: Float[Array, " knots"]
+    omega: Float[Array, " knots"]
+    vx: Float[Array, " knots"]
+    step: Float[Array, ""]
+    every: int = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        simulator: Simulator,
+        start: State,
+        command: record.Command,
+        step: float,
+        interval: float = ROW_INTERVAL,
+    ) -> "Trial":
+        """A trial of a recorded or written command; time counts from its first knot.
+
+        Args:
+            simulator, start: What runs, and from where.
+            command: What it is asked.
+            step: Integrator step [s].
+            interval: Time between rows [s], rounded to whole steps.
+        """
+        time = command.time - command.time[0]
+        vx = np.zeros_like(time) if command.vx is None else command.vx
+        every = max(1, round(interval / step))
+        # A whole row more or less than rounding leaves undecided is one too many.
+        rows = math.ceil(float(time[-1]) / (every * step) - 1e-9)
+        knots = as_real(time), as_real(command.omega), as_real(vx)
+        return cls(simulator, start, *knots, as_real(step), every, rows)
+
+    def run(self) -> Output:
+        """The whole run from its start on; past the command's end its last value holds."""
+        commands = self.commands()
+        _, rows = simulate(self.simulator, self.start, commands, self.step, every=self.every)
+        first = Command(self.omega[0], self.vx[0], commands.zeta[0])
+        return with_first_row(self.simulator, self.start, first, rows)
+
+    def run_to(self, rows: Int[Array, ""], channels: tuple[str, ...]) -> Float[Array, "channels _"]:
+        """Some channels of the first `rows` rows only, zero beyond; see `rollout.sweep`."""
+
+        def keep(output: Output) -> Float[Array, " channels"]:
+            return jnp.stack([getattr(output, each) for each in channels])
+
+        commands = self.commands()
+        return sweep(self.simulator, self.start, commands, self.step, rows, keep, every=self.every)
+
+    def commands(self) -> Command:
+        """The command at the end of every step."""
+        times = step_times(self.rows * self.every, self.step)
+        return command_at(times, self.time, self.omega, self.vx)
+
+
+def check_output(output: Output, simulator: Simulator) -> None:
+    """Refuse a run that left what the model covers.
+
+    Raises:
+        InputError: says when, and what left it.
+    """
+    finite = jnp.isfinite(output.x) & jnp.isfinite(output.z)
+    if not bool(finite.all()):
+        when = float(output.time[int(jnp.argmin(finite))])
+        raise InputError(
+            f"the simulation diverges near {when:.3g} s; a shorter step, or the method "
+            "'held pace', may hold it"
+        )
+    limit = float(simulator.wheel.cut().sinkage_limit)
+    deepest = float(output.sinkage.max())
+    if deepest > limit:
+        when = float(output.time[int(jnp.argmax(output.sinkage > limit))])
+        raise InputError(
+            f"the wheel sinks {deepest * 1e3:.4g} mm, past {limit * 1e3:.4g} mm at {when:.3g} s, "
+            "where its upper half would touch the sand: the sand is too soft for this load"
+        )

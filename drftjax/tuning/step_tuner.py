@@ -1,0 +1,257 @@
+r"""The online tuner of Fuke, Ishikawa & Ishigami 2024, eq. 7: zeta follows the measured sinkage.
+
+On each control tick the sinkage that the rig measures is held against the simulated one, and zeta
+is moved by one fixed step where they differ by more than a tolerance:
+
+$$H_{real} - H_{sim} < -\epsilon_H:\ \zeta \to \zeta + \Delta\zeta \qquad
+  H_{real} - H_{sim} > \epsilon_H:\ \zeta \to \zeta - \Delta\zeta$$
+
+Angular velocity and the simulated speed drive the rig, and nothing but $H_{real}$ comes back, so a
+recorded run can be replayed: `replay` steps the very loop that runs online.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.common.arrays import Real, as_real, require_between
+from drftjax.physics.command import Command, command_at
+from drftjax.physics.state import Output, State
+from drftjax.physics.terrain import LARGEST_ZETA, PerStepZeta
+from drftjax.simulation.rollout import step_times
+from drftjax.simulation.simulator import Simulator
+
+# A sample is old after so many of the record's usual intervals; loggers come a little late.
+OLD = 1.5
+
+
+# Ticks of the paper's kind; longer ones are a slip of units [s].
+LONGEST_TICK = 10.0
+
+
+# What a tuner remembers from tick to tick: any tree of arrays.
+Memory = Any
+
+
+# One tick of the simulator: a state and zeta [-] to the state and the output at the tick's end.
+Advance = Callable[[State, Float[Array, ""]], tuple[State, Output]]
+
+
+class AbstractTuner(eqx.Module):
+    """Moves zeta by what the sinkage's error says, once a tick.
+
+    Attributes:
+        tick: Control period [s].
+    """
+
+    tick: eqx.AbstractVar[Float[Array, ""]]
+
+    @abc.abstractmethod
+    def begin(self, state: State, zeta: Float[Array, ""]) -> Memory:
+        """What it remembers before the first tick.
+
+        Args:
+            state: Simulated wheel at the start.
+            zeta: Scaling factor at the start [-].
+        """
+
+    @abc.abstractmethod
+    def tune(
+        self, memory: Memory, zeta: Float[Array, ""], error: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Memory]:
+        """zeta [-] for the tick that begins, and what is remembered.
+
+        Args:
+            memory: What it remembers.
+            zeta: Over the tick before [-].
+            error: Recorded minus simulated sinkage [m]; NaN where nothing was recorded, and then
+                zeta stays as it is.
+        """
+
+    @abc.abstractmethod
+    def follow(
+        self, memory: Memory, advance: Advance, state: State, zeta: Float[Array, ""]
+    ) -> tuple[State, Output, Memory]:
+        """Simulate the tick, and learn from the simulator what zeta does where that is wanted.
+
+        Args:
+            memory: What it remembers.
+            advance: Simulates the tick.
+            state: At the tick's start.
+            zeta: Over the tick [-].
+        """
+
+
+class StepTuner(AbstractTuner):
+    """Eq. 7: one fixed step up or down, or none.
+
+    Attributes:
+        tick: Control period [s].
+        zeta_step: Change of zeta on one tick [-]; zero holds zeta.
+        tolerance: Error of the sinkage that is left alone [m].
+    """
+
+    tick: Float[Array, ""] = eqx.field(converter=as_real, default=0.01)
+    zeta_step: Float[Array, ""] = eqx.field(converter=as_real, default=1e-3)
+    tolerance: Float[Array, ""] = eqx.field(converter=as_real, default=1e-4)
+
+    def __check_init__(self):
+        require_between("tick", self.tick, 1e-5, LONGEST_TICK, " s")
+        require_between("zeta-step", self.zeta_step, 0.0, LARGEST_ZETA)
+        require_between("tolerance", self.tolerance, 0.0, 1.0, " m")
+
+    def begin(self, state: State, zeta: Float[Array, ""]) -> Memory:
+        return ()
+
+    def tune(
+        self, memory: Memory, zeta: Float[Array, ""], error: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Memory]:
+        # Comparisons with NaN are false: a tick without a measurement leaves zeta alone.
+        up, down = error < -self.tolerance, error > self.tolerance
+        step = jnp.where(up, self.zeta_step, jnp.where(down, -self.zeta_step, 0.0))
+        # Eq. 7 has no bound; sand that pulls has no meaning.
+        return jnp.maximum(zeta + step, 0.0), memory
+
+    def follow(
+        self, memory: Memory, advance: Advance, state: State, zeta: Float[Array, ""]
+    ) -> tuple[State, Output, Memory]:
+        return *advance(state, zeta), memory
+
+
+class Loop(eqx.Module):
+    """What the next tick needs.
+
+    Attributes:
+        state: State of the simulated wheel.
+        zeta: Scaling factor as last tuned [-].
+        memory: What the tuner remembers; empty before `begun`.
+    """
+
+    state: State
+    zeta: Float[Array, ""]
+    memory: Memory = ()
+
+
+class Tick(eqx.Module):
+    """What an observer wants of a tick; with a leading time axis, of a run.
+
+    Attributes:
+        error: Recorded minus simulated sinkage at the tick's start [m]; NaN without a measurement.
+        zeta: Scaling factor over the tick [-].
+        output: Of the simulator, at the tick's end.
+    """
+
+    error: Float[Array, "*ticks"]
+    zeta: Float[Array, "*ticks"]
+    output: Output
+
+
+def tunable(simulator: Simulator) -> Simulator:
+    """The same simulator, its wheel cut, that takes zeta from each step's command."""
+    terrain = dataclasses.replace(simulator.terrain, zeta=PerStepZeta())
+    return dataclasses.replace(simulator, terrain=terrain).prepared()
+
+
+def begun(tuner: AbstractTuner, loop: Loop) -> Loop:
+    """The loop as it is, or with what the tuner remembers at a start where it has no memory."""
+    if jax.tree.leaves(loop.memory):
+        return loop
+    return dataclasses.replace(loop, memory=tuner.begin(loop.state, loop.zeta))
+
+
+def tuned_tick(
+    simulator: Simulator,
+    tuner: AbstractTuner,
+    loop: Loop,
+    commands: Command,
+    recorded: Float[Array, ""],
+) -> tuple[Loop, Tick]:
+    """One tick: compare the sinkages, tune zeta, and simulate to the next tick.
+
+    Args:
+        simulator: A `tunable` one.
+        tuner: How zeta is moved.
+        loop: At the tick's start, `begun`.
+        commands: One for each of the tick's steps, shape (substeps,); their zeta is not read.
+        recorded: Newest sinkage known at the tick's start [m]; NaN where there is none.
+    """
+    error = recorded + loop.state.position[1]
+    zeta, memory = tuner.tune(loop.memory, loop.zeta, error)
+    dt = tuner.tick / commands.omega.shape[0]
+
+    def advance(state: State, zeta: Float[Array, ""]) -> tuple[State, Output]:
+        def step(state: State, command: Command) -> tuple[State, Output]:
+            return simulator.step(state, dataclasses.replace(command, zeta=zeta), dt)
+
+        state, outputs = jax.lax.scan(step, state, commands)
+        return state, jax.tree.map(lambda values: values[-1], outputs)
+
+    state, output, memory = tuner.follow(memory, advance, loop.state, zeta)
+    return Loop(state, zeta, memory), Tick(error, zeta, output)
+
+
+def replay(
+    simulator: Simulator,
+    start: Loop,
+    commands: Command,
+    recorded: Float[Array, " ticks"],
+    tuner: AbstractTuner,
+) -> tuple[Loop, Tick]:
+    """The tuner beside a recorded run, as it would have tuned while the run was made.
+
+    Args:
+        simulator: Every number of wheel, terrain and rig; its own zeta is not used.
+        start: State and zeta at the first tick.
+        commands: For every step, shape (ticks, substeps); see `tick_commands`.
+        recorded: Sinkage known at each tick [m], shape (ticks,); see `known_sinkage`.
+        tuner: How zeta is moved.
+
+    Returns:
+        The loop at the end, and every tick.
+    """
+    simulator = tunable(simulator)
+
+    def tick(loop: Loop, inputs: tuple[Command, Array]) -> tuple[Loop, Tick]:
+        return tuned_tick(simulator, tuner, loop, *inputs)
+
+    return jax.lax.scan(tick, begun(tuner, start), (commands, recorded))
+
+
+def tick_commands(
+    ticks: int,
+    substeps: int,
+    tick: Real,
+    time: Float[Array, " knots"],
+    omega: Float[Array, " knots"],
+    vx: Float[Array, " knots"] | None = None,
+) -> Command:
+    """A recorded command for every step of every tick, shape (ticks, substeps)."""
+    times = step_times(ticks * substeps, as_real(tick) / substeps)
+    commands = command_at(times, time, omega, vx)
+    return jax.tree.map(lambda values: values.reshape(ticks, substeps), commands)
+
+
+def known_sinkage(tick_time: np.ndarray, time: np.ndarray, sinkage: np.ndarray) -> np.ndarray:
+    """The newest recorded sinkage [m] at or before each tick; NaN where there is none or it is old.
+
+    A sample is old where the next one would have come, by the record's usual interval: the loop
+    tunes nothing while no fresh reading comes, and a replay of it must not either.
+
+    Args:
+        tick_time: Starts of the ticks [s].
+        time: Times of the record [s], increasing.
+        sinkage: What was recorded [m].
+    """
+    # A sample of the tick's own instant counts, whatever the rounding of either clock.
+    newest = np.searchsorted(time, tick_time + 1e-9, side="right") - 1
+    known = np.maximum(newest, 0)
+    usual = np.median(np.diff(time)) if len(time) > 1 else np.inf
+    fresh = (newest >= 0) & (tick_time - np.asarray(time)[known] < OLD * usual)
+    return np.where(fresh, np.asarray(sinkage)[known], np.nan)

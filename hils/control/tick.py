@@ -1,0 +1,258 @@
+"""One tick of the loop as a pure function: what it is given in, what it asks of the rig out.
+
+Nothing here knows a clock, a link or a file. What `react` is given can be read back from a run
+log, so a replay calls this very function and gets the same zeta, bit for bit:
+
+| given | in the run log |
+|---|---|
+| reading | the next row of /measured, on each tick with the flag FRESH |
+| skipped | ticks between this row of /online and the one before |
+| ramping | the flag RAMPING |
+| old | the flag OLD |
+"""
+
+import abc
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hils.control.compiled_step import NO_READING, NUMBERS, Answer, CompiledStep, Packed
+from hils.control.limits import REST, Demand, Reading, Verdict, Watch, judge, limited
+from hils.control.loop_config import LoopPhysics, LoopSetUp, Start, profile
+
+
+class LoopState(NamedTuple):
+    """What the next tick needs.
+
+    Attributes:
+        number: The next tick.
+        packed: Of the simulation and the tuner, at its start.
+        watch: What the guard remembers.
+        demand: What was last asked of the rig.
+        tuned: Number of the tick on which the tuner last had a reading.
+    """
+
+    number: int
+    packed: Packed
+    watch: Watch
+    demand: Demand
+    tuned: int
+
+
+class Given(NamedTuple):
+    """What a tick is given.
+
+    Attributes:
+        reading: A measurement not seen before, or None.
+        skipped: Ticks that passed unused before this one.
+        ramping: Whether the wheel is being brought to rest, past the profile.
+        old: Whether the reading answers a command too old for zeta to follow it.
+    """
+
+    reading: Reading | None
+    skipped: int = 0
+    ramping: bool = False
+    old: bool = False
+
+
+class Reaction(NamedTuple):
+    """What a tick says.
+
+    Attributes:
+        number: The tick.
+        held: What was asked of the rig up to it.
+        before: The simulation at its start.
+        after: The simulation at its end; its zeta and error are those of the tick.
+        demand: What to ask of the rig; None where that may not be asked.
+        asked: What the profile and the simulation gave, before any limit.
+        limited: Whether a limit held it back.
+        verdict: What became of the reading; None without one.
+        tuned: Whether zeta changed.
+    """
+
+    number: int
+    held: Demand
+    before: Answer
+    after: Answer
+    demand: Demand | None
+    asked: Demand
+    limited: bool
+    verdict: Verdict | None
+    tuned: bool
+
+
+class AbstractTick(abc.ABC):
+    """What the loop does on each tick."""
+
+    @property
+    @abc.abstractmethod
+    def loop(self) -> LoopSetUp:
+        """Its numbers."""
+
+    @property
+    @abc.abstractmethod
+    def ticks(self) -> int:
+        """Length of the profile."""
+
+    @property
+    @abc.abstractmethod
+    def driven(self) -> bool:
+        """Whether the carriage is driven at the simulated speed; else it runs free."""
+
+    @abc.abstractmethod
+    def begin(self, start: Start) -> LoopState:
+        """The state before the first tick, the wheel at rest."""
+
+    @abc.abstractmethod
+    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+        """Judge the reading, and say what to ask of the rig.
+
+        Args:
+            state: At the end of the last tick that was made.
+            given: What has come.
+        """
+
+
+class TunedTick(AbstractTick):
+    """Hardware in the loop: tune zeta, simulate to the tick's end, drive at the simulated speed.
+
+    Args:
+        physics: The loop, made ready.
+    """
+
+    def __init__(self, physics: LoopPhysics):
+        self._physics = physics
+
+    @property
+    def loop(self) -> LoopSetUp:
+        return self._physics.loop
+
+    @property
+    def ticks(self) -> int:
+        return self._physics.ticks
+
+    @property
+    def driven(self) -> bool:
+        return True
+
+    def begin(self, start: Start) -> LoopState:
+        return begin(self._physics, start)
+
+    def warm(self, start: Start) -> None:
+        """Step a little beforehand, so that the first tick takes no longer than any other."""
+        self._physics.warm(start)
+
+    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+        return react(self._physics, state, given)
+
+
+class FreeTick(AbstractTick):
+    """The carriage runs free: the profile is driven and recorded, nothing is simulated.
+
+    Args:
+        loop: The loop's numbers, its profile among them.
+    """
+
+    def __init__(self, loop: LoopSetUp):
+        self._loop = loop
+        self._omega = profile(loop, 1)
+
+    @property
+    def loop(self) -> LoopSetUp:
+        return self._loop
+
+    @property
+    def ticks(self) -> int:
+        return len(self._omega)
+
+    @property
+    def driven(self) -> bool:
+        return False
+
+    def begin(self, start: Start) -> LoopState:
+        return _at_rest(np.zeros(NUMBERS), start, self._loop)
+
+    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+        loop, number = self._loop, state.number + given.skipped
+        watch, verdict = _judged(loop, state, given)
+        omega = _omega(loop, self._omega, number, state.demand, given.ramping)
+        asked = Demand(float(omega[-1]), 0.0)
+        allowed = limited(loop.commands, state.demand, asked, loop.tick)
+        demand, held_back = (None, True) if allowed is None else allowed
+        still = CompiledStep.answer(state.packed)
+        said = Reaction(
+            number, state.demand, still, still, demand, asked, held_back, verdict, False
+        )
+        after = LoopState(number + 1, state.packed, watch, demand or state.demand, number)
+        return after, said
+
+
+def begin(physics: LoopPhysics, start: Start) -> LoopState:
+    """The loop before its first tick, the wheel at rest."""
+    return _at_rest(physics.begin(start), start, physics.loop)
+
+
+def react(physics: LoopPhysics, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+    """Judge the reading, tune, simulate to the tick's end, and say what to ask of the rig.
+
+    Args:
+        physics: The loop, made ready.
+        state: At the end of the last tick that was made.
+        given: What has come.
+    """
+    loop, step = physics.loop, physics.step
+    packed, number = state.packed, state.number + given.skipped
+    # The rig has held the last command over the ticks that were skipped, and so does this.
+    held = np.full(step.substeps, state.demand.omega)
+    for _ in range(given.skipped):
+        packed = step(packed, NO_READING, held)
+
+    watch, verdict = _judged(loop, state, given)
+    due = number - state.tuned >= loop.tuning_ticks and not (given.ramping or given.old)
+    sinkage, tuned = NO_READING, state.tuned
+    if given.reading is not None and verdict is Verdict.USED and due:
+        sinkage, tuned = -given.reading.z, number
+
+    before = step.answer(packed)
+    wanted = _omega(loop, physics.omega, number, state.demand, given.ramping)
+    # What is simulated is what will be asked for, so a limit on omega comes before the step.
+    turning = limited(loop.commands, state.demand, Demand(wanted[-1], state.demand.vx), loop.tick)
+    if turning is not None and turning[1]:
+        wanted = _even(state.demand.omega, turning[0].omega, step.substeps)
+    packed = step(packed, sinkage, wanted)
+    after = step.answer(packed)
+
+    asked = Demand(float(wanted[-1]), after.vx)
+    allowed = limited(loop.commands, state.demand, asked, loop.tick)
+    demand, held_back = (None, True) if turning is None or allowed is None else allowed
+    held_back = held_back or (turning is not None and turning[1])
+    changed = after.zeta != before.zeta
+    said = Reaction(number, state.demand, before, after, demand, asked, held_back, verdict, changed)
+    return LoopState(number + 1, packed, watch, demand or state.demand, tuned), said
+
+
+def _at_rest(packed: Packed, start: Start, loop: LoopSetUp) -> LoopState:
+    return LoopState(0, packed, Watch(0.0, -start.sinkage), REST, -loop.tuning_ticks)
+
+
+def _judged(loop: LoopSetUp, state: LoopState, given: Given) -> tuple[Watch, Verdict | None]:
+    if given.reading is None:
+        return state.watch, None
+    return judge(loop.readings, state.watch, given.reading, *state.demand)
+
+
+def _omega(
+    loop: LoopSetUp, table: np.ndarray, number: int, demand: Demand, ramping: bool
+) -> np.ndarray:
+    """Angular velocity at the end of each substep [rad/s]."""
+    if not ramping and number < len(table):
+        return table[number]
+    speed = max(abs(demand.omega) - loop.ramp * loop.tick, 0.0)
+    end = math.copysign(speed, demand.omega) if speed else 0.0
+    return _even(demand.omega, end, table.shape[1])
+
+
+def _even(start: float, end: float, substeps: int) -> np.ndarray:
+    """The ends of even steps from one number to another; the last is that other, exactly."""
+    return np.linspace(start, end, substeps + 1)[1:]

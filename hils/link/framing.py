@@ -1,0 +1,111 @@
+"""The receiving end of the wire: bytes in, frames that count out, the rest counted by cause."""
+
+from collections import Counter, deque
+
+from hils.link.messages import (
+    DELIMITER,
+    LONGEST_PACKET,
+    Drop,
+    EmergencyStop,
+    Frame,
+    HelloAck,
+    StateReport,
+    decode,
+    newer,
+)
+
+# So many of its own emergency stops an end knows when they come back.
+OWN = 16
+
+
+class Splitter:
+    """Cuts a stream of bytes at its delimiters; keeps no more than one frame's worth of it."""
+
+    def __init__(self):
+        self._rest = b""
+        self._skipping = False
+        self.overlong = 0
+
+    def packets(self, data: bytes) -> list[bytes]:
+        """What stands complete between two delimiters, in order and never empty."""
+        *complete, rest = (self._rest + data).split(DELIMITER)
+        if self._skipping and complete:
+            complete[0] = b""
+            self._skipping = False
+        if len(rest) > LONGEST_PACKET and not self._skipping:
+            self._skipping = True
+            self.overlong += 1
+        self._rest = b"" if self._skipping else rest
+        return [packet for packet in complete if packet]
+
+
+class Receiver:
+    """One end's view of what the other sends.
+
+    Args:
+        accepts: Message types that this end takes: `hils.link.messages.FROM_RIG` at the host.
+
+    Attributes:
+        counted: Frames that counted.
+        stranger: The last state that came intact but did not count, of another session or out of
+            order: a rig that was reset says so in one.
+        halted: The last emergency stop that came so.
+    """
+
+    def __init__(self, accepts: tuple[type, ...]):
+        self._accepts = frozenset(accepts)
+        self._splitter = Splitter()
+        self._session: int | None = None
+        self._last: int | None = None
+        self._own: deque[Frame] = deque(maxlen=OWN)
+        self._drops: Counter[Drop] = Counter()
+        self.counted = 0
+        self.stranger: HelloAck | StateReport | None = None
+        self.halted: EmergencyStop | None = None
+
+    def expect(self, session: int) -> None:
+        """From here on only frames of this session count, starting at any sequence number."""
+        self._session, self._last = session, None
+        self.stranger, self.halted = None, None
+
+    def sent(self, frame: Frame) -> None:
+        """This end has sent a frame: an emergency stop that a line echoes is not the other's."""
+        if isinstance(frame.message, EmergencyStop):
+            self._own.append(frame)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """The frames that count among what these bytes complete."""
+        frames = map(self._judged, self._splitter.packets(data))
+        return [frame for frame in frames if frame is not None]
+
+    @property
+    def drops(self) -> dict[Drop, int]:
+        """How often something was dropped, by cause."""
+        return dict(self._drops + Counter({Drop.OVERLONG: self._splitter.overlong}))
+
+    def _judged(self, packet: bytes) -> Frame | None:
+        found = decode(packet)
+        if found in self._own:
+            self._drops[Drop.DIRECTION] += 1
+            return None
+        if isinstance(found, Drop):
+            cause = found
+        elif type(found.message) not in self._accepts:
+            cause = Drop.DIRECTION
+        elif found.session != self._session:
+            cause = Drop.SESSION
+        elif self._last is not None and not newer(found.seq, self._last):
+            cause = Drop.ORDER
+        else:
+            self._last = found.seq
+            self.counted += 1
+            if isinstance(found.message, HelloAck):
+                # What was still on the line of an earlier boot says nothing of this one.
+                self.stranger = None
+            return found
+        self._drops[cause] += 1
+        if isinstance(found, Frame) and isinstance(found.message, HelloAck | StateReport):
+            self.stranger = found.message
+        if isinstance(found, Frame) and isinstance(found.message, EmergencyStop):
+            self.halted = found.message
+        return None

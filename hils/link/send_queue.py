@@ -1,0 +1,93 @@
+"""What a link still has to send: commands yield to newer ones, the rest goes in order."""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from drftjax.common.errors import InputError
+from hils.link.messages import U32, Drive, EmergencyStop, Frame, Message, clock_us, encode
+
+# The times of the commands among so many of the last messages are known.
+KEPT = 4096
+
+
+class _Waiting(NamedTuple):
+    message: Message
+    data: bytes
+
+
+class Outbox:
+    """Frames that wait to be sent.
+
+    Args:
+        first: Sequence number of the first message.
+
+    Attributes:
+        sent: Frames taken so far.
+        bytes_sent: Their length.
+        replaced: Commands that gave way to a newer one, or to an emergency stop.
+    """
+
+    def __init__(self, first: int = 1):
+        self._next = first & U32
+        self._session = 0
+        self._waiting: deque[_Waiting] = deque()
+        self._commands: dict[int, float] = {}
+        self.sent = self.bytes_sent = self.replaced = 0
+
+    def begin(self, session: int) -> None:
+        """Stamp this session on all that follows, and forget what was not sent."""
+        if not 0 < session <= 0xFFFF:
+            raise InputError(f"session number {session} must lie between 1 and 65535")
+        self._session = session
+        self._waiting.clear()
+        self._commands.clear()
+
+    def put(self, message: Message, now: float) -> Frame:
+        """Add a message at this time [s], as it will go out."""
+        if isinstance(message, Drive):
+            _require_finite(message)
+        frame = Frame(message, self._session, self._next, clock_us(now))
+        data = encode(frame)
+        self._next = (frame.seq + 1) & U32
+        if isinstance(message, Drive):
+            self._commands[frame.seq] = now
+            self._commands.pop((frame.seq - KEPT) & U32, None)
+        self._yield_to(message)
+        self._waiting.append(_Waiting(message, data))
+        return frame
+
+    def sent_at(self, seq: int) -> float | None:
+        """When a command of this number was put [s]; None of one that is not known any more."""
+        return self._commands.get(seq)
+
+    def take(self) -> bytes:
+        """The next frame, or nothing."""
+        if not self._waiting:
+            return b""
+        data = self._waiting.popleft().data
+        self.sent += 1
+        self.bytes_sent += len(data)
+        return data
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def _yield_to(self, message: Message) -> None:
+        """Drop what need not be sent any more once this message is."""
+        if isinstance(message, EmergencyStop):
+            gone: tuple[type, ...] = (object,)
+        elif isinstance(message, Drive):
+            gone = (Drive,)
+        else:
+            return
+        kept = [each for each in self._waiting if not isinstance(each.message, gone)]
+        self.replaced += len(self._waiting) - len(kept)
+        self._waiting = deque(kept)
+
+
+def _require_finite(command: Drive) -> None:
+    if not (math.isfinite(command.omega) and math.isfinite(command.vx)):
+        raise InputError(
+            f"a command must be finite, not omega = {command.omega} rad/s, vx = {command.vx} m/s"
+        )

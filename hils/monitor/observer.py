@@ -1,0 +1,339 @@
+"""Sees what a run says and records, and tells the live view about it, at most ten times a second.
+
+It wraps where the rows go and whom the procedure talks to, so neither knows of it:
+
+    rows, dialogue = onlooker.rows(recorder), onlooker.dialogue(terminal)
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from drftjax.runlog.header import Head
+from hils.clock import AbstractClock
+from hils.control.stop_request import StopRequest
+from hils.events import Event, Phase, TickFlag
+from hils.link.link import AbstractLink, LinkQuality
+from hils.monitor.live_view import LiveView
+from hils.monitor.status import INTERVAL, Scene, Words, known, plain
+from hils.procedure.active_runs import UnderWay
+from hils.procedure.operator_prompts import AbstractDialogue
+from hils.procedure.procedure import Procedure
+from hils.recording.row_stream import OnlineRow
+from hils.recording.sinks import Rows
+
+# A wheel that rolls slower has no slip worth telling [m/s].
+ROLLING = 1e-3
+
+
+# Frames are counted over this time [s].
+COUNTED = 1.0
+
+
+RAMPING, REFUSED = int(TickFlag.RAMPING), int(TickFlag.REFUSED)
+
+
+class Seen(NamedTuple):
+    """What does not change over a run.
+
+    Attributes:
+        title: What people call it.
+        port, output: Where the rig is, and the run log.
+        duration: Of the profile [s].
+        radius: Of the wheel [m].
+    """
+
+    title: str
+    port: str
+    output: str
+    duration: float
+    radius: float
+
+
+class Onlooker:
+    """Tells a run's scenes.
+
+    Args:
+        run: What does not change.
+        show: Takes a scene, without waiting.
+        clock: Of the loop.
+        quality: Of the link.
+        stop: Whether the run is to end.
+    """
+
+    def __init__(
+        self,
+        run: Seen,
+        show: Callable[[Scene], None],
+        clock: AbstractClock,
+        quality: Callable[[], LinkQuality],
+        stop: StopRequest,
+    ):
+        self._run, self._show, self._clock = run, show, clock
+        self._named = {name: plain(getattr(run, name)) for name in ("title", "port", "output")}
+        self._quality, self._stop = quality, stop
+        self._on = False
+        self._due = -math.inf
+        self._words, self._later = Words(), list[str]()
+        self._phase, self._time = Phase.CHECKING, math.nan
+        self._start = math.nan
+        self._counted: LinkQuality | None = None
+        self._sent: float | None = None
+        self._received: float | None = None
+        self._missed = self._refused = 0
+        self._omega = self._vx = self._real = math.nan
+        self._online: OnlineRow | None = None
+        self._latest = 0.0
+
+    def rows(self, rows: Rows) -> Rows:
+        """Rows that are recorded as before, and seen."""
+        return _SeenRows(rows, self)
+
+    def dialogue(self, dialogue: AbstractDialogue) -> AbstractDialogue:
+        """A dialogue that is held on the view while that is there."""
+        return _SeenDialogue(dialogue, self)
+
+    @property
+    def on(self) -> bool:
+        """Whether the view has the terminal."""
+        return self._on
+
+    def begin(self) -> None:
+        """Let the view have the terminal."""
+        self._on = True
+        self._tell()
+
+    def end(self) -> list[str]:
+        """The view has given it back.
+
+        Returns:
+            What was told meanwhile.
+        """
+        self._on = False
+        later, self._later = self._later, []
+        return later
+
+    # What is seen -------------------------------------------------------------------------------
+
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        """The run has come to this phase."""
+        self._phase = phase
+        if phase is Phase.COUNTDOWN:
+            self._start, self._time = self._clock.now() + lasts, -lasts
+        self._tell()
+
+    def told(self, text: str) -> None:
+        """Something was said."""
+        self._words.add(text)
+        self._later.append(text)
+        self._tell()
+
+    def commanded(self, time: float, omega: float, vx: float | None) -> None:
+        """The loop has asked this of the rig; the one thing that comes on each tick."""
+        self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
+        self._tell_in_time(self._clock.now())
+
+    def settles(self, sinkage: float) -> None:
+        """The wheel is measured so deep before the loop begins."""
+        self._real, now = sinkage, self._clock.now()
+        if self._phase is Phase.COUNTDOWN:
+            self._time = now - self._start
+        self._tell_in_time(now)
+
+    def measured(self, z: float) -> None:
+        """A reading came."""
+        self._real = -z
+
+    def ticked(self, row: OnlineRow) -> None:
+        """The loop has made a tick."""
+        self._online = row
+        self._latest = max(self._latest, row.late)
+        if row.flags & REFUSED:
+            self._refused += 1
+        if row.flags & RAMPING and self._phase is Phase.RUNNING:
+            self._phase = Phase.RAMPING
+
+    def happened(self, code: int, arg: float) -> None:
+        """Something beside the ticks."""
+        if code == Event.STARTED:
+            self._phase = Phase.RUNNING
+        elif code == Event.OVERRUN:
+            self._missed += 1
+            self._latest = max(self._latest, arg)
+        elif code == Event.TICKS_SKIPPED:
+            self._missed += max(int(arg) - 1, 0)
+
+    # What is told -------------------------------------------------------------------------------
+
+    def _tell_in_time(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + INTERVAL
+            self._tell()
+
+    def _tell(self) -> None:
+        if not self._on:
+            return
+        sent, received, dropped = self._traffic()
+        run, online, wish = self._run, self._online, self._stop.wish
+        self._show(
+            Scene(
+                phase=self._phase,
+                time=known(self._time),
+                duration=run.duration,
+                **self._named,
+                real=known(self._real),
+                simulated=None if online is None else known(-online.z_sim),
+                zeta=None if online is None else known(online.zeta),
+                slip=known(self._slip()),
+                omega=known(self._omega),
+                vx=known(self._vx),
+                latest=self._latest,
+                age=None if online is None else known(online.age),
+                missed=self._missed,
+                refused=self._refused,
+                sent=sent,
+                received=received,
+                dropped=dropped,
+                stopping="" if wish is None else plain(wish.reason),
+                words=self._words.list(),
+            )
+        )
+
+    def _slip(self) -> float:
+        rolling = self._run.radius * self._omega
+        return 1 - self._vx / rolling if abs(rolling) > ROLLING else math.nan
+
+    def _traffic(self) -> tuple[float | None, float | None, int]:
+        """Frames sent and received a second over the last while, and those dropped."""
+        quality = self._quality()
+        counted = self._counted or quality
+        span = quality.time - counted.time
+        if span >= COUNTED:
+            self._sent = (quality.sent - counted.sent) / span
+            self._received = (quality.received - counted.received) / span
+        if span >= COUNTED or self._counted is None:
+            self._counted = quality
+        return self._sent, self._received, quality.dropped
+
+
+class _SeenRows:
+    """Rows that an onlooker sees."""
+
+    def __init__(self, rows: Rows, onlooker: Onlooker):
+        self._rows, self._onlooker = rows, onlooker
+
+    @property
+    def alive(self) -> bool:
+        return self._rows.alive
+
+    @property
+    def reason(self) -> str | None:
+        return self._rows.reason
+
+    def require_room(self, head: Head) -> None:
+        self._rows.require_room(head)
+
+    def begin(self, head: Head) -> None:
+        self._rows.begin(head)
+
+    def command(self, time: float, omega: float, vx: float | None = None) -> None:
+        self._rows.command(time, omega, vx)
+        self._onlooker.commanded(time, omega, vx)
+
+    def measured(self, time: float, *values: float) -> None:
+        self._rows.measured(time, *values)
+        self._onlooker.measured(values[-1])  # x, where it is measured, comes before z
+
+    def online(self, row: OnlineRow) -> None:
+        self._rows.online(row)
+        self._onlooker.ticked(row)
+
+    def event(self, time: float, code: int, arg: float = 0.0) -> None:
+        self._rows.event(time, code, arg)
+        self._onlooker.happened(code, arg)
+
+    def close(self, end_reason: str) -> object:
+        self._onlooker.enter(Phase.CLOSING)
+        return self._rows.close(end_reason)
+
+
+class _SeenDialogue(AbstractDialogue):
+    """A dialogue that goes to the view while that has the terminal."""
+
+    def __init__(self, dialogue: AbstractDialogue, onlooker: Onlooker):
+        self._dialogue, self._onlooker = dialogue, onlooker
+
+    def tell(self, text: str) -> None:
+        if self._onlooker.on:
+            self._onlooker.told(text)
+        else:
+            self._dialogue.tell(text)
+
+    def mention(self, text: str) -> None:
+        if self._onlooker.on:
+            self._onlooker.told(text)
+        else:
+            self._dialogue.mention(text)
+
+    def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._dialogue.confirm(text, meanwhile)
+
+    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+        self._onlooker.enter(phase, lasts)
+
+    def show(self, sinkage: float) -> None:
+        self._onlooker.settles(sinkage)
+
+
+class Watched(NamedTuple):
+    """Where a run's rows and words go.
+
+    Attributes:
+        rows, dialogue: To give to the run.
+        begin: Lets the view have the terminal; no question can be asked from then on.
+    """
+
+    rows: Rows
+    dialogue: AbstractDialogue
+    begin: Callable[[], None]
+
+
+def unwatched(rows: Rows, dialogue: AbstractDialogue) -> Watched:
+    """Nobody looks on."""
+    return Watched(rows, dialogue, lambda: None)
+
+
+@contextmanager
+def watched(
+    under_way: UnderWay,
+    output: Path,
+    procedure: Procedure,
+    link: AbstractLink,
+    clock: AbstractClock,
+    rows: Rows,
+    dialogue: AbstractDialogue,
+    stop: StopRequest,
+) -> Iterator[Watched]:
+    """Within this there is a live view.
+
+    What is told while the view has the terminal is told to the dialogue at the end.
+    """
+    setup = procedure.loop.setup
+    command = setup.command.build()
+    seen = Seen(
+        procedure.title or setup.title,
+        under_way.port,
+        str(output.absolute()),
+        float(command.time[-1] - command.time[0]),
+        setup.wheel.radius,
+    )
+    view = LiveView(under_way)
+    onlooker = Onlooker(seen, view.show, clock, link.quality, stop)
+    try:
+        yield Watched(onlooker.rows(rows), onlooker.dialogue(dialogue), onlooker.begin)
+    finally:
+        view.close()
+        for text in onlooker.end():
+            dialogue.tell(text)

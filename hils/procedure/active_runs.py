@@ -1,0 +1,109 @@
+"""Runs under way on this computer, so that `drft hils stop` finds them."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from stat import S_ISDIR
+
+import msgspec
+
+from drftjax.common.errors import InputError
+
+# The same for every terminal of this user's, whatever its environment says.
+BASE = Path("/tmp")
+
+
+class UnderWay(msgspec.Struct, frozen=True):
+    """A program that runs a rig.
+
+    Attributes:
+        pid: Its process.
+        born: When that process started, as the system counts; another one that was given the same
+            number later was born later.
+        port: The rig's port.
+        output: Its run log, or the first and the last of several.
+    """
+
+    pid: int
+    born: str
+    port: str
+    output: str
+
+
+@contextmanager
+def announced(port: str, outputs: Sequence[Path]) -> Iterator[UnderWay]:
+    """Within this, the runs of these logs can be found and stopped from another terminal."""
+    pid = os.getpid()
+    entry = _folder() / f"{pid}.json"
+    ends = dict.fromkeys([outputs[0], outputs[-1]])
+    run = UnderWay(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
+    entry.write_bytes(msgspec.json.encode(run))
+    try:
+        yield run
+    finally:
+        entry.unlink(missing_ok=True)
+
+
+def runs_under_way() -> list[UnderWay]:
+    """Every run of this user's that is alive; what dead ones left behind is removed."""
+    found = []
+    for entry in sorted(_folder().glob("*.json")):
+        with suppress(OSError, msgspec.DecodeError):
+            run = msgspec.json.decode(entry.read_bytes(), type=UnderWay)
+            if alive(run):
+                found.append(run)
+            else:
+                entry.unlink(missing_ok=True)
+    return found
+
+
+def alive(run: UnderWay) -> bool:
+    """Whether that very process still lives."""
+    with suppress(OSError):
+        os.kill(run.pid, 0)
+        return _born(run.pid) == run.born
+    return False
+
+
+def tell(run: UnderWay, kind: signal.Signals) -> None:
+    """Send it a signal, unless it has ended."""
+    if alive(run):
+        with suppress(ProcessLookupError):
+            os.kill(run.pid, kind)
+
+
+def ended(run: UnderWay, within: float) -> bool:
+    """Whether it ends within this time [s]."""
+    deadline = time.monotonic() + within
+    while alive(run):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def _folder() -> Path:
+    folder = BASE / f"drft-hils-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    # A folder that someone else made, or may write to, could name any process of ours.
+    facts = folder.lstat()
+    if not S_ISDIR(facts.st_mode) or facts.st_uid != os.getuid() or facts.st_mode & 0o022:
+        raise InputError(
+            f"{folder} must be a folder that only its owner, this user, may write to: runs are "
+            "announced there; remove it"
+        )
+    return folder
+
+
+def _born(pid: int) -> str:
+    """A process's start, as the system counts it; empty where the system does not tell."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    # A process that has ended but is not yet taken note of by its parent is a zombie.
+    return "ended" if fields[0] == "Z" else fields[19]

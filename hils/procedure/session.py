@@ -1,0 +1,353 @@
+"""The host's side of a session: HELLO, ARM, ESTOP and BYE, each under absolute deadlines."""
+
+import math
+import secrets
+from collections.abc import Callable
+
+from drftjax.common.errors import InputError
+from hils.clock import AbstractClock
+from hils.link.link import AbstractLink, Arrival, LinkQuality
+from hils.link.messages import (
+    READY,
+    SCHEMA,
+    Arm,
+    Bye,
+    Drive,
+    EmergencyStop,
+    Hello,
+    HelloAck,
+    Message,
+    RigState,
+    StateReport,
+    Stop,
+    newer,
+    told,
+)
+from hils.link.timing import watchdog_us
+
+TRIES = 5
+
+
+GAP = 0.05  # from one try to the next [s]
+
+
+LARGEST_SCALE = 1.0  # metres a count
+
+
+STOPPED = (RigState.SAFE, RigState.FAULT)
+
+
+class RigStopped(InputError):
+    """The rig ended the run by itself; the message says how it told so."""
+
+
+def new_session() -> int:
+    """A session number at random, never zero: a rig that knows no session may send zero."""
+    return 1 + secrets.randbelow(0xFFFF)
+
+
+class Session:
+    """One host's conversation with the rig at the end of a link.
+
+    Args:
+        link: To the rig.
+        clock: What deadlines are held by.
+        number: Draws a session number for each HELLO.
+    """
+
+    def __init__(
+        self, link: AbstractLink, clock: AbstractClock, number: Callable[[], int] = new_session
+    ):
+        self._link, self._clock, self._number = link, clock, number
+        self._hello: Hello | None = None
+        self._ack: HelloAck | None = None
+        self._armed_by: Arrival | None = None
+        self._said: StateReport | None = None
+        self._halted: EmergencyStop | None = None
+
+    def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
+        """Open a session: HELLO up to five times, 50 ms apart.
+
+        Args:
+            hello: What to say.
+            patience: Time [s] over which the five tries are made again, for a rig that restarts
+                when its port is opened.
+
+        Raises:
+            InputError: nothing answers, or what answers cannot be driven safely.
+            LinkLost: the line broke.
+        """
+        self._halted = None
+        until = self._clock.now() + patience
+        before = self._link.quality()
+        while True:
+            self._link.begin(self._number())
+            self._armed_by = None
+            answer = self._ask(hello, lambda each: isinstance(each.frame.message, HelloAck))
+            if answer is not None:
+                break
+            if self._clock.now() >= until:
+                raise InputError(_silence(self._link.name, before, self._link.quality()))
+        assert isinstance(answer.frame.message, HelloAck)
+        self._hello, self._ack = hello, answer.frame.message
+        _require_usable(self._link.name, hello, self._ack)
+        return self._ack
+
+    def arm(self, hold: Drive) -> None:
+        """Make the rig ready to move: ARM until it says that it is, with commands behind.
+
+        A rig may count its watchdog from ARM on, so `hold` is sent each tick while its answer is
+        on the way; the caller goes on sending commands as soon as this returns. A rig that is
+        SAFE, which by then it may be for want of commands, is greeted anew once.
+
+        Args:
+            hold: The command at rest.
+
+        Raises:
+            InputError: the rig does not get ready, or made an emergency stop since HELLO.
+            LinkLost: the line broke.
+        """
+        hello, ack = self._require_open()
+        for greeting in (False, True):
+            self.require_unhalted()
+            if greeting:
+                self._greet_anew(hello, ack)
+            self._said = None
+            self._armed_by = self._ask(Arm(), _says_ready, hold, hello.tick_us * 1e-6)
+            self.require_unhalted()
+            if self._armed_by is not None:
+                return
+            if self._said is None or self._said.state is RigState.FAULT:
+                break
+        self._require_same_boot(ack)
+        raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+
+    def require_unhalted(self) -> None:
+        """Refuse to go on with a rig that made an emergency stop of its own since HELLO.
+
+        It is answered by one of the same reason. A HELLO would let the rig move again, so whoever
+        makes a new session must ask this before.
+
+        Raises:
+            InputError: the rig made one.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        self._reports()
+        if self._halted is None:
+            return
+        halted, self._armed_by = self._halted, None
+        self.emergency_stop(halted.reason)
+        if self._said is not None and self._said.state is RigState.FAULT:
+            raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+        raise InputError(
+            f"the rig on {self._link.name} made an emergency stop, "
+            f"{told(ack.rig_id, halted.reason)}: release it and start again"
+        )
+
+    @property
+    def halted(self) -> EmergencyStop | None:
+        """The last emergency stop that came while this waited for an answer, since HELLO."""
+        return self._halted
+
+    def check(self) -> list[Arrival]:
+        """What the rig reported since the last call; once armed, refuse if it is no longer.
+
+        An emergency stop of the rig's own is answered by one of the same reason.
+
+        Raises:
+            RigStopped: the rig stopped, left its ready state, failed or was reset.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        reports = self._link.reports()
+        stranger = self._link.quality().stranger
+        heard = [each.frame.message for each in reports]
+        if stranger is not None:
+            heard.append(stranger)
+        for message in heard:
+            if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:
+                raise RigStopped(f"the rig on {self._link.name} was reset during the run")
+            if isinstance(message, EmergencyStop):
+                self._link.send(message)
+                raise RigStopped(
+                    f"the rig on {self._link.name} made an emergency stop, "
+                    f"{told(ack.rig_id, message.reason)}"
+                )
+        newest = self._link.newest()
+        for each in reports if newest is None else [*reports, newest]:
+            self._require_ready(each, ack.rig_id)
+        return reports
+
+    def stop(self) -> None:
+        """Ask the rig to ramp to rest and stay armed; not repeated, so the caller goes on with
+        commands at rest."""
+        self._link.send(Stop())
+
+    def emergency_stop(self, reason: int) -> bool:
+        """Ask the rig to rest at once, up to five times, 50 ms apart.
+
+        Returns:
+            Whether the rig said that it is SAFE; where it did not, its watchdog has to make it so.
+        """
+        return self._ask(EmergencyStop(reason), _says_stopped) is not None
+
+    def require_here(self) -> None:
+        """Where a rig before ARM sends nothing any more: refuse one that was reset since HELLO.
+
+        It is taken leave of, which a rig that knows no session answers with its boot number.
+
+        Raises:
+            InputError: it was reset.
+            LinkLost: the line broke.
+        """
+        _, ack = self._require_open()
+        self.bye()
+        self._require_same_boot(ack)
+
+    def bye(self) -> None:
+        """End the session, and give the rig a moment to take it in."""
+        now = self._clock.now()
+        self._link.send(Bye())
+        self._await(lambda each: isinstance(each.frame.message, StateReport), now, now + GAP)
+        self._armed_by = None
+
+    def _greet_anew(self, hello: Hello, ack: HelloAck) -> None:
+        if self.connect(hello).boot_id != ack.boot_id:
+            raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
+        # What it said before it heard this HELLO has come before its answer.
+        self._halted = self._halted or self._link.quality().halted
+        self.require_unhalted()
+
+    def _require_same_boot(self, ack: HelloAck) -> None:
+        stranger = self._link.quality().stranger
+        if stranger is not None and stranger.boot_id != ack.boot_id:
+            raise InputError(
+                f"the rig on {self._link.name} was reset before it was armed: start again"
+            )
+
+    def _require_open(self) -> tuple[Hello, HelloAck]:
+        if self._hello is None or self._ack is None:
+            raise InputError(f"no session is open with the rig on {self._link.name}")
+        return self._hello, self._ack
+
+    def _require_ready(self, arrival: Arrival, rig_id: int) -> None:
+        state = _state(arrival)
+        if self._armed_by is None or state is None or state in READY:
+            return
+        if not newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
+            return
+        message = arrival.frame.message
+        reason = f", {told(rig_id, message.reason)}" if isinstance(message, StateReport) else ""
+        raise RigStopped(f"the rig on {self._link.name} went {state.name} by itself{reason}")
+
+    def _ask(
+        self,
+        message: Message,
+        answers: Callable[[Arrival], bool],
+        hold: Drive | None = None,
+        tick: float = math.inf,
+    ) -> Arrival | None:
+        """Say it until something answers it, or all tries are over.
+
+        What had come before it was said is no answer; a measurement of that very instant neither.
+        """
+        start = self._clock.now()
+        for number in range(1, TRIES + 1):
+            self._link.send(message)
+            deadline = start + number * GAP
+            while (now := self._clock.now()) < deadline:
+                if hold is not None:
+                    self._link.send(hold)
+                until = min(deadline, now + tick)
+                if (answer := self._await(answers, start, until)) is not None:
+                    return answer
+                if self._halted is not None and isinstance(message, Arm):
+                    return None
+        return None
+
+    def _await(
+        self, answers: Callable[[Arrival], bool], since: float, deadline: float
+    ) -> Arrival | None:
+        while True:
+            for each in self._reports():
+                if each.time >= since and answers(each):
+                    return each
+            newest = self._link.newest()
+            if newest is not None and newest.time > since and answers(newest):
+                return newest
+            if not self._link.wait(deadline):
+                return None
+
+    def _reports(self) -> list[Arrival]:
+        """What the rig reported since the last call, all of it noted."""
+        reports = self._link.reports()
+        for each in reports:
+            message = each.frame.message
+            if isinstance(message, StateReport):
+                self._said = message
+            if isinstance(message, EmergencyStop):
+                self._halted = message
+        return reports
+
+
+def _state(arrival: Arrival) -> RigState | None:
+    return getattr(arrival.frame.message, "state", None)
+
+
+def _says_ready(arrival: Arrival) -> bool:
+    """STATE answers ARM; so does a measurement that already says that the rig is ready."""
+    return not isinstance(arrival.frame.message, HelloAck) and _state(arrival) in READY
+
+
+def _says_stopped(arrival: Arrival) -> bool:
+    return isinstance(arrival.frame.message, EmergencyStop) or _state(arrival) in STOPPED
+
+
+def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
+    due_us = watchdog_us(hello.tick_us)
+    scales = [ack.z_scale, ack.x_scale]
+    limits = [ack.omega_max, ack.vx_max]
+    if ack.schema != SCHEMA:
+        raise InputError(
+            f"the rig on {name} speaks schema 0x{ack.schema:08x}, must be 0x{SCHEMA:08x}"
+        )
+    if not all(math.isfinite(each) and abs(each) < LARGEST_SCALE for each in scales) or (
+        ack.z_scale == 0.0
+    ):
+        raise InputError(
+            f"the rig on {name} says z_scale {ack.z_scale:.4g} and x_scale {ack.x_scale:.4g} m a "
+            f"count, must be finite, below {LARGEST_SCALE:g} m, and that of z not zero"
+        )
+    if not all(math.isfinite(each) and each >= 0.0 for each in limits) or ack.omega_max == 0.0:
+        raise InputError(
+            f"the rig on {name} says omega_max {ack.omega_max:.4g} rad/s and vx_max "
+            f"{ack.vx_max:.4g} m/s, must be finite, the first positive and the second not negative"
+        )
+    # Less than the rule's, it would bite between two commands; far more, a wheel runs on alone.
+    if not due_us // 1000 <= ack.watchdog_ms <= 2 * due_us / 1000:
+        raise InputError(
+            f"the rig on {name} has a watchdog of {ack.watchdog_ms} ms, must be max(20 ms, "
+            f"5 ticks) = {due_us / 1000:g} ms, or up to twice that"
+        )
+
+
+def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
+    asked = f"no rig on {name} answers HELLO ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
+    got = after.bytes_received - before.bytes_received
+    if got == 0:
+        return (
+            f"{asked}, not a byte came back: is the rig on, and is this its port? One that counts "
+            "on over sessions drops a host whose clock was set back: switch it off and on"
+        )
+    new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
+    told = f" ({causes})" if causes else ""
+    return f"{asked}, though {got} bytes came{told}: is the baud rate the rig's, is it a rig?"
+
+
+def _unready(name: str, said: StateReport | None, rig_id: int) -> str:
+    if said is None:
+        return f"the rig on {name} does not answer ARM ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
+    reason = told(rig_id, said.reason)
+    return f"the rig on {name} is not armed: it says {said.state.name}, {reason}"

@@ -1,0 +1,110 @@
+"""Faults at work in one run: which hold now, with their random numbers and what they remember."""
+
+import math
+
+import numpy as np
+
+from hils.rig_sim.faults import (
+    Absurd,
+    Counts,
+    Disconnect,
+    DriveFault,
+    End,
+    Fault,
+    FaultScript,
+    Occasion,
+    Reset,
+    Saturated,
+    Stuck,
+    WireFault,
+)
+from hils.rig_sim.firmware import Demand
+from hils.rig_sim.sensors import Stream
+from hils.rig_sim.serial_line import Packet
+
+
+class FaultRun:
+    """A script of faults over the life of one rig, in explicit time.
+
+    Each fault draws from numbers of its own, so that one more fault leaves the others' chances
+    as they were.
+    """
+
+    def __init__(self, script: FaultScript):
+        script.check()
+        self._faults = script.faults
+        self._randoms = [
+            np.random.default_rng([script.seed, Stream.FAULT, number])
+            for number in range(len(script.faults))
+        ]
+        self._occasions: dict[str, float] = {}
+        self._begun: dict[int, Counts] = {}
+        # What holds, and between which times: it changes only at an edge.
+        self._held: list[tuple[int, Fault]] = []
+        self._held_from, self._held_until = math.inf, -math.inf
+
+    def mark(self, occasion: Occasion, now: float) -> None:
+        """An occasion has come; only its first time counts."""
+        if occasion not in self._occasions:
+            self._occasions[occasion] = now
+            self._held_until = -math.inf
+
+    @property
+    def occasions(self) -> dict[str, float]:
+        """When each occasion came first [s]."""
+        return dict(self._occasions)
+
+    def next_edge(self, now: float) -> float:
+        """When a fault next begins or ends [s]; infinite where none will."""
+        self._holding(now)
+        return self._held_until
+
+    def packets(self, frames: list[bytes], towards: End, now: float) -> list[Packet]:
+        """What comes of frames that set out now towards one end."""
+        packets = [Packet(now, frame) for frame in frames]
+        for number, fault in self._holding(now):
+            what = fault.what
+            if isinstance(what, WireFault) and what.towards in (towards, "both"):
+                random = self._randoms[number]
+                packets = [after for each in packets for after in what.strike(each, random)]
+        return packets
+
+    def counts(self, counts: Counts, now: float) -> Counts:
+        """What the scales say instead."""
+        for number, fault in self._holding(now):
+            if isinstance(fault.what, Stuck | Absurd):
+                begun = self._begun.setdefault(number, counts)
+                counts = fault.what.read(counts, begun, self._randoms[number])
+        return counts
+
+    def demand(self, demand: Demand, now: float) -> Demand:
+        """What the drive gives instead."""
+        for _, fault in self._holding(now):
+            if isinstance(fault.what, Saturated):
+                demand = fault.what.drive(demand)
+        return demand
+
+    def drive_fault(self, now: float) -> int:
+        """Number of the fault that the drive reports; zero where it reports none."""
+        codes = [f.what.code for _, f in self._holding(now) if isinstance(f.what, DriveFault)]
+        return codes[0] if codes else 0
+
+    def unplugged(self, now: float) -> bool:
+        """Whether the plug is out."""
+        return any(isinstance(fault.what, Disconnect) for _, fault in self._holding(now))
+
+    def powerless(self, now: float) -> bool:
+        """Whether the firmware is down for a reset."""
+        return any(isinstance(fault.what, Reset) for _, fault in self._holding(now))
+
+    def _holding(self, now: float) -> list[tuple[int, Fault]]:
+        if not self._held_from <= now < self._held_until:
+            self._held = [
+                (number, fault)
+                for number, fault in enumerate(self._faults)
+                if fault.when.holds(self._occasions, now)
+            ]
+            edges = (edge for fault in self._faults for edge in fault.when.edges(self._occasions))
+            self._held_from = now
+            self._held_until = min((edge for edge in edges if edge > now), default=math.inf)
+        return self._held

@@ -1,0 +1,344 @@
+"""The rig's side of the wire, in explicit time: what a firmware does with bytes and a clock.
+
+Nothing here sleeps or reads a clock, so the same object answers in virtual time and in real time.
+It starts IDLE. HELLO opens a session, ARM lets commands move the rig, and SAFE, which the watchdog,
+an emergency stop or the end of the session leads to, is left only by a new HELLO and ARM.
+"""
+
+import math
+import struct
+from collections import Counter
+from typing import NamedTuple
+
+import msgspec
+
+from hils.link.framing import Splitter
+from hils.link.messages import (
+    FROM_HOST,
+    READY,
+    SCHEMA,
+    U16,
+    U32,
+    Arm,
+    Bye,
+    Drive,
+    Drop,
+    EmergencyStop,
+    Frame,
+    Hello,
+    HelloAck,
+    Measurement,
+    Message,
+    Reason,
+    RigState,
+    StateReport,
+    Stop,
+    clock_us,
+    decode,
+    encode,
+    newer,
+)
+from hils.link.timing import LEAST_WATCHDOG_US, watchdog_ms, watchdog_us
+
+SILENCE = 0.02  # without a command, a measurement goes out this often [s]
+
+
+REPEATS, REPEAT_AFTER = 5, 0.05  # of an emergency stop, until the host answers [s]
+
+
+class RigIdentity(msgspec.Struct, frozen=True):
+    """What a rig says of itself, and how fast its demand may change.
+
+    Attributes:
+        boot_id: Another one after each reset.
+        rig_id: Which rig this is.
+        z_scale, x_scale: Metres a count.
+        omega_max: Largest angular velocity [rad/s].
+        vx_max: Largest carriage speed [m/s].
+        omega_slew: Fastest change of angular velocity [rad/s2].
+        vx_slew: Fastest change of carriage speed [m/s2].
+    """
+
+    boot_id: int
+    rig_id: int = 1
+    z_scale: float = 1e-5
+    x_scale: float = 1e-4
+    omega_max: float = 2.0
+    vx_max: float = 0.3
+    omega_slew: float = 5.0
+    vx_slew: float = 2.0
+
+
+class Demand(NamedTuple):
+    """What the motors are asked for: angular velocity [rad/s], carriage speed [m/s] if driven."""
+
+    omega: float
+    vx: float
+    driven: bool
+
+
+class RigProtocol:
+    """The rig's state machine.
+
+    Times are the rig's own clock [s]: they never go back, and the same may be told again. What
+    happens between two of them (the watchdog, a ramp) happens at its own time.
+
+    Args:
+        identity: What HELLO_ACK tells, and the slew limits.
+        start: The clock's reading at power-up [s].
+
+    Attributes:
+        state: IDLE, ARMED, RUNNING, SAFE or FAULT.
+        reason: Why it was last changed.
+        demand: What the motors are to do now.
+    """
+
+    def __init__(self, identity: RigIdentity, start: float = 0.0):
+        self._identity = identity
+        self._omega_max, self._vx_max = _single(identity.omega_max), _single(identity.vx_max)
+        self._splitter = Splitter()
+        self._drops: Counter[Drop] = Counter()
+        self.state = RigState.IDLE
+        self.reason: int = Reason.NONE
+        self.demand = self._target = Demand(0.0, 0.0, False)
+        self._session: int | None = None
+        self._last_heard, self._next_seq = 0, 1
+        self._greeted = False
+        self._watchdog = LEAST_WATCHDOG_US * 1e-6
+        self._commanded = self._lapses = math.inf
+        self._now = self._measured = start
+        self._answered = -math.inf
+        self._ack_seq, self._z, self._x, self._omega, self._fault = 0, 0, 0, 0.0, 0
+        self._repeats: list[float] = []
+        self._stop_reason = 0
+        self._out = b""
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        """Live up to this time, take these bytes then; the bytes that have come out."""
+        self._live(now)
+        for packet in self._splitter.packets(data):
+            self._hear(packet)
+        out, self._out = self._out, b""
+        return out
+
+    @property
+    def drops(self) -> dict[Drop, int]:
+        """What was received and did not count, by cause."""
+        overlong = Counter({Drop.OVERLONG: self._splitter.overlong})
+        return dict(self._drops + overlong)
+
+    def measure(self, z: int, x: int, omega: float) -> None:
+        """What the sensors read now: height and position [counts], angular velocity [rad/s]."""
+        self._z, self._x, self._omega = _counts(z), _counts(x), omega
+
+    def emergency_stop(self, reason: int, now: float) -> bytes:
+        """Somebody pressed the rig's own button: rest at once, SAFE, and tell the host."""
+        return self._halt(RigState.SAFE, reason, 0, now)
+
+    def fail(self, reason: int, fault: int, now: float) -> bytes:
+        """The rig found a fault of its own: rest at once, FAULT until power-up, tell the host."""
+        return self._halt(RigState.FAULT, reason, fault, now)
+
+    # What happens by itself ------------------------------------------------------------------
+
+    def _live(self, now: float) -> None:
+        now = max(now, self._now)
+        while self.state in READY:
+            starved = self._commanded + self._watchdog
+            if min(starved, self._lapses) > now:
+                break
+            if self._lapses < starved:
+                self._ramp(self._lapses)
+                self._target, self._lapses = self._rest(), math.inf
+            else:
+                self._ramp(starved)
+                self._go_safe(Reason.WATCHDOG)
+        self._ramp(now)
+        while self._repeats and self._repeats[0] <= now:
+            self._repeats.pop(0)
+            self._say(EmergencyStop(self._stop_reason))
+        if self._session is not None and now >= self._measured + SILENCE:
+            # Someone who calls late gets one measurement, not all that were due.
+            late = now - self._measured >= 2 * SILENCE
+            self._tell_measurement(now if late else self._measured + SILENCE)
+
+    def _ramp(self, now: float) -> None:
+        elapsed, self._now = max(0.0, now - self._now), max(now, self._now)
+        target, limits = self._target, self._identity
+        omega = _towards(self.demand.omega, target.omega, limits.omega_slew * elapsed)
+        vx = _towards(self.demand.vx, target.vx, limits.vx_slew * elapsed) if target.driven else 0.0
+        self.demand = Demand(omega, vx, target.driven)
+
+    def _rest(self) -> Demand:
+        return Demand(0.0, 0.0, self._target.driven)
+
+    # What the host says ----------------------------------------------------------------------
+
+    def _hear(self, packet: bytes) -> None:
+        frame = decode(packet)
+        if isinstance(frame, Drop):
+            self._drop(frame)
+        elif not isinstance(frame.message, FROM_HOST):
+            self._drop(Drop.DIRECTION)
+        elif frame.session != self._session:
+            if isinstance(frame.message, Hello):
+                self._open(frame, frame.message)
+            else:
+                self._hear_stranger(frame)
+        elif not newer(frame.seq, self._last_heard):
+            self._drop(Drop.ORDER)
+        else:
+            self._obey(frame)
+
+    def _obey(self, frame: Frame) -> None:
+        self._last_heard = frame.seq
+        match frame.message:
+            case Hello() as hello:
+                self._open(frame, hello)
+            case Arm():
+                self._arm()
+            case Drive() as command:
+                self._command(command, frame.seq)
+            case Stop():
+                self._target, self._lapses = self._rest(), math.inf
+                if self.state is RigState.RUNNING:
+                    self._turn(RigState.ARMED, Reason.HOST_STOPPED)
+                self._tell_state()
+            case EmergencyStop():
+                self._repeats.clear()
+                self._go_safe(Reason.HOST_STOPPED, at_once=True)
+            case Bye():
+                self._bid_farewell()
+
+    def _open(self, frame: Frame, hello: Hello) -> None:
+        if self.state in READY:
+            self._go_safe(Reason.HELLO_WHILE_ARMED)
+        understood = hello.schema == SCHEMA
+        possible = hello.tick_us > 0 and watchdog_ms(hello.tick_us) <= U16
+        if understood and not possible:
+            self._say(StateReport(self.state, Reason.HELLO_REFUSED, self._identity.boot_id), frame)
+            return
+        if understood:
+            self._session, self._last_heard, self._greeted = frame.session, frame.seq, True
+            self._watchdog = watchdog_us(hello.tick_us) * 1e-6
+            self._measured, self._ack_seq = self._now, 0
+            self._repeats.clear()
+        me = self._identity
+        self._say(
+            HelloAck(
+                *(me.rig_id, me.boot_id, me.z_scale, me.x_scale, me.omega_max, me.vx_max),
+                watchdog_ms(hello.tick_us) if possible else 0,
+                self.state,
+            ),
+            frame,
+        )
+
+    def _arm(self) -> None:
+        if self.state in (RigState.IDLE, RigState.SAFE):
+            if self._greeted:
+                self._turn(RigState.ARMED, Reason.NONE)
+                self._target, self._lapses = self._rest(), math.inf
+                self._commanded = self._now
+            else:
+                self.reason = Reason.HELLO_NEEDED
+        self._tell_state()
+
+    def _command(self, command: Drive, seq: int) -> None:
+        self._ack_seq = seq
+        if self.state in READY:
+            # Written so that NaN fails both.
+            if abs(command.omega) <= self._omega_max and abs(command.vx) <= self._vx_max:
+                self._target = Demand(
+                    command.omega, command.vx if command.driven else 0.0, command.driven
+                )
+                self._commanded = self._now
+                self._lapses = self._now + command.valid_ms * 1e-3
+                if self._target[:2] != (0.0, 0.0):
+                    self._turn(RigState.RUNNING, Reason.NONE)
+            else:
+                self.reason = Reason.COMMAND_REFUSED
+                self._tell_state()
+        self._tell_measurement(self._now)
+
+    def _bid_farewell(self) -> None:
+        if self.state in READY:
+            self._target = self._rest()
+            self._turn(RigState.IDLE, Reason.BYE)
+        self._greeted = False
+        self._repeats.clear()
+        self._tell_state()
+        self._session = None
+
+    def _hear_stranger(self, frame: Frame) -> None:
+        self._drop(Drop.SESSION)
+        if self.state in READY:
+            self._go_safe(Reason.ANOTHER_SESSION, isinstance(frame.message, EmergencyStop))
+            self._answered = -math.inf
+        # Told which boot this is, a host sees that the rig was reset under it.
+        if self._now - self._answered >= REPEAT_AFTER:
+            self._answered = self._now
+            self._say(
+                StateReport(self.state, Reason.ANOTHER_SESSION, self._identity.boot_id), frame
+            )
+
+    def _drop(self, cause: Drop) -> None:
+        self._drops[cause] += 1
+
+    # What follows from it --------------------------------------------------------------------
+
+    def _turn(self, state: RigState, reason: int) -> None:
+        self.state, self.reason = state, reason
+
+    def _go_safe(self, reason: int, at_once: bool = False) -> None:
+        """Latch SAFE: the wheel ramps to rest, or stops at once; the carriage always does."""
+        if self.state is not RigState.FAULT:
+            self._turn(RigState.SAFE, reason)
+        self._target = self._rest()
+        omega = 0.0 if at_once else self.demand.omega
+        self.demand = Demand(omega, 0.0, self._target.driven)
+        self._greeted = False
+        self._tell_state()
+
+    def _halt(self, state: RigState, reason: int, fault: int, now: float) -> bytes:
+        self._live(now)
+        self._fault = fault or self._fault
+        self._stop_reason = reason
+        self._say(EmergencyStop(reason))
+        self._repeats = [self._now + REPEAT_AFTER * each for each in range(1, REPEATS)]
+        if state is RigState.FAULT:
+            self._turn(state, reason)
+        self._go_safe(reason, at_once=True)
+        out, self._out = self._out, b""
+        return out
+
+    # What the rig says -----------------------------------------------------------------------
+
+    def _tell_state(self) -> None:
+        self._say(StateReport(self.state, self.reason, self._identity.boot_id))
+
+    def _tell_measurement(self, due: float) -> None:
+        self._measured = due
+        self._say(
+            Measurement(self._ack_seq, self._z, self._x, self._omega, self.state, self._fault)
+        )
+
+    def _say(self, message: Message, asker: Frame | None = None) -> None:
+        session = self._session if asker is None else asker.session
+        if session is None:  # nobody has said HELLO yet
+            return
+        self._out += encode(Frame(message, session, self._next_seq, clock_us(self._now)))
+        self._next_seq = (self._next_seq + 1) & U32
+
+
+def _single(value: float) -> float:
+    """The value as its 32-bit field on the wire holds it."""
+    return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+def _counts(value: int) -> int:
+    """A reading that its field can hold; a sensor that is out of range stays at its end."""
+    return max(-(1 << 31), min((1 << 31) - 1, value))
+
+
+def _towards(value: float, target: float, most: float) -> float:
+    return value + max(-most, min(most, target - value))

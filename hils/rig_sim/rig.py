@@ -1,0 +1,306 @@
+"""A whole rig in explicit time: sand and wheel, firmware, instruments, wire, and faults on order.
+
+Nothing here sleeps or reads a clock: the same object lives in virtual time under a `SoftLink` and
+in real time in a process of its own (`hils.rig_sim.server`).
+
+From power-up the wheel hangs at touch-down. The first ARM of a session releases it. When a session
+opens while the rig is at rest, somebody has lifted the wheel, moved the carriage back and prepared
+the sand anew, so runs can follow one another.
+"""
+
+import enum
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from hils.link.link import LinkLost
+from hils.link.messages import READY, U32, VIRTUAL_RIG, HelloAck, Reason, RigState, wire_bytes
+from hils.rig_sim.config import VirtualSetUp
+from hils.rig_sim.fault_injection import FaultRun
+from hils.rig_sim.faults import FaultScript, split_frames
+from hils.rig_sim.firmware import SILENCE, Demand, RigIdentity, RigProtocol
+from hils.rig_sim.physics import LOWERING_TIME, REST, Motion, RigPhysics
+from hils.rig_sim.sensors import Noise, Stream
+from hils.rig_sim.serial_line import INSTANT, Line, Packet
+
+# The firmware looks at its clock at least this often [s].
+LOOK = 0.002
+
+
+# Fragments longer than any frame pass as they are.
+LONGEST_FRAGMENT = 256
+
+
+MOST_CHANGES = 1000
+
+
+class RigFault(enum.IntEnum):
+    """Numbers in MEAS of faults that the virtual rig finds itself."""
+
+    END_STOP = 100  # the wheel sank to where its upper half would touch the sand
+    DIVERGED = 101  # the physics gave a number that is not finite
+
+
+class Change(NamedTuple):
+    """A change of the rig's state.
+
+    Attributes:
+        time: By the host's clock [s].
+        state: After it.
+        reason: Why.
+        silence: Time since anything was last heard from the host [s].
+    """
+
+    time: float
+    state: RigState
+    reason: int
+    silence: float
+
+
+class VirtualRig:
+    """A rig that lives in whatever time it is told.
+
+    Args:
+        setup: Its numbers.
+        physics: Of the same set-up, compiled; made anew where none is given.
+        script: What shall go wrong.
+        seed: Of noise, bed preparation and boot numbers.
+        baud: Bits a second on the wire, both ways; 0 for no pacing.
+        latency: The host's USB adapter's latency timer [s].
+        start: Time at power-up by the host's clock [s].
+        boots: How often it has had power before; another number gives other boot numbers.
+    """
+
+    def __init__(
+        self,
+        setup: VirtualSetUp,
+        physics: RigPhysics | None = None,
+        script: FaultScript | None = None,
+        seed: int = 0,
+        baud: float = 0,
+        latency: float = 0.0,
+        start: float = 0.0,
+        boots: int = 0,
+    ):
+        setup.check()
+        self._setup, self._seed = setup, seed
+        self._physics = physics or setup.build()
+        self._faults = FaultRun(script or FaultScript())
+        self._noise = Noise(seed)
+        self._inward, self._outward = Line(baud), Line(baud, latency)
+        self._fragment = b""
+        self._start = self._now = self._heard = self._said = start
+        self._boots = boots
+        self._place(self._physics.held())
+        self._beds, self._firmness = 0, 1.0
+        self._released: float | None = None
+        self._synced = start  # the physics has come this far
+        self._drive = REST
+        self.changes: deque[Change] = deque(maxlen=MOST_CHANGES)
+        self._protocol: RigProtocol | None = None
+        self._faults.mark("power", start)
+        self._prepare()
+        self._boot()
+
+    @property
+    def state(self) -> RigState | None:
+        """What the firmware is ready for; None while it has no power."""
+        return self._protocol.state if self._protocol else None
+
+    @property
+    def motion(self) -> Motion:
+        """The truth, as far as the physics has come."""
+        return self._motion
+
+    @property
+    def held(self) -> bool:
+        """Whether the wheel still hangs at touch-down."""
+        return self._released is None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether bytes can pass."""
+        return not self._faults.unplugged(self._now)
+
+    @property
+    def occasions(self) -> dict[str, float]:
+        """When power, hello, arm, motion and stop came first, by the host's clock [s]."""
+        return self._faults.occasions
+
+    def advance(self, now: float, data: bytes) -> bytes:
+        """Live up to this time [s], take these bytes then, and give what has come out.
+
+        Raises:
+            LinkLost: the plug is out. The rig lives on; `live` moves it.
+        """
+        out = self.live(now, data)
+        if not self.plugged:
+            raise LinkLost("the virtual rig's plug is out")
+        return out
+
+    def live(self, now: float, data: bytes = b"") -> bytes:
+        """As `advance`; while the plug is out, nothing passes and nothing is raised."""
+        self._hear(data, max(now, self._now))
+        while (event := self._next_own()) < now - INSTANT:
+            self._live_to(event)
+        self._live_to(max(now, self._now))
+        return self._outward.take(self._now)
+
+    def next_event(self) -> float:
+        """When something will next happen or come out by itself [s]."""
+        return min(self._next_own(), self._outward.next_event())
+
+    def _next_own(self) -> float:
+        """When something next happens in the rig, past the present [s]."""
+        times = [self._inward.next_event(), self._faults.next_edge(self._now), self._now + LOOK]
+        return max(min(times), math.nextafter(self._now, math.inf))
+
+    def _hear(self, data: bytes, now: float) -> None:
+        """Bytes that the host sends now set out, in frames where they make some."""
+        if not data or self._faults.unplugged(now):
+            return
+        frames, rest = split_frames(self._fragment, data)
+        packets = self._faults.packets(frames, "rig", now)
+        if len(rest) > LONGEST_FRAGMENT:
+            packets.append(Packet(now, rest))
+            rest = b""
+        self._fragment = rest
+        self._inward.send(packets)
+
+    def _live_to(self, now: float) -> None:
+        self._now = now
+        if self._faults.unplugged(now):
+            self._inward.clear()
+            self._outward.clear()
+            self._fragment = b""
+        if self._faults.powerless(now):
+            self._lose_power(now)
+            return
+        if self._protocol is None:
+            self._boot()
+        protocol = self._protocol
+        assert protocol is not None
+        data = self._inward.take(now)
+        if data:
+            self._heard = now
+        before, out = protocol.state, b""
+        if data or now >= self._said + SILENCE - LOOK:  # something may go out
+            self._sync(now, protocol.demand)
+            self._measure(protocol, now)
+            out = self._own_faults(protocol, now)
+        out += protocol.advance(self._rig_time(now), data)
+        self._note(protocol, before, now)
+        if not out:
+            if now >= self._said + SILENCE + LOOK:
+                self._said = now
+            return
+        self._said = now
+        frames, _ = split_frames(b"", out)
+        if any(len(frame) == wire_bytes(HelloAck) for frame in frames):
+            self._faults.mark("hello", now)
+            if protocol.state not in READY and protocol.demand.omega == 0:
+                self._prepare()
+        if not self._faults.unplugged(now):
+            self._outward.send(self._faults.packets(frames, "host", now))
+
+    def _note(self, protocol: RigProtocol, before: RigState, now: float) -> None:
+        """What the firmware's state has come to, and what follows for the wheel."""
+        if protocol.demand.omega != 0:
+            self._faults.mark("motion", now)
+        if protocol.state is before:
+            return
+        self.changes.append(Change(now, protocol.state, protocol.reason, now - self._heard))
+        if before is RigState.RUNNING:
+            self._faults.mark("stop", now)
+        if protocol.state in READY:
+            self._faults.mark("arm", now)
+            if self._released is None:
+                self._released = self._synced = now
+
+    # Power and bed ---------------------------------------------------------------------------
+
+    def _boot(self) -> None:
+        """Power comes: a new boot number, and scales that count from where they are."""
+        self._boots += 1
+        random = np.random.default_rng([self._seed, Stream.BOOT, self._boots])
+        limits, scales = self._setup.limits, self._setup.instruments
+        identity = RigIdentity(
+            boot_id=int(random.integers(1, U32)),
+            rig_id=VIRTUAL_RIG,
+            z_scale=scales.z_scale,
+            x_scale=scales.x_scale,
+            omega_max=limits.omega_max,
+            vx_max=limits.vx_max,
+            omega_slew=limits.omega_slew,
+            vx_slew=limits.vx_slew,
+        )
+        self._protocol = RigProtocol(identity, self._rig_time(self._now))
+        motion = self.motion
+        self._zero = motion.z, motion.x
+        self.changes.append(Change(self._now, RigState.IDLE, Reason.NONE, self._now - self._heard))
+        self._measure(self._protocol, self._now)
+
+    def _lose_power(self, now: float) -> None:
+        self._sync(now, REST)
+        self._protocol, self._fragment = None, b""
+        self._inward.clear()
+
+    def _prepare(self) -> None:
+        """Somebody lifts the wheel to touch-down, and prepares the bed where it has stood in it."""
+        if self._beds and self._released is None:
+            return
+        self._place(self._physics.held())
+        self._released, self._drive = None, REST
+        self._firmness = self._setup.bed.firmness(self._seed, self._beds)
+        self._beds += 1
+
+    # Physics and instruments -----------------------------------------------------------------
+
+    def _sync(self, now: float, demand: Demand) -> None:
+        """Bring the physics up to now by whole steps, the drive going evenly to its demand."""
+        if self._released is None:
+            self._synced = now
+            return
+        while self._synced < now:
+            # The damper lets go between two blocks.
+            lowered = self._released + LOWERING_TIME
+            lowering = self._synced < lowered - INSTANT  # whole steps end a rounding beside it
+            end = min(now, lowered) if lowering else now
+            steps = math.floor((end - self._synced) / self._physics.step + 1e-6)
+            if steps < 1 and lowering and end < now:
+                steps = 1
+            if steps < 1:
+                return
+            given = self._faults.demand(demand, now)
+            self._place(
+                self._physics.advance(
+                    self._packed, steps, self._drive, given, lowering, self._firmness
+                )
+            )
+            self._drive = given
+            self._synced += steps * self._physics.step
+
+    def _place(self, packed: Float[Array, " packed"]) -> None:
+        self._packed, self._motion = packed, self._physics.motion(packed)
+
+    def _measure(self, protocol: RigProtocol, now: float) -> None:
+        noise = self._noise.at(now - self._start)
+        counts = self._setup.instruments.read(self.motion, self._zero, noise)
+        protocol.measure(*self._faults.counts(counts, now))
+
+    def _own_faults(self, protocol: RigProtocol, now: float) -> bytes:
+        """What the rig says where it finds a fault of its own."""
+        if protocol.state is RigState.FAULT:
+            return b""
+        motion, code = self.motion, self._faults.drive_fault(now)
+        if not all(map(math.isfinite, motion)):
+            code = RigFault.DIVERGED
+        elif motion.z < self._physics.lowest:
+            code = RigFault.END_STOP
+        return protocol.fail(Reason.DRIVE, code, self._rig_time(now)) if code else b""
+
+    def _rig_time(self, now: float) -> float:
+        return self._setup.clock.reading(now - self._start)

@@ -1,0 +1,108 @@
+"""`drftjax.fit`: recorded runs in, fitted numbers out, in one call."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+
+from drftjax.common.errors import InputError
+from drftjax.recorded.observation import require_channels
+from drftjax.recorded.prepared_run import Run, candidates_of
+from drftjax.runlog.record import CHANNELS
+from drftjax.setups.setup import SetUp
+from identify.design.required_speed import with_reach
+from identify.fit_constant import WHITE, Progress
+from identify.fit_constant import fit as fit_candidates
+from identify.fit_path import fit_paths
+from identify.parameters.parameter import Parameter, parameter, require_once
+from identify.parameters.phase_zeta import zeta_phases
+from identify.results.result import FitResult
+from identify.uncertainty.noise_model import AbstractNoise
+from identify.zeta_path.smoother import KNOT_SPACING
+
+# The sand's preparation and the start are each run's own; the rest belongs to sand and rig.
+EACH_RUNS_OWN = ("terrain.zeta", "start")
+
+
+USUAL = ("zeta", "lambda")
+
+
+ZETAS = ("constant", "phases", "path")
+
+
+def fit(
+    runs: Run | Sequence[Run] | Mapping[str, Run],
+    model: SetUp | None = None,
+    parameters: str | Parameter | Sequence[str | Parameter] | None = None,
+    *,
+    zeta: str = "constant",
+    knots: float = KNOT_SPACING,
+    noise: AbstractNoise = WHITE,
+    starts: int = 1,
+    keep_rest: bool = False,
+    compare: str | Sequence[str] = CHANNELS,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Fit numbers of the simulator to recorded runs, as `drft fit` does.
+
+        result = drftjax.fit(["a.h5", "b.h5"], parameters=["zeta", "rig.mass_z"])
+        print(result.summary())
+
+    Computes in double precision whatever the program around it uses.
+
+    Args:
+        runs: Files, run logs or pairs of a set-up and a run log; one, several, or several by name.
+        model: Wheel, sand, rig and effects in place of what the run logs believe of them; commands
+            and starts are always the runs'.
+        parameters: What is fitted; zeta and lambda where nothing is named, and beside a path
+            nothing. Names, or `drftjax.own(...)` and `drftjax.shared(...)`. By name alone, zeta
+            and the start are each run's own, and all else is shared by the runs. An effect's
+            number is NAME.NUMBER, such as "drawbar.force"; the effect is added where it is not.
+        zeta: "constant"; "phases", one for each phase of the command; or "path", zeta(t) as smooth
+            as the data say, which is then each run's `path`, and the parameters beside it.
+        knots: Time from knot to knot of a path [s].
+        noise: How residuals scatter.
+        starts: Starting points to try; see `identify.solver.multistart`.
+        keep_rest: Whether samples after the last stop are compared too.
+        compare: Channels that are compared, such as "z", of those that the simulation predicts.
+        progress: Called with the stage, the solver's step and the sum of squares.
+
+    Raises:
+        InputError: where a run, a parameter or the whole cannot be fitted, and why.
+    """
+    if parameters is None:
+        parameters = () if zeta == "path" else USUAL
+    listed = [parameters] if isinstance(parameters, str | Parameter) else list(parameters)
+    if not listed and zeta != "path":
+        raise InputError("no parameter is named; give one or more, such as 'zeta'")
+    wanted = [each if isinstance(each, Parameter) else _by_name(each) for each in listed]
+    require_once(wanted)
+    if zeta not in ZETAS:
+        raise InputError(f"zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
+    if zeta == "path" and (noise is not WHITE or starts != 1):
+        raise InputError(
+            "zeta='path' finds each channel's noise, from one start; leave noise and starts out"
+        )
+    channels = (compare,) if isinstance(compare, str) else tuple(compare)
+    require_channels(channels)
+    if zeta == "path" and "z" not in channels:
+        raise InputError("zeta='path' follows the sinkage, so compare must name z")
+    with jax.enable_x64(True):
+        candidates = candidates_of(
+            runs,
+            model,
+            fitted=[each.quantity.name for each in wanted],
+            keep_rest=keep_rest,
+            compare=channels,
+        )
+        if zeta == "path":
+            return fit_paths(candidates, knots, wanted, progress)
+        if zeta == "phases":
+            wanted = zeta_phases(candidates, wanted)
+        result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
+        return with_reach(result)
+
+
+def _by_name(name: str) -> Parameter:
+    each = parameter(name, shared=True)
+    own = each.quantity.name.startswith(EACH_RUNS_OWN)
+    return parameter(name, shared=not own)

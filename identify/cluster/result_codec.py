@@ -1,0 +1,52 @@
+"""The result of a run fitted alone, as bytes that give it back to the last bit."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from identify.results.result import FitResult
+from identify.results.values import RunFit
+
+
+class Lone(msgspec.Struct, frozen=True):
+    """A run fitted alone.
+
+    Attributes:
+        run: Values, residuals and fitted set-up.
+        status, steps: How the solver ended, and after how many steps.
+        findings: What the numbers mean, in sentences.
+    """
+
+    run: RunFit
+    status: str
+    steps: int
+    findings: list[str]
+
+
+def encoded(result: FitResult) -> bytes:
+    """A fit of one run as bytes."""
+    (run,) = result.runs
+    lone = Lone(run, result.status, result.steps, list(result.findings))
+    return msgspec.msgpack.encode(lone, enc_hook=_packed)
+
+
+def decoded(data: bytes) -> Lone:
+    """The result as it was."""
+    return msgspec.msgpack.decode(data, type=Lone, dec_hook=_unpacked)
+
+
+def _packed(value: Any) -> Any:
+    # msgspec asks its hooks to raise NotImplementedError for what they do not know.
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes()
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"a result holds a {type(value).__name__}")
+
+
+def _unpacked(kind: type, value: Any) -> Any:
+    if kind is not np.ndarray:
+        raise NotImplementedError(f"a result holds a {kind.__name__}")
+    dtype, shape, data = value
+    return np.frombuffer(data, np.dtype(dtype)).reshape(shape)

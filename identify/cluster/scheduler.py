@@ -1,0 +1,438 @@
+"""Fits of many run logs on a Dask cluster: each log is fitted alone, by whichever worker is free.
+
+A task carries a few logs as the bytes of their files, so workers need no common disk, and fits one
+after the other: a batch would weigh each log by the residuals of its neighbours. What a task
+brings back is appended to a store before the next is looked at. Dask gives a lost worker's tasks to
+the others.
+"""
+
+import asyncio
+import importlib.util
+import logging
+import math
+import os
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from drftjax.common.errors import InputError
+from drftjax.common.text import printable
+from identify.cluster.store import Finished, Store
+from identify.cluster.worker import Settings, answers, fit_logs
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+CONNECT_LIMIT: Final = 10.0
+
+
+"""Time for a scheduler to answer [s]."""
+
+
+WORKER_LIMIT: Final = 60.0
+
+
+"""Time that a cluster may have no worker at all [s]."""
+
+
+MOST_BYTES: Final = 256 * 2**20
+
+
+"""Larger logs are not sent to a worker [bytes]."""
+
+
+# Enough waits at each worker that none idles, and little is held in memory.
+TASKS_A_WORKER = 3
+
+
+MOST_LOGS_A_TASK = 4
+
+
+TASK_BYTES = 8 * 2**20
+
+
+POLL = 1.0
+
+
+MOST_WORKERS_A_CORE = 4
+
+
+_LOCAL = re.compile(r"local(?::(?P<workers>[0-9]{1,9}))?")
+
+
+_TCP = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):(?P<port>[0-9]{1,5})")
+
+
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Local:
+    """A cluster of processes on this machine.
+
+    Attributes:
+        workers: How many.
+    """
+
+    workers: int
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A cluster that runs already.
+
+    Attributes:
+        address: Its scheduler's, such as tcp://10.0.0.1:8786.
+    """
+
+    address: str
+
+
+@dataclass(frozen=True)
+class Log:
+    """A run log's file.
+
+    Attributes:
+        path: Where it lies.
+        digest: SHA-256 of its bytes, in hexadecimal.
+    """
+
+    path: Path
+    digest: str
+
+    @classmethod
+    def at(cls, path: Path) -> "Log":
+        """The log in a file.
+
+        Raises:
+            InputError: where it cannot be read.
+        """
+        return cls(path, _digest(_contents(path)))
+
+    def read(self) -> bytes:
+        """The file's bytes, if they are still those of the digest."""
+        data = _contents(self.path)
+        if _digest(data) != self.digest:
+            raise InputError(f"{self.path}: has changed since this program was started")
+        return data
+
+
+def _digest(data: bytes) -> str:
+    return sha256(data).hexdigest()
+
+
+def _contents(path: Path) -> bytes:
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, must be a run log")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: must be an ordinary file")
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(
+                f"{path}: is larger than {MOST_BYTES // 2**20} MiB, too large to be sent to a "
+                "worker; fit it without --cluster"
+            )
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path}: cannot be read ({reason})") from None
+
+
+def cluster(text: str) -> Local | Remote:
+    """A cluster by its address: `local`, `local:4` or `tcp://scheduler:8786`.
+
+    Raises:
+        InputError: where it is none of these.
+    """
+    cores = os.cpu_count() or 1
+    if found := _LOCAL.fullmatch(text):
+        workers = cores if found["workers"] is None else int(found["workers"])
+        if not 1 <= workers <= MOST_WORKERS_A_CORE * cores:
+            raise InputError(
+                f"--cluster {text}: the number of workers must be 1 to "
+                f"{MOST_WORKERS_A_CORE * cores} on this machine of {cores} cores"
+            )
+        return Local(workers)
+    if (found := _TCP.fullmatch(text)) and 1 <= int(found["port"]) <= 65535:
+        return Remote(text)
+    raise InputError(
+        f"--cluster is {text!r}, must be local, local:N with a number of workers, or "
+        "tcp://scheduler:port"
+    )
+
+
+def require_extra() -> None:
+    """Refuse where Dask is not installed."""
+    if any(importlib.util.find_spec(name) is None for name in ("dask", "distributed")):
+        raise InputError("--cluster needs Dask: in a checkout, pip install '.[cluster]'")
+
+
+@contextmanager
+def connected(where: Local | Remote) -> Iterator["Client"]:
+    """A client of the cluster; a local one is started, and stopped at the end.
+
+    Raises:
+        InputError: where no scheduler answers in time.
+    """
+    from distributed import Client, LocalCluster
+
+    if isinstance(where, Remote):
+        _require_scheduler(where.address)
+        with Client(where.address, timeout=CONNECT_LIMIT) as client:
+            yield client
+        return
+    with ExitStack() as ends:
+        with _without_interrupts():
+            started = ends.enter_context(
+                LocalCluster(
+                    n_workers=where.workers,
+                    silence_logs=logging.CRITICAL,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                )
+            )
+            client = ends.enter_context(Client(started))
+        yield client
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """No Ctrl-C meanwhile, nor ever for the threads and processes that are begun meanwhile.
+
+    A terminal sends it to every process; the one that was called ends the others.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _require_scheduler(address: str) -> None:
+    """Ask who is there, in time: a client would wait for ever for one that says nothing."""
+    from distributed.comm.core import connect
+
+    async def identity() -> Any:
+        async with asyncio.timeout(CONNECT_LIMIT):
+            line = await connect(address, timeout=CONNECT_LIMIT)
+            try:
+                await line.write({"op": "identity", "n_workers": 0, "reply": True})
+                return await line.read()
+            finally:
+                line.abort()
+
+    try:
+        found = asyncio.run(identity())
+    except Exception as problem:  # whoever is there may answer anything
+        raise InputError(
+            f"--cluster {address}: no Dask scheduler answers there within {CONNECT_LIMIT:g} s "
+            f"({_first_line(problem)})"
+        ) from None
+    if not isinstance(found, dict) or found.get("type") != "Scheduler":
+        raise InputError(f"--cluster {address}: what answers there is no Dask scheduler")
+
+
+def dashboard(client: "Client") -> str:
+    """Where to watch the cluster; without bokeh there are plain pages only."""
+    try:
+        link = client.dashboard_link or ""
+    except KeyError:  # the scheduler serves none
+        return "none"
+    if importlib.util.find_spec("bokeh") is None:
+        return link.removesuffix("/status") + "/info/main/workers.html"
+    return link
+
+
+def fit_on(
+    client: "Client", logs: Sequence[Log], settings: Settings, store: Store, report: Report
+) -> dict[str, str]:
+    """Fit logs and keep every result as it comes.
+
+    Args:
+        client: Of the cluster.
+        logs: What to fit; those that the store has are not fitted again.
+        settings: How.
+        store: Where results are kept.
+        report: Called with the number of logs that are dealt with, and of workers.
+
+    Returns:
+        Digests of logs that could not be fitted, and why.
+
+    Raises:
+        InputError: where the cluster is lost, or cannot fit at all. The store keeps what is done.
+    """
+    unique = {log.digest: log for log in logs if log.digest not in store}
+    fits = _Fits(client, list(unique.values()), settings, store, report)
+    try:
+        fits.all()
+    finally:
+        fits.release()
+    return fits.failures
+
+
+Batch = list[tuple[Log, bytes]]
+
+
+class _Fits:
+    """Tasks under way, and what came of those that ended."""
+
+    def __init__(
+        self,
+        client: "Client",
+        logs: list[Log],
+        settings: Settings,
+        store: Store,
+        report: Report,
+    ):
+        self.failures: dict[str, str] = {}
+        self._client = client
+        self._logs = logs
+        self._settings = settings.encoded()
+        self._store = store
+        self._report = report
+        self._running: dict[Future, Batch] = {}
+        self._dealt_with = 0
+        self._workers = 0
+        self._seen_worker = time.monotonic()
+
+    def all(self) -> None:
+        self._count_workers()
+        batches = self._batches()
+        while True:
+            room = TASKS_A_WORKER * max(1, self._workers) - len(self._running)
+            for batch in islice(batches, max(0, room)):
+                self._submit(batch)
+            if not self._running:
+                return
+            self._report(self._dealt_with, self._workers)
+            for future in self._ended():
+                self._take(future)
+            self._report(self._dealt_with, self._workers)
+            self._count_workers()
+
+    def release(self) -> None:
+        """Let the cluster forget what is under way."""
+        for future in self._running:
+            with suppress(Exception):  # the cluster may be gone
+                future.cancel()
+
+    def _batches(self) -> Iterator[Batch]:
+        """Logs for one task each: fewer where there are few, so that every worker has some."""
+        batch, size = [], 0
+        for number, log in enumerate(self._logs):
+            try:
+                data = log.read()
+            except InputError as problem:
+                self._fail(log, str(problem))
+                continue
+            if batch and size + len(data) > TASK_BYTES:
+                yield batch
+                batch, size = [], 0
+            batch.append((log, data))
+            size += len(data)
+            left = len(self._logs) - number
+            if len(batch) >= min(MOST_LOGS_A_TASK, left // (2 * max(1, self._workers))):
+                yield batch
+                batch, size = [], 0
+        if batch:
+            yield batch
+
+    def _submit(self, batch: Batch) -> None:
+        sent = [(log.digest, data) for log, data in batch]
+        # Not pure: a key of its own, whatever the scheduler was asked before.
+        future = self._client.submit(fit_logs, self._settings, sent, pure=False)
+        self._running[future] = batch
+
+    def _ended(self) -> list["Future"]:
+        from distributed import wait
+
+        with self._cluster_kept(), suppress(TimeoutError):
+            wait(list(self._running), timeout=POLL, return_when="FIRST_COMPLETED")
+        return [each for each in self._running if each.status != "pending"]
+
+    def _take(self, future: "Future") -> None:
+        from distributed.scheduler import KilledWorker
+
+        batch = self._running[future]
+        with self._cluster_kept():
+            try:
+                encoded = future.result(timeout=POLL)
+            except TimeoutError:
+                return  # its worker was lost before it told: it is computed anew
+            except KilledWorker:
+                del self._running[future]
+                if len(batch) > 1:
+                    for each in batch:
+                        self._submit([each])
+                else:
+                    self._fail(batch[0][0], "every worker that fitted it died")
+                return
+            except InputError:
+                raise
+            except ImportError as problem:
+                raise InputError(
+                    f"a worker of the cluster cannot load drftjax ({_first_line(problem)})"
+                ) from None
+        del self._running[future]
+        finished = []
+        for (log, _), answer in zip(batch, answers(encoded), strict=True):
+            if answer.failure:
+                self._fail(log, answer.failure)
+            else:
+                values = {name: _finite(pair) for name, pair in answer.values.items()}
+                finished.append(Finished(log.digest, str(log.path), values, answer.result))
+        self._store.append(finished)
+        self._dealt_with += len(finished)
+
+    def _fail(self, log: Log, why: str) -> None:
+        self.failures[log.digest] = why
+        self._dealt_with += 1
+
+    def _count_workers(self) -> None:
+        """Number of threads that fit; a cluster that has had none for long is given up."""
+        with self._cluster_kept():
+            threads: Any = self._client.nthreads()
+            self._workers = sum(threads.values())
+        now = time.monotonic()
+        if self._workers:
+            self._seen_worker = now
+        elif now - self._seen_worker > WORKER_LIMIT:
+            raise InputError(
+                f"the cluster has had no worker for {WORKER_LIMIT:g} s; {self._kept()}"
+            )
+
+    @contextmanager
+    def _cluster_kept(self) -> Iterator[None]:
+        """Dask's errors as one sentence."""
+        from asyncio import CancelledError as Interrupted
+        from concurrent.futures import CancelledError
+
+        try:
+            yield
+        except (InputError, TimeoutError):
+            raise
+        except (CancelledError, Interrupted, Exception) as problem:
+            what = f"{type(problem).__name__}: {_first_line(problem)}"
+            raise InputError(f"the cluster is lost ({what}); {self._kept()}") from None
+
+    def _kept(self) -> str:
+        return f"{self._store.path} keeps the {len(self._store)} fits that are done"
+
+
+def _finite(pair: tuple[float, float]) -> tuple[float | None, float | None]:
+    value, error = (each if math.isfinite(each) else None for each in pair)
+    return value, error
+
+
+def _first_line(problem: BaseException) -> str:
+    return printable((str(problem) or type(problem).__name__).splitlines()[0])

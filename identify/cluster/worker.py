@@ -1,0 +1,228 @@
+"""One run log fitted alone, from the bytes of its file to the bytes of its result.
+
+This is what a worker of a cluster does, and one process just as well: both call `fit_logs`, so
+both find the same numbers. JAX is set up on the first call, with one device and one thread, for a
+machine is filled by as many workers as it has cores.
+"""
+
+import os
+import tempfile
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from drftjax import __version__
+from drftjax.common.errors import InputError
+from drftjax.runlog.record import CHANNELS
+
+if TYPE_CHECKING:
+    from drftjax.runlog.safe_reader import GuardedReader
+    from identify.parameters.parameter import Parameter
+
+ONE_THREAD = "--xla_cpu_multi_thread_eigen=false"
+
+
+class Term(msgspec.Struct, frozen=True):
+    """A parameter that each log has for itself, as plain values.
+
+    Attributes:
+        name: Its full name, such as terrain.zeta.
+        bounds: Lowest and highest value, where it has both.
+        prior: Mean and standard error of what is believed before the runs.
+        start: Where the fit starts; the set-up's value where none is given.
+    """
+
+    name: str
+    bounds: tuple[float, float] | None
+    prior: tuple[float, float] | None
+    start: float | None
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """What the fits of one store have in common.
+
+    Attributes:
+        parameters: What is fitted.
+        autoregressive: Whether residuals that follow one another are whitened.
+        zeta: Scaling factor to start from [-]; the set-up's where none is given.
+        method: Integrator.
+        step: Its step [s]; where none is given, the longest that each command allows.
+        keep_rest: Whether samples after the last stop are compared.
+        compare: Channels that are compared.
+        software: Version of this package.
+    """
+
+    parameters: tuple[Term, ...]
+    autoregressive: bool = False
+    zeta: float | None = None
+    method: str = "held pace"
+    step: float | None = None
+    keep_rest: bool = False
+    compare: tuple[str, ...] = CHANNELS
+    software: str = __version__
+
+    def named(self) -> dict[str, Any]:
+        """Plain values by name."""
+        return msgspec.to_builtins(self)
+
+    def encoded(self) -> bytes:
+        """For the wire."""
+        return msgspec.msgpack.encode(self)
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """What became of one log.
+
+    Attributes:
+        digest: Its name on the wire.
+        values: Value and standard error by parameter.
+        result: The encoded result, empty where there is none.
+        failure: Why there is none.
+    """
+
+    digest: str
+    values: dict[str, tuple[float, float]]
+    result: bytes
+    failure: str
+
+
+def terms(parameters: Sequence["Parameter"]) -> tuple[Term, ...]:
+    """Parameters as plain values.
+
+    Raises:
+        InputError: for a shared one, which no log has for itself.
+    """
+    from identify.parameters.bijector import Interval
+
+    shared = [each.quantity.label for each in parameters if each.shared]
+    if shared:
+        raise InputError(
+            f"--cluster fits every run alone, so {', '.join(shared)} cannot be shared; "
+            "fit it with --own, or without --cluster"
+        )
+    plain = []
+    for each in parameters:
+        within = each.bijector
+        bounds = (float(within.low), float(within.high)) if isinstance(within, Interval) else None
+        prior = (float(each.prior_mean), float(each.prior_error))
+        start = float(each.start)
+        plain.append(
+            Term(
+                each.quantity.name,
+                bounds,
+                prior if np.isfinite(prior[1]) else None,
+                start if np.isfinite(start) else None,
+            )
+        )
+    return tuple(plain)
+
+
+def fit_logs(settings: bytes, logs: Sequence[tuple[str, bytes]]) -> list[bytes]:
+    """Fit logs one after the other, each alone.
+
+    Args:
+        settings: Encoded `Settings`.
+        logs: Digest and file contents of each.
+
+    Returns:
+        An encoded `Answer` for each; a log that cannot be fitted does not stop the others.
+
+    Raises:
+        InputError: where this is another version of the package than the settings are of.
+    """
+    how = msgspec.msgpack.decode(settings, type=Settings)
+    if how.software != __version__:
+        raise InputError(
+            f"a worker has drftjax {__version__}, must have {how.software}, as it is here"
+        )
+    _set_up()
+    return [msgspec.msgpack.encode(_fit_log(settings, how, *log)) for log in logs]
+
+
+def answers(encoded: Sequence[bytes]) -> list[Answer]:
+    """What `fit_logs` gave."""
+    return [msgspec.msgpack.decode(each, type=Answer) for each in encoded]
+
+
+def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer:
+    from drftjax.recorded.prepared_run import candidate
+    from drftjax.runlog.schema import run_from
+    from identify.cluster.result_codec import encoded
+    from identify.fit_constant import fit
+    from identify.uncertainty.noise_model import Autoregressive, White
+
+    try:
+        with tempfile.TemporaryDirectory(prefix="drft-") as folder:
+            path = Path(folder) / "run.h5"
+            path.write_bytes(data)
+            content, violations = _reader().survey(path)
+        # Sentences name the log, not where a copy of it lay.
+        run = run_from(content, [replace(each, path=digest) for each in violations])
+        each = candidate(
+            digest,
+            run,
+            fitted=[term.name for term in how.parameters],
+            zeta=how.zeta,
+            method=how.method,
+            step=how.step,
+            keep_rest=how.keep_rest,
+            compare=how.compare,
+        )
+        noise = Autoregressive() if how.autoregressive else White()
+        result = fit([each], _parameters(settings), noise=noise)
+    except InputError as problem:
+        return Answer(digest, {}, b"", _reason(str(problem), digest))
+    except Exception as problem:
+        # One log among thousands must not take the others with it, whatever it meets.
+        return Answer(digest, {}, b"", f"its fit broke off: {type(problem).__name__}: {problem}")
+    values = {name: (v.value, v.error) for name, v in result.runs[0].values.items()}
+    return Answer(digest, values, encoded(result), "")
+
+
+def _reason(text: str, digest: str) -> str:
+    """A refusal without the name of the log, or what only says that it was alone."""
+    alone = f"no run is left to fit ({digest}: "
+    if text.startswith(alone):
+        return text.removeprefix(alone).removesuffix(")")
+    return text.removeprefix(f"{digest}: ")
+
+
+@lru_cache
+def _parameters(encoded: bytes) -> list["Parameter"]:
+    """The settings' parameters; made once, for a program is compiled for the objects in them."""
+    from identify.parameters.parameter import parameter
+
+    settings = msgspec.msgpack.decode(encoded, type=Settings)
+    return [
+        parameter(t.name, shared=False, bounds=t.bounds, prior=t.prior, start=t.start)
+        for t in settings.parameters
+    ]
+
+
+@lru_cache
+def _set_up() -> None:
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_cpu_multi_thread_eigen" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {ONE_THREAD}".strip()
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    from drftjax.common.jax_config import configure_jax
+
+    configure_jax(devices=1)
+
+
+_local = threading.local()
+
+
+def _reader() -> "GuardedReader":
+    """This thread's reader; its child ends with this process, whose end closes its input."""
+    from drftjax.runlog.safe_reader import GuardedReader
+
+    if not hasattr(_local, "reader"):
+        _local.reader = GuardedReader()
+    return _local.reader

@@ -1,0 +1,155 @@
+"""`drft design`: a set-up in, the run to make next out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import files_of, stem_of
+from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
+
+if TYPE_CHECKING:
+    from identify.design.design import Design
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+EXAMPLES = """
+Examples:
+
+\b
+  drft design data/paper.toml --parameter lambda --max-speed 300 -o out/design
+  drft design --like run.h5 --nuisance zeta --nuisance rig.damping_x \\
+      --loads 150 220
+  drft simulate out/design.toml -o out/design.h5
+
+The result is out/design.toml (the run to make), out/design.json and out/design.png.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
+def design(
+    setup: Annotated[
+        Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)
+    ] = None,
+    like: Annotated[Path | None, typer.Option(help="A run log instead: its set-up.")] = None,
+    parameter: Annotated[str, typer.Option(help="The parameter to identify.")] = "lambda",
+    nuisance: Annotated[
+        list[str] | None,
+        typer.Option(help="What the same run must also tell. [default: zeta, lambda]"),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
+    ] = None,
+    max_speed: Annotated[float, typer.Option(help="Largest speed [deg/s].")] = 300.0,
+    max_acceleration: Annotated[
+        float, typer.Option(help="Largest angular acceleration [deg/s2].")
+    ] = 50.0,
+    duration: Annotated[
+        float | None, typer.Option(help="Of the run [s]. [default: the given profile's]")
+    ] = None,
+    max_travel: Annotated[
+        float | None, typer.Option(help="Longest way of the rim [m]. [default: any]")
+    ] = None,
+    loads: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Lowest and highest load that may be put on the wheel [N]."),
+    ] = None,
+    noise_x: Annotated[float, typer.Option(help="White noise of x [um].")] = 50.0,
+    noise_z: Annotated[float, typer.Option(help="White noise of z [um].")] = 20.0,
+    noise_fx: Annotated[float, typer.Option(help="White noise of fx [N].")] = 0.5,
+    noise_fz: Annotated[float, typer.Option(help="White noise of fz [N].")] = 0.5,
+    noise_torque: Annotated[float, typer.Option(help="White noise of torque [N m].")] = 0.05,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="A channel that is recorded. [default: x, z]")
+    ] = None,
+    wanted: Annotated[
+        float, typer.Option(help="Standard error that counts as identified [% of the value].")
+    ] = 10.0,
+    model_error: Annotated[
+        float, typer.Option(help="Error of the model itself in x and z, RMS [mm].")
+    ] = 0.05,
+    steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 3,
+) -> None:
+    """Say which run to make next, so that a parameter becomes identifiable."""
+    import math
+    import os
+
+    from rich.console import Console
+
+    from drftjax.common.jax_config import configure_jax
+
+    if (setup is None) == (like is None):
+        both = "" if setup is None else ", not both"
+        raise InputError(f"name one set-up file, or --like RUN{both}")
+    configure_jax(devices=os.cpu_count())
+    from drftjax.common.output_files import require_places
+    from drftjax.setups.from_run import setup_like
+    from drftjax.setups.generated_files import require_own_setup
+    from drftjax.setups.setup import read_setup
+    from identify.design.design import design as design_run
+    from identify.design.fisher_information import Instrument
+    from identify.design.limits import Limits
+    from identify.design.search import Search
+
+    if output is not None:
+        names = result_files(output)
+        require_places(names, [each for each in (setup, like) if each is not None])
+        require_own_setup(names[0], DESIGNED)
+    if setup is not None:
+        chosen = read_setup(setup)
+    else:
+        assert like is not None
+        chosen, _ = setup_like(like)
+    time = chosen.command.time
+    limits = Limits(
+        math.radians(max_speed),
+        math.radians(max_acceleration),
+        time[-1] - time[0] if duration is None else duration,
+        loads,
+        math.inf if max_travel is None else max_travel,
+    )
+    noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
+    noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
+    console = Console()
+    with console.status("compiling") as status:
+        result = design_run(
+            chosen,
+            parameter,
+            nuisances=nuisance or None,
+            limits=limits,
+            instrument=Instrument(noise, tuple(channel or ("x", "z"))),
+            search=Search(steps=steps),
+            wanted=wanted / 100,
+            model_error=model_error * 1e-3,
+            progress=status.update,
+        )
+    if result.seen:
+        console.print(design_table(result))
+    console.print(result.summary(), soft_wrap=True)
+    if output is not None and result.seen:
+        written = _write(result, output)
+        console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
+
+
+def result_files(output: Path) -> list[Path]:
+    """The run to make, the numbers and the figure, by the stem that was asked for."""
+    endings = (".toml", ".json", ".png")
+    return files_of(stem_of(output, endings), endings)
+
+
+def _write(result: "Design", output: Path) -> list[Path]:
+    from drftjax.common.figures import save_figure
+    from drftjax.common.output_files import make_folder, replace_file
+    from drftjax.common.structured_files import as_json
+    from drftjax.setups.generated_files import replace_own_setup
+
+    names = result_files(output)
+    make_folder(output.parent)
+    replace_own_setup(names[0], design_toml(result), DESIGNED)
+    replace_file(names[1], as_json(design_document(result)))
+    save_figure(plot_design(result), names[2])
+    return names

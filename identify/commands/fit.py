@@ -1,0 +1,327 @@
+"""`drft fit`: recorded runs in, fitted numbers with errors out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import stem_of
+
+if TYPE_CHECKING:
+    from identify.parameters.parameter import Parameter
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+METHODS = ("rosenbrock", "held pace")
+
+
+EXAMPLES = """
+Examples:
+
+\b
+  drft fit data/runs/*.h5 -o out/fit           zeta for each run, lambda shared
+  drft fit runs/*.h5 --share zeta -o out/fit   one zeta for all runs
+  drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
+  drft fit runs/*.h5 --share drawbar.force     a number of an effect (drft effects)
+  drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
+  drft fit runs/*.h5 --compare z               by the sinkage alone
+  drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
+  drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
+  drft fit runs/*.h5 --zeta path --share lambda   and lambda of all beside it
+  drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
+  drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
+
+\b
+      [[parameter]]
+      name = "zeta"         # one for each run; shared = true for all
+      bounds = [0.3, 2.0]
+      prior = [0.78, 0.1]   # mean and standard error believed before the runs
+
+The result is out/fit.json, out/fit.h5 and out/fit.png; `drft simulate --from out/fit.json --run
+NAME` simulates a fitted run again.
+"""
+
+
+@app.command(epilog=EXAMPLES)
+@leaves_no_empty_folder
+def fit(
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
+    ] = None,
+    own: Annotated[
+        list[str] | None, typer.Option(help="A parameter fitted for each run. [default: zeta]")
+    ] = None,
+    share: Annotated[
+        list[str] | None,
+        typer.Option(help="A parameter shared by all runs. [default: lambda, if none is named]"),
+    ] = None,
+    parameters: Annotated[
+        Path | None, typer.Option(help="A TOML file of parameters, over --own and --share.")
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="A set-up file: wheel, sand, rig and effects in place of what the run logs "
+            "believe, such as a diagnosis's model.toml."
+        ),
+    ] = None,
+    autoregressive: Annotated[
+        bool,
+        typer.Option("--autoregressive", help="Whiten residuals that follow one another."),
+    ] = False,
+    zeta: Annotated[
+        str,
+        typer.Option(
+            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t))."
+        ),
+    ] = "constant",
+    knots: Annotated[
+        float | None, typer.Option(help="Knot spacing of --zeta path [s]. [default: 1.0]")
+    ] = None,
+    start_zeta: Annotated[
+        float | None, typer.Option(help="Scaling factor to start from, over the run logs'.")
+    ] = None,
+    starts: Annotated[int, typer.Option(help="Starting points to try; the best end is kept.")] = 1,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(help="A fitted parameter whose profile likelihood is wanted."),
+    ] = None,
+    bootstrap: Annotated[
+        int | None, typer.Option(help="Draws of a bootstrap: intervals and bands of readings.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
+    ] = "held pace",
+    step: Annotated[
+        float | None,
+        typer.Option(help="Integrator step [s]. [default: the longest that each command allows]"),
+    ] = None,
+    keep_rest: Annotated[
+        bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
+    ] = False,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A channel that is compared: x, z, fx, fz or torque. [default: all that the "
+            "simulation predicts]"
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Fit every run alone on a Dask cluster, 'local', 'local:N' or "
+            "'tcp://scheduler:port', and go on where a killed call ended."
+        ),
+    ] = None,
+) -> None:
+    """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
+    import math
+    import os
+    from functools import partial
+
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from drftjax.common.jax_config import configure_jax
+
+    configure_jax(devices=os.cpu_count())
+    from drftjax.common.output_files import require_places
+    from drftjax.common.text import printable
+    from drftjax.recorded.gather import gather
+    from drftjax.recorded.observation import require_channels
+    from drftjax.recorded.prepared_run import candidate, names_of
+    from drftjax.runlog.check import require_no_recording
+    from drftjax.runlog.files import each_once, run_files
+    from drftjax.runlog.record import CHANNELS
+    from drftjax.setups.setup import read_setup
+    from identify.design.required_speed import with_reach
+    from identify.fit_constant import fit as fit_runs
+    from identify.fit_path import fit_paths
+    from identify.parameters.phase_zeta import zeta_phases
+    from identify.results.result import result_files
+    from identify.uncertainty.noise_model import Autoregressive, White
+    from identify.uncertainty.profile_likelihood import require_fitted
+    from identify.zeta_path.smoother import KNOT_SPACING
+
+    _require_method(method, start_zeta)
+    require_channels(CHANNELS if compare is None else compare)
+    channels = tuple(each for each in CHANNELS if compare is None or each in compare)
+    _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
+    if zeta == "path" and "z" not in channels:
+        raise InputError("--zeta path follows the sinkage, so --compare must name z")
+    path = zeta == "path"
+    fitted = _named(own, share, parameters, path=path, apart=cluster is not None)
+    for name in profile or []:
+        require_fitted(name, fitted, zeta == "phases")
+    stem = None if output is None else _stem(output)
+    if stem is not None:
+        text, binary, picture = result_files(stem)
+        require_places([text, binary, picture], runs)
+        require_no_recording(binary)
+    if cluster is not None:
+        from identify.cluster.worker import Settings, terms
+        from identify.commands.fit_cluster import fit_on_cluster
+
+        if zeta != "constant" or starts != 1 or profile or bootstrap or model:
+            raise InputError(
+                "--cluster fits a constant zeta, each run alone and as its log has it; leave "
+                "--zeta, --starts, --profile, --bootstrap and --model out"
+            )
+        alone = Settings(
+            terms(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
+        )
+        kept, left_out = each_once(run_files(runs))
+        named = dict(zip(names_of(kept), kept, strict=True))
+        fit_on_cluster(cluster, named, alone, stem, left_out)
+        return
+
+    console = Console()
+
+    def say(text: str, style: str | None = None) -> None:
+        # File names may hold brackets, and are to be copied from one line.
+        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("reading runs", total=None)
+        ready = partial(
+            candidate,
+            model=None if model is None else read_setup(model),
+            fitted=[each.quantity.name for each in fitted],
+            zeta=start_zeta,
+            method=method,
+            step=step,
+            keep_rest=keep_rest,
+            compare=channels,
+        )
+        tell = partial(say, style="yellow")
+        gathered = gather(runs, ready, sinkage=path, tell=tell)
+        candidates = gathered.candidates
+        bar.update(task, description=f"compiling for {len(candidates)} runs")
+
+        def report(stage: str, number: int, loss: float) -> None:
+            squares = "" if math.isnan(loss) else f", sum of squares {loss:.6g}"
+            bar.update(task, description=f"{stage}: step {number}{squares}")
+
+        noise = Autoregressive() if autoregressive else White()
+        if path:
+            spacing = KNOT_SPACING if knots is None else knots
+            result = fit_paths(candidates, spacing, fitted, report)
+        else:
+            if zeta == "phases":
+                fitted = zeta_phases(candidates, fitted)
+            result = with_reach(fit_runs(candidates, fitted, report, noise, starts=starts))
+        for name in profile or []:
+            bar.update(task, description=f"profile of {name}")
+            result = result.profile(name)
+        if bootstrap is not None:
+            bar.update(task, description=f"bootstrap of {bootstrap} draws")
+            result = result.bootstrap(bootstrap)
+
+    console.print(result.table())
+    for told in result.profiles:
+        console.print(told.table())
+    for sentence in result.sentences():
+        say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
+    result = result.with_failures(gathered.left_out)
+    if stem is not None:
+        from drftjax.common.figures import save_figure
+
+        written = result.write(stem)
+        picture = result_files(stem)[2]
+        save_figure(result.plot(), picture)
+        say(f"written: {', '.join(str(each) for each in [*written, picture])}")
+
+
+def _require_method(method: str, start_zeta: float | None) -> None:
+    """Refuse a method that no fit can step with, or a zeta to start from that cannot be."""
+    from drftjax.physics.terrain import LARGEST_ZETA
+
+    if method not in METHODS:
+        why = "; explicit steps are wrong by a millimetre (docs/integrator.md)"
+        raise InputError(
+            f"--method is {method!r}, must be one of {', '.join(METHODS)}"
+            + (why if method == "explicit" else "")
+        )
+    if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
+        raise InputError(
+            f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"
+        )
+
+
+def _require_together(
+    zeta: str,
+    knots: float | None,
+    starts: int,
+    profile: list[str] | None,
+    bootstrap: int | None,
+    autoregressive: bool,
+) -> None:
+    """Refuse a kind of zeta that there is not, and what does not go with the one that is asked for.
+
+    Raises:
+        InputError: names the option, and what must hold.
+    """
+    from identify.api import ZETAS
+    from identify.solver.multistart import require_starts
+    from identify.uncertainty.bootstrap import require_draws
+
+    if zeta not in ZETAS:
+        raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
+    if zeta == "path" and (starts != 1 or profile or bootstrap):
+        raise InputError(
+            "--zeta path goes from one start to one answer; leave --starts, --profile and "
+            "--bootstrap out"
+        )
+    if zeta != "path" and knots is not None:
+        raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
+    if zeta == "path" and autoregressive:
+        raise InputError("--zeta path finds each channel's correlation; leave --autoregressive out")
+    require_starts(starts)
+    if bootstrap is not None:
+        require_draws(bootstrap)
+
+
+def _named(
+    own: list[str] | None,
+    share: list[str] | None,
+    parameters: Path | None,
+    *,
+    path: bool,
+    apart: bool,
+) -> "list[Parameter]":
+    """What the options say is fitted.
+
+    Args:
+        own, share, parameters: As for the command.
+        path: Whether zeta(t) is fitted, beside which nothing is fitted unasked.
+        apart: Whether each run is fitted alone, so that nothing is shared unasked.
+
+    Raises:
+        InputError: for options that contradict one another, or a parameter that cannot be.
+    """
+    from identify.fit_path_jointly import require_beside
+    from identify.parameters.parameter import parameter, require_once
+    from identify.parameters.parameter_file import read_parameters
+
+    shared_names = share if share is not None else ([] if own or apart or path else ["lambda"])
+    own_names = own if own is not None else ([] if "zeta" in shared_names or path else ["zeta"])
+    if parameters is not None and (own or share):
+        raise InputError("--parameters lists every parameter; leave --own and --share out")
+    fitted = [parameter(n, shared=True) for n in shared_names]
+    fitted += [parameter(n, shared=False) for n in own_names]
+    fitted = fitted if parameters is None else read_parameters(parameters)
+    require_once(fitted)
+    if path:
+        require_beside(fitted)
+    return fitted
+
+
+def _stem(output: Path) -> Path:
+    return stem_of(output, (".json", ".h5", ".png"))

@@ -1,0 +1,209 @@
+"""`drft fit --cluster`: many run logs, each fitted alone on a Dask cluster, into a store."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from drftjax.common.errors import InputError
+from drftjax.common.text import printable
+from identify.cluster.scheduler import (
+    Local,
+    Log,
+    Remote,
+    cluster,
+    connected,
+    dashboard,
+    fit_on,
+    require_extra,
+)
+from identify.cluster.store import Store
+from identify.cluster.worker import Settings
+
+if TYPE_CHECKING:
+    from identify.results.result import FitResult
+
+# More rows or sentences than this are in the files alone.
+MOST_ROWS = 40
+
+
+MOST_SENTENCES = 20
+
+
+WORST_LAST = ("converged", "stalled", "out of steps")
+
+
+def fit_on_cluster(
+    address: str,
+    runs: Mapping[str, Path],
+    settings: Settings,
+    stem: Path | None,
+    left_out: Mapping[str, str],
+) -> None:
+    """Fit every run alone, go on where a killed call ended, and write the usual results.
+
+    Args:
+        address: The cluster's.
+        runs: Files by the names that results give them.
+        settings: How they are fitted.
+        stem: Of the result files; STEM.store keeps what is done.
+        left_out: Files that are not among the runs, and why.
+
+    Raises:
+        InputError: see `fit_on`; also where no run can be fitted.
+    """
+    where = cluster(address)
+    require_extra()
+    if stem is None:
+        raise InputError("--cluster keeps its results beside those of -o: give -o too")
+    # A killed worker is told by the count of workers, not by pages from each process.
+    for name in ("distributed", "tornado"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    console = Console()
+    logs: dict[str, Log] = {}
+    failures = dict(left_out)
+    for name, path in runs.items():
+        try:
+            logs[name] = Log.at(path)
+        except InputError as problem:
+            failures[name] = str(problem)
+    with Store(stem.with_name(stem.name + ".store"), settings.named()) as store:
+        todo = [log for log in logs.values() if log.digest not in store]
+        if len(todo) < len(logs):
+            _say(console, f"{store.path} has {len(logs) - len(todo)} of these {len(runs)} runs")
+        why = _fit(console, where, todo, settings, store) if todo else {}
+        for name, log in logs.items():
+            if log.digest in why:
+                reason = why[log.digest]
+                failures[name] = reason if str(log.path) in reason else f"{log.path}: {reason}"
+        done = {name: log.digest for name, log in logs.items() if log.digest in store}
+        if not done:
+            raise InputError(
+                next(iter(failures.values()))
+                if len(failures) == 1
+                else f"none of the {len(runs)} files can be fitted: {next(iter(failures.values()))}"
+            )
+        result = _together({name: store.result(at) for name, at in done.items()}, done, failures)
+    _show(console, result)
+    written = ", ".join(str(each) for each in _write(result, stem))
+    _say(console, f"written: {written}; {store.path} keeps every fit for a call that goes on")
+
+
+def _fit(
+    console: Console, where: Local | Remote, todo: Sequence[Log], settings: Settings, store: Store
+) -> dict[str, str]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with connected(where) as client:
+        _say(console, f"dashboard: {dashboard(client)}")
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task("waiting for workers", total=len({log.digest for log in todo}))
+
+            def report(dealt_with: int, workers: int) -> None:
+                bar.update(task, completed=dealt_with, description=f"fits on {workers} workers")
+
+            return fit_on(client, todo, settings, store, report)
+
+
+def _together(
+    encoded: Mapping[str, bytes], digests: Mapping[str, str], failures: Mapping[str, str]
+) -> "FitResult":
+    """Lone fits as one result."""
+    from identify.cluster.result_codec import decoded
+    from identify.results.findings import between
+    from identify.results.result import FitResult
+
+    runs, told = [], []
+    status, steps = WORST_LAST[0], 0
+    for name, each in encoded.items():
+        lone = decoded(each)
+        runs.append(replace(lone.run, name=name))
+        status = max(status, lone.status, key=WORST_LAST.index)
+        steps = max(steps, lone.steps)
+        # One run alone has no repeats; all together may.
+        of_one = between([lone.run])
+        said = [
+            finding.replace(digests[name], name)
+            for finding in lone.findings
+            if finding not in of_one
+        ]
+        said = [text if name in text else f"{name}: {text}" for text in said]
+        if lone.status != WORST_LAST[0]:
+            said.append(f"{name}: the solver is {lone.status} after {lone.steps} steps")
+        told += said
+    return FitResult(
+        shared={},
+        runs=runs,
+        status=status,
+        steps=steps,
+        failures=dict(failures),
+        # What is said of all stands before what is said of each, which may be cut short.
+        findings=[*between(runs), *told],
+    )
+
+
+def _show(console: Console, result: "FitResult") -> None:
+    if len(result.runs) <= MOST_ROWS:
+        console.print(result.table())
+    else:
+        for line in _summary(result):
+            _say(console, line)
+    left_out = [f"left out: {why}" for why in result.failures.values()]
+    for lines, style in ((result.findings, None), (left_out, "yellow")):
+        for line in lines[:MOST_SENTENCES]:
+            _say(console, line, style)
+        if len(lines) > MOST_SENTENCES:
+            _say(console, f"... and {len(lines) - MOST_SENTENCES} more such, in the JSON file")
+
+
+def _summary(result: "FitResult") -> list[str]:
+    """Many runs in a few lines: how each parameter is spread, and the errors of all together."""
+    from drftjax.recorded.observation import SHOWN
+
+    lines = [f"{len(result.runs)} runs are fitted, {len(result.failures)} are left out"]
+    for name, first in result.runs[0].values.items():
+        values = np.array([run.values[name].value for run in result.runs])
+        low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+        unit = "" if first.unit == "-" else f" {first.unit}"
+        lines.append(
+            f"{first.label} is {middle:.5g}{unit} in the middle run, and {low:.5g} to "
+            f"{high:.5g}{unit} in nine of ten"
+        )
+    before, after = result.rmse(False), result.rmse()
+    for channel in result.channels:
+        unit, scale = SHOWN[channel]
+        lines.append(
+            f"{channel}: RMSE {before[channel] * scale:.3f} → {after[channel] * scale:.3f} {unit}"
+        )
+    return lines
+
+
+def _write(result: "FitResult", stem: Path) -> list[Path]:
+    from drftjax.common.figures import save_figure
+    from identify.results.result import result_files
+
+    picture = result_files(stem)[2]
+    written = result.write(stem)
+    save_figure(result.plot(), picture)
+    return [*written, picture]
+
+
+def _say(console: Console, text: str, style: str | None = None) -> None:
+    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)

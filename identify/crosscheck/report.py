@@ -1,0 +1,189 @@
+"""Tables and figure of a cross-check."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+    from identify.crosscheck.comparison import Comparison
+    from identify.crosscheck.crosscheck import CrossCheck, RunCheck
+    from identify.crosscheck.replays import Setting
+
+MM = 1e3
+
+
+MOST_SHOWN = 8
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def tables(result: "CrossCheck") -> "list[Table]":
+    """What is printed: both zetas of each run, the ticks, the sweep, and the truth if known."""
+    made = [_beside(result), _ticks(result)]
+    if any(run.truth is not None for run in result.runs):
+        made.append(_truth(result))
+    if any(run.sweep for run in result.runs):
+        made.append(_sweep(result))
+    return made
+
+
+def _table(title: str, *columns: str) -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    first, *numbers = columns
+    table.add_column(escape(first), overflow="fold")
+    for name in numbers:
+        # Units below, and only names of runs fold: all columns are whole in 80 characters.
+        table.add_column(escape(name.replace(" [", "\n[")), justify="right", no_wrap=True)
+    return table
+
+
+def _number(value: float | None, places: int) -> str:
+    return "-" if value is None else f"{value:.{places}f}"
+
+
+def _likeness(each: "Comparison") -> list[str]:
+    return [
+        _number(each.difference, 4),
+        _number(each.lag, 2),
+        _number(each.ripple, 4),
+        _number(each.ripple_frequency, 2),
+    ]
+
+
+def _beside(result: "CrossCheck") -> "Table":
+    table = _table(
+        "online tuner beside offline zeta(t)",
+        *("run", "tuner", "difference", "lag [s]", "ripple", "at [Hz]"),
+        *("z by it [mm]", "offline [mm]"),
+    )
+    for run in result.runs:
+        z = [_number(run.rmse[which]["z"] * MM, 3) for which in ("tuner", "offline")]
+        table.add_row(run.name, "replayed", *_likeness(run.tuner), *z)
+        if run.online is not None:
+            table.add_row(run.name, "logged", *_likeness(run.online), "-", z[1])
+    return table
+
+
+def _ticks(result: "CrossCheck") -> "Table":
+    limit = result.setting.zeta_step / result.setting.tick
+    table = _table(
+        f"ticks of {result.setting.tick * MM:g} ms; slew limit {limit:.3g} /s",
+        *("run", "up [%]", "down [%]", "idle [%]", "slew limit [%]", "dead band [%]"),
+    )
+    for run in result.runs:
+        each = run.tuner
+        shares = (each.up, each.down, each.idle, each.slew_limit, each.dead_band)
+        table.add_row(run.name, *(f"{100 * share:.1f}" for share in shares))
+    return table
+
+
+def _truth(result: "CrossCheck") -> "Table":
+    table = _table("against the true zeta(t), RMS", "run", "tuner", "offline", "closer")
+    for run in result.runs:
+        far = (run.tuner.from_truth, run.offline_from_truth)
+        table.add_row(run.name, *(_number(value, 5) for value in far), run.closer or "-")
+    return table
+
+
+def _sweep(result: "CrossCheck") -> "Table":
+    import numpy as np
+
+    table = _table(
+        "one factor at a time, mean over the runs",
+        *("varied", "difference", "lag [s]", "ripple", "slew limit [%]", "dead band [%]"),
+    )
+    groups: dict[str, list[Comparison]] = {}
+    for run in result.runs:
+        for row in run.sweep:
+            groups.setdefault(_varied(row.setting, result.setting), []).append(row.comparison)
+    for number, (varied, found) in enumerate(groups.items()):
+        lags = [each.lag for each in found if each.lag is not None]
+        table.add_row(
+            varied,
+            f"{np.mean([each.difference for each in found]):.4f}",
+            f"{np.mean(lags):.2f}" if lags else "-",
+            f"{np.mean([each.ripple for each in found]):.4f}",
+            f"{100 * np.mean([each.slew_limit for each in found]):.1f}",
+            f"{100 * np.mean([each.dead_band for each in found]):.1f}",
+            end_section=number in (0, 4, 8),
+        )
+    return table
+
+
+def _varied(setting: "Setting", base: "Setting") -> str:
+    """What a setting has that the one asked for has not."""
+    if setting.tick != base.tick:
+        return f"tick {setting.tick * MM:g} ms"
+    if setting.zeta_step != base.zeta_step:
+        return f"zeta step {setting.zeta_step:g}"
+    if setting.tolerance != base.tolerance:
+        return f"tolerance {setting.tolerance * MM:g} mm"
+    return "as asked"
+
+
+# Figure -------------------------------------------------------------------------------------------
+
+
+def plot(result: "CrossCheck") -> "Figure":
+    """One row for each run (the first eight): both zetas, and the error that the tuner saw."""
+    from matplotlib.figure import Figure
+
+    runs = result.runs[:MOST_SHOWN]
+    figure = Figure(figsize=(10.5, 2.5 * len(runs) + 0.5), layout="constrained")
+    grid = figure.subplots(len(runs), 2, squeeze=False)
+    for run, (left, right) in zip(runs, grid, strict=True):
+        _draw_zeta(left, run)
+        right.plot(run.time, run.error * MM, color="C1", lw=0.7)
+        for side in (-1, 1):
+            right.axhline(side * result.setting.tolerance * MM, color="0.4", lw=0.7, ls="--")
+        right.set_ylabel("sinkage error [mm]")
+    grid[0][0].legend(fontsize=7, loc="best")
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    left_out = len(result.runs) - len(runs)
+    more = f" (and {left_out} more runs)" if left_out else ""
+    figure.suptitle(
+        f"tuner: tick {result.setting.tick * MM:g} ms, zeta step {result.setting.zeta_step:g}, "
+        f"tolerance {result.setting.tolerance * MM:g} mm{more}",
+        fontsize=10,
+    )
+    return figure
+
+
+def _draw_zeta(axes, run: "RunCheck") -> None:
+    import numpy as np
+
+    from identify.zeta_path.path import LINES, between
+
+    path = run.offline
+    if run.truth is not None:
+        axes.plot(run.time, run.truth, color="k", lw=1.0, ls=":", label="true")
+    axes.plot(run.time, run.zeta, color="C1", lw=0.8, label="tuner, replayed")
+    if run.online_time is not None and run.online_zeta is not None:
+        axes.plot(run.online_time, run.online_zeta, color="C2", lw=0.8, label="tuner, as logged")
+    low, high = axes.get_ylim()
+    curve = between(path.time)
+    told = np.interp(curve, path.time, path.told.astype(float)) == 1.0
+    axes.plot(
+        curve,
+        np.where(told, path.at(curve), np.nan),
+        color="C0",
+        lw=1.4,
+        marker=".",
+        markevery=LINES,
+        label="offline",
+    )
+    # Where nothing is told the band is wider than any axes.
+    error = np.minimum(1.645 * path.error, 10.0)
+    band = (path.value - error, path.value + error)
+    axes.fill_between(path.time, *band, color="C0", alpha=0.2, lw=0, label="90 % band")
+    inside = np.r_[low, high, path.value[path.told]]
+    axes.set_ylim(inside.min() - 0.01, inside.max() + 0.01)
+    axes.set_ylabel("zeta [-]")
+    late = "-" if run.tuner.lag is None else f"{run.tuner.lag:.2f} s"
+    axes.set_title(f"{run.name}  difference {run.tuner.difference:.4f}, lag {late}", fontsize=8)

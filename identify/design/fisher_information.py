@@ -1,0 +1,377 @@
+r"""How much one run tells of its parameters: the Fisher information of a trial, before it is made.
+
+With the derivatives $J_c = \partial y_c / \partial\theta$ of each channel at its rows and white
+instrument noise $\sigma_c$, the information is $F = \sum_c J_c^\top J_c / \sigma_c^2$. What is left
+for one parameter once the others (nuisances) must be found from the same run is its Schur
+complement $s = F_{tt} - F_{tn} F_{nn}^{-1} F_{nt}$, and its standard error $1 / \sqrt{s}$.
+"""
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.common.arrays import as_real, require_between
+from drftjax.common.errors import InputError
+from drftjax.recorded.batch import of_lengths
+from drftjax.runlog.record import CHANNELS
+from drftjax.runlog.schema import UNITS
+from drftjax.setups.setup import SetUp
+from drftjax.simulation.ensemble import map_runs
+from drftjax.simulation.trial import ROW_INTERVAL, Trial
+from identify.parameters.parameter import Quantity
+
+POSITIONS = ("x", "z")
+
+
+# Of a parameter's whole effect, the share that its nuisances cannot imitate; below it, what is
+# left is rounding and plates that turn over, and no run tells the parameter from them.
+SMALLEST_SHARE = 1e-5
+
+
+# The same for the effect itself, in standard deviations over the whole run.
+SMALLEST_EFFECT = 1e-9
+
+
+# Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
+MARGIN = 0.01
+
+
+# No wheel turns farther [rad]; infinity, for no limit, would leave no derivative.
+FARTHEST = 1e9
+
+
+def scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
+    """What each parameter is measured in: its own size, or its unit where it is zero."""
+    values = np.array([abs(float(each.read(trial))) for each in quantities])
+    return np.where(values > 0, values, 1.0)
+
+
+def sensitivities(
+    trial: Trial, quantities: Sequence[Quantity], scale: Float[Array, " parameters"]
+) -> Float[Array, "channels rows parameters"]:
+    """Exact derivatives of every channel at every row by parameter, per `scale`.
+
+    One forward sweep carries all parameters along; it may itself be differentiated.
+
+    Args:
+        trial: Run to differentiate.
+        quantities: By which numbers.
+        scale: Size of one unit of each, from `scales`.
+    """
+
+    def simulated(change: Float[Array, " parameters"]) -> Float[Array, "channels rows"]:
+        changed = trial
+        for index, quantity in enumerate(quantities):
+            value = quantity.read(trial) + scale[index] * change[index]
+            changed = quantity.write(changed, value)
+        output = changed.run()
+        return jnp.stack([getattr(output, each) for each in CHANNELS])
+
+    return jax.jacfwd(simulated)(jnp.zeros(len(quantities), scale.dtype))
+
+
+def information(
+    derivatives: Float[Array, "channels rows parameters"],
+    weight: Float[Array, " channels"],
+    counts: Float[Array, " rows"],
+) -> Float[Array, "parameters parameters"]:
+    """Fisher information of a run.
+
+    Args:
+        derivatives: From `sensitivities`.
+        weight: 1 / noise of each channel, 0 of one that is not measured.
+        counts: 1 for rows that are compared, 0 for others.
+    """
+    weighted = derivatives * weight[:, None, None] * counts[None, :, None]
+    return jnp.einsum("crp,crq->pq", weighted, weighted)
+
+
+def log_error(fisher: Float[Array, "parameters parameters"]) -> Float[Array, ""]:
+    """Logarithm of the first parameter's standard error, the others projected out."""
+    # Nuisances in units of their own effect: the solve then loses no digits to their sizes.
+    size = jnp.sqrt(jnp.diag(fisher))
+    others = fisher[1:, 1:] / jnp.outer(size[1:], size[1:])
+    mixed = fisher[0, 1:] / size[1:]
+    left = fisher[0, 0] - mixed @ jnp.linalg.solve(others, mixed)
+    return -0.5 * jnp.log(left)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What one run would tell of the first of its parameters.
+
+    Attributes:
+        value: The parameter's own value.
+        error: Its standard error by white noise, nuisances projected out; infinite where unseen.
+        alone: The same were every nuisance known.
+        share: Part of its effect that the nuisances cannot imitate [-].
+        imitator: Which nuisance imitates it most, or "" without any.
+        effect: Its effect over the whole run, in standard deviations, for a change by its scale.
+        shift: Largest shift of the fitted value by a model error of 1 m RMS in each position.
+    """
+
+    value: float
+    error: float
+    alone: float
+    share: float
+    imitator: str
+    effect: float
+    shift: float
+
+    @property
+    def relative(self) -> float:
+        """Standard error as a share of the value [-]; infinite for a value of zero."""
+        return self.error / abs(self.value) if self.value else float("inf")
+
+
+def knowledge(
+    derivatives: np.ndarray,
+    weight: np.ndarray,
+    counts: np.ndarray,
+    quantities: Sequence[Quantity],
+    value: float,
+    scale: float,
+) -> Knowledge:
+    """What a run's derivatives say of the first parameter.
+
+    By a QR decomposition rather than the information, which has only half the digits.
+
+    Args:
+        derivatives, weight, counts: As for `information`.
+        quantities: The parameters, the one asked for first.
+        value, scale: Its value, and the size of a unit of its derivative.
+    """
+    if not np.isfinite(derivatives).all():
+        raise InputError("the simulation diverges on this profile; a lower acceleration may hold")
+    whitened = derivatives * weight[:, None, None] * counts[None, :, None]
+    columns = whitened.reshape(-1, len(quantities))
+    target, others = columns[:, 0], columns[:, 1:]
+    scale, effect = float(scale), float(np.linalg.norm(target))
+    sizes = np.linalg.norm(others, axis=0)
+    seen = np.flatnonzero(sizes > SMALLEST_EFFECT)
+    basis = others[:, seen] / sizes[seen]
+    cosines = np.abs(basis.T @ target) / max(effect, SMALLEST_EFFECT)
+    imitator = quantities[1 + seen[int(np.argmax(cosines))]].label if len(seen) else ""
+    left = target
+    if len(seen):
+        # Nuisances that imitate one another span less than they are; the rest must not count.
+        vectors, values, _ = np.linalg.svd(basis, full_matrices=False)
+        span = vectors[:, values > SMALLEST_SHARE * values[0]]
+        for _ in range(2):  # the second takes away what rounding left of the first
+            left = left - span @ (span.T @ left)
+    remains = float(np.linalg.norm(left))
+    share = remains / effect if effect > SMALLEST_EFFECT else 0.0
+    if share <= SMALLEST_SHARE:
+        return Knowledge(value, np.inf, np.inf, share, imitator, effect, np.inf)
+    # Fitted change = gain . whitened error; the worst error of a channel lies along its gain.
+    gain = (left / remains**2).reshape(whitened.shape[:2])
+    number = float(counts.sum())
+    worst = sum(
+        weight[index] * np.linalg.norm(gain[index]) * np.sqrt(number)
+        for index, channel in enumerate(CHANNELS)
+        if channel in POSITIONS
+    )
+    return Knowledge(
+        value, scale / remains, scale / effect, share, imitator, effect, scale * float(worst)
+    )
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """What is measured, and how finely.
+
+    Attributes:
+        noise: Standard deviation of each channel's white noise [m, N, N m].
+        channels: Which of them a run records; the others are judged as additions.
+    """
+
+    noise: dict[str, float] = field(
+        default_factory=lambda: {"x": 5e-5, "z": 2e-5, "fx": 0.5, "fz": 0.5, "torque": 0.05}
+    )
+    channels: tuple[str, ...] = ("x", "z")
+
+    def check(self) -> None:
+        for name in (*self.noise, *self.channels):
+            if name not in CHANNELS:
+                raise InputError(f"there is no channel {name!r}; give one of {', '.join(CHANNELS)}")
+        for name, value in self.noise.items():
+            require_between(f"the noise of {name}", value, 1e-9, 1e6, f" {UNITS['measured'][name]}")
+        lacking = [name for name in self.channels if name not in self.noise]
+        if lacking or not self.channels:
+            raise InputError(
+                f"the noise of {lacking[0]} is not given" if lacking else "no channel is measured"
+            )
+
+    def weight(self, extra: str | None = None) -> np.ndarray:
+        """1 / noise of the channels recorded, with one more where named; 0 of the rest."""
+        measured = {*self.channels, extra}
+        return np.array([1 / self.noise[c] if c in measured else 0.0 for c in CHANNELS])
+
+    @property
+    def additions(self) -> list[str]:
+        return [c for c in CHANNELS if c in self.noise and c not in self.channels]
+
+
+def counted(setup: SetUp, rows: int) -> np.ndarray:
+    """1 for the rows until the wheel has stopped for good, as a fit compares them; else 0."""
+    command = setup.command.build()
+    time = command.time - command.time[0]
+    moving = np.flatnonzero(command.omega != 0)
+    end = time[min(moving[-1] + 1, len(time) - 1)] if len(moving) else time[-1]
+    return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
+
+
+def stackable(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
+    """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
+    setup = copy.deepcopy(setup)
+    setup.integrator.step = step
+    trial = setup.trial()
+    return of_lengths(trial, math.ceil(duration / (trial.every * step) - 1e-9), knots)
+
+
+def _at_most_farthest(turn: float) -> Float[Array, ""]:
+    return jnp.minimum(as_real(turn), FARTHEST)
+
+
+class Profile(eqx.Module):
+    """Speeds at even knots, as a smooth function of free coordinates, inside a rig's limits.
+
+    Each knot lies between the lowest and the highest speed that the last one, the acceleration
+    and the stop ahead leave to it; a sigmoid says where. All are slowed down alike where the wheel
+    would turn too far. Every profile within reach that need not be is met by exactly one set of
+    coordinates.
+
+    Attributes:
+        knots: Their number.
+        speed, acceleration: The largest [rad/s, rad/s2].
+        duration, rest: Of the run, and of its rests at both ends [s].
+        turn: Farthest that the wheel may turn [rad].
+    """
+
+    # Arrays, so that one compiled program serves all limits.
+    knots: int = eqx.field(static=True)
+    speed: Float[Array, ""] = eqx.field(converter=as_real)
+    acceleration: Float[Array, ""] = eqx.field(converter=as_real)
+    duration: Float[Array, ""] = eqx.field(converter=as_real)
+    rest: Float[Array, ""] = eqx.field(converter=as_real)
+    turn: Float[Array, ""] = eqx.field(converter=_at_most_farthest, default=FARTHEST)
+
+    @property
+    def time(self) -> Float[Array, " all"]:
+        moving = jnp.linspace(self.rest, self.duration - self.rest, self.knots + 2)
+        return jnp.concatenate([jnp.zeros(1, moving.dtype), moving, self.duration[None]])
+
+    def _reach(self, index: int, last: Array) -> tuple[Array, Array]:
+        change = self.acceleration * (self.duration - 2 * self.rest) / (self.knots + 1)
+        stop = jnp.minimum(self.speed, change * (self.knots - index))
+        return jnp.maximum(0.0, last - change), jnp.minimum(stop, last + change)
+
+    def omega(self, coordinates: Float[Array, " knots"]) -> Float[Array, " all"]:
+        """Angular velocity at `time` [rad/s]."""
+        speeds = [jnp.zeros((), coordinates.dtype)]
+        for index in range(self.knots):
+            low, high = self._reach(index, speeds[-1])
+            speeds.append(low + (high - low) * jax.nn.sigmoid(coordinates[index]))
+        nought = jnp.zeros((), coordinates.dtype)
+        omega = jnp.stack([nought, *speeds, nought, nought])
+        # A wheel that hardly turns may turn as far as it does.
+        way = jnp.maximum(jnp.trapezoid(omega, self.time), 1.0 / FARTHEST)
+        return omega * jnp.minimum(1.0, self.turn / way)
+
+    def coordinates(self, wanted: np.ndarray) -> np.ndarray:
+        """Coordinates of the profile nearest to these speeds at the free knots [rad/s]."""
+        places, last = [], jnp.zeros(())
+        for index, speed in enumerate(wanted):
+            low, high = self._reach(index, last)
+            share = float(np.clip((speed - low) / (high - low), MARGIN, 1 - MARGIN))
+            places.append(math.log(share / (1 - share)))
+            last = low + (high - low) * share
+        return np.array(places)
+
+
+class Objective(eqx.Module):
+    """Logarithm of the standard error as a function of a run's free coordinates.
+
+    Coordinates: the profile's knots, then the load within its bounds where it is free, then the
+    start angle in radians.
+
+    Attributes:
+        trial: The run, all but what is free.
+        profile: Of the angular velocity.
+        loads: Lowest and highest mass on the wheel [kg]; empty where it is not free.
+        depths: How much deeper than now the wheel stands under them [m].
+        scale, weight, counts: See `sensitivities` and `information`.
+        quantities: The parameter, then its nuisances.
+    """
+
+    trial: Trial
+    profile: Profile
+    loads: Float[Array, " bounds"]
+    depths: Float[Array, " bounds"]
+    scale: Float[Array, " parameters"]
+    weight: Float[Array, " channels"]
+    counts: Float[Array, " rows"]
+    quantities: tuple[Quantity, ...]
+
+    def placed(self, coordinates: Float[Array, " free"]) -> Trial:
+        """The run at these coordinates."""
+        trial = self.trial
+        knots = self.profile.knots
+        position, mass = trial.start.position, trial.simulator.rig.mass_z
+        if self.loads.size:
+            share = jax.nn.sigmoid(coordinates[knots])
+            mass = self.loads[0] + share * (self.loads[1] - self.loads[0])
+            deeper = self.depths[0] + share * (self.depths[1] - self.depths[0])
+            position = position.at[1].add(-deeper)
+        return eqx.tree_at(
+            lambda t: (t.omega, t.start.angle, t.start.position, t.simulator.rig.mass_z),
+            trial,
+            (self.profile.omega(coordinates[:knots]), coordinates[-1], position, mass),
+        )
+
+    def __call__(self, coordinates: Float[Array, " free"]) -> Float[Array, ""]:
+        derivatives = sensitivities(self.placed(coordinates), self.quantities, self.scale)
+        return log_error(information(derivatives, self.weight, self.counts))
+
+
+@eqx.filter_custom_jvp
+def with_gradient(objective: Objective, coordinates: Float[Array, " free"]) -> Float[Array, ""]:
+    """The objective, whose derivative is its whole gradient at once.
+
+    A solver may then linearise it without a record of every step of the run.
+    """
+    return objective(coordinates)
+
+
+@with_gradient.def_jvp
+def _with_gradient_jvp(primals, tangents):
+    objective, coordinates = primals
+    value, gradient = value_and_gradient(objective, coordinates)
+    return value, gradient @ tangents[1]
+
+
+def value_and_gradient(
+    objective: Objective, coordinates: Float[Array, " free"]
+) -> tuple[Float[Array, ""], Float[Array, " free"]]:
+    """The objective [-] and its exact gradient, forward over forward: a sweep for each coordinate.
+
+    It is a slope to follow where the trial's stress law is rounded
+    (`drftjax.physics.stress.Rounded`); `docs/design.md` has what it is otherwise.
+    """
+
+    def along(way: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:
+        at, direction = way
+        return jax.jvp(objective, (at,), (direction,))
+
+    directions = jnp.eye(len(coordinates))
+    # Were the place the same for all, a solver would keep every step of a run there.
+    places = jnp.broadcast_to(coordinates, directions.shape)
+    values, gradient = map_runs(along, (places, directions), objective)
+    return values[0], gradient

@@ -1,0 +1,90 @@
+"""What a rig can do: the bounds that a designed run keeps."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drftjax.common.arrays import require_between
+from drftjax.common.errors import InputError
+from drftjax.physics.integrator import sharpest_ramp
+from drftjax.runlog.record import Command
+
+# A limit is kept where it is exceeded by no more than this share of it, which files round by.
+ROUNDED = 1e-3
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the rig can do.
+
+    Attributes:
+        speed: Largest angular velocity [rad/s].
+        acceleration: Largest angular acceleration [rad/s2].
+        duration: Of the run, its rests included [s].
+        loads: Lowest and highest vertical load [N]; the set-up's own only where None.
+        travel: Longest way of the rim, which the wheel's falls short of by slip [m].
+    """
+
+    speed: float = math.radians(300.0)
+    acceleration: float = math.radians(50.0)
+    duration: float = 24.0
+    loads: tuple[float, float] | None = None
+    travel: float = math.inf
+
+    @property
+    def rest(self) -> float:
+        """Rest before and after the motion [s]."""
+        return min(1.0, self.duration / 20)
+
+    def beyond(self, command: Command, radius: float) -> list[str]:
+        """What of a profile goes beyond the rig, in words; nothing where it can be run.
+
+        Args:
+            command: The profile, with a wheel that is driven.
+            radius: Of the rim [m].
+        """
+        time, omega = np.asarray(command.time), np.asarray(command.omega)
+        fastest = float(np.abs(np.diff(omega) / np.diff(time)).max(initial=0.0))
+        asked = (
+            ("speed", math.degrees(float(np.abs(omega).max())), math.degrees(self.speed), "deg/s"),
+            ("acceleration", math.degrees(fastest), math.degrees(self.acceleration), "deg/s2"),
+            ("duration", float(time[-1] - time[0]), self.duration, "s"),
+            ("way", way(command, radius), self.travel, "m"),
+        )
+        return [
+            f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
+            for name, value, most, unit in asked
+            if value > (1 + ROUNDED) * most
+        ]
+
+    def check(self, radius: float) -> None:
+        """Refuse limits that no run can keep, or that no step can simulate."""
+        require_between("the largest speed", math.degrees(self.speed), 1.0, 3000.0, " deg/s")
+        fastest = math.degrees(sharpest_ramp(radius))
+        require_between(
+            "the largest acceleration",
+            math.degrees(self.acceleration),
+            0.1,
+            round(fastest, 1),
+            " deg/s2, beyond which derivatives of the simulation are not bounded",
+        )
+        require_between("the duration", self.duration, 1.0, 600.0, " s")
+        if self.travel != math.inf:
+            require_between("the longest way", self.travel, 0.01, 1000.0, " m")
+        if self.loads is not None:
+            low, high = self.loads
+            require_between("the lowest load", low, 1.0, 1e4, " N")
+            require_between("the highest load", high, 1.0, 1e4, " N")
+            if low >= high:
+                raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")
+
+
+def way(command: Command, radius: float) -> float:
+    """Way of the rim [m], which the wheel's travel falls short of by slip.
+
+    Args:
+        command: Angular velocity over time.
+        radius: Of the rim [m].
+    """
+    return radius * float(np.trapezoid(np.abs(command.omega), command.time))

@@ -1,0 +1,138 @@
+"""What a run of a set-up would tell of a parameter, by its Fisher information."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from drftjax.common.errors import InputError
+from drftjax.physics.integrator import steady_step
+from drftjax.setups.setup import CommandSetUp, SetUp
+from drftjax.simulation.ensemble import map_runs, stack
+from drftjax.simulation.statics import standing_sinkage
+from drftjax.simulation.trial import Trial
+from identify.design.fisher_information import (
+    Instrument,
+    Knowledge,
+    counted,
+    knowledge,
+    scales,
+    sensitivities,
+    stackable,
+)
+from identify.design.limits import Limits, way
+from identify.parameters.parameter import Quantity, parameter
+
+# Runs evaluated in one call: so many are padded to, and only one program is compiled.
+TOGETHER = 4
+
+
+@dataclass(frozen=True)
+class Option:
+    """One run that could be made.
+
+    Attributes:
+        name: What is different in it.
+        setup: The run, as a set-up.
+        knows: What it would tell of the parameter.
+        added: The same were this channel recorded as well, by channel.
+    """
+
+    name: str
+    setup: SetUp
+    knows: Knowledge
+    added: dict[str, Knowledge]
+
+    @property
+    def way(self) -> float:
+        """Of the rim [m], which the wheel's travel falls short of by slip."""
+        return way(self.setup.command.build(), self.setup.wheel.radius)
+
+
+def quantities_named(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:
+    """The parameter of this name, then the nuisances: zeta and lambda where none are given.
+
+    Raises:
+        InputError: for names that are not known, or come twice.
+    """
+    target = parameter(name, shared=True).quantity
+    given = ["zeta", "lambda"] if nuisances is None else nuisances
+    others = [parameter(each, shared=True).quantity for each in given]
+    names = [each.name for each in others]
+    if nuisances is not None and target.name in names:
+        raise InputError(f"{name} is asked for, so it cannot be a nuisance as well")
+    if len(set(names)) < len(names):
+        raise InputError("a nuisance is named twice; name each once")
+    return [target, *(each for each in others if each.name != target.name)]
+
+
+@eqx.filter_jit
+def _derived(trials: Trial, quantities: list[Quantity], scale: Array) -> Array:
+    return map_runs(lambda trial, scale: sensitivities(trial, quantities, scale), trials, scale)
+
+
+class Judge:
+    """Evaluates set-ups: what a run of each would tell."""
+
+    def __init__(
+        self, setup: SetUp, quantities: list[Quantity], instrument: Instrument, limits: Limits
+    ):
+        self.base = setup
+        self.quantities = quantities
+        self.instrument = instrument
+        self.limits = limits
+
+    def setup_of(self, command: CommandSetUp, **start: float) -> SetUp:
+        """The base set-up under another command, at a step that holds its derivatives."""
+        setup = copy.deepcopy(self.base)
+        setup.command = command
+        built = command.build()
+        setup.integrator.method = "held pace"
+        setup.integrator.step = steady_step(setup.wheel.radius, built.time, built.omega)
+        if "angle" in start:
+            setup.start.angle = start["angle"]
+        if "load" in start:
+            setup.rig.mass_z = float(start["load"] / setup.rig.gravity)
+            setup.start.sinkage += self.deeper(start["load"])
+        return setup
+
+    def load(self) -> float:
+        return self.base.rig.mass_z * self.base.rig.gravity
+
+    def deeper(self, load: float) -> float:
+        """How much deeper a wheel under another load stands at the start [m]."""
+        simulator = self.base.trial().simulator
+        zeta = simulator.terrain.zeta
+        factor = float(getattr(zeta, "value", np.array([1.0])).ravel()[0])
+        depths = [standing_sinkage(simulator, factor, each) for each in (load, self.load())]
+        return depths[0] - depths[1]
+
+    def options(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[Option]:
+        """What a run of each set-up would tell, on the set-up's own plates."""
+        finest = min(each.integrator.step for each in setups)
+        knots = max(len(each.command.time) for each in setups)
+        longest = max(each.command.time[-1] - each.command.time[0] for each in setups)
+        trials = [stackable(each, finest, knots, longest) for each in setups]
+        scale = scales(trials[0], self.quantities)
+        options = []
+        for first in range(0, len(trials), TOGETHER):
+            some = trials[first : first + TOGETHER]
+            padded = some + some[-1:] * (TOGETHER - len(some))
+            derived = np.asarray(_derived(stack(padded), self.quantities, jnp.asarray(scale)))
+            for place, derivatives in enumerate(derived[: len(some)], start=first):
+                options.append(self._option(names[place], setups[place], derivatives, scale[0]))
+        return options
+
+    def _option(self, name: str, setup: SetUp, derivatives: np.ndarray, scale: float) -> Option:
+        counts = counted(setup, derivatives.shape[1])
+        value = float(self.quantities[0].read(setup.trial()))
+
+        def told(extra: str | None = None) -> Knowledge:
+            weight = self.instrument.weight(extra)
+            return knowledge(derivatives, weight, counts, self.quantities, value, scale)
+
+        return Option(name, setup, told(), {each: told(each) for each in self.instrument.additions})

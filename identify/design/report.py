@@ -1,0 +1,152 @@
+"""Tables, figure and files of a designed run."""
+
+import copy
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+    from identify.design.design import Design
+    from identify.design.fisher_information import Knowledge
+    from identify.design.options import Option
+
+# What the titles of designed runs hold.
+DESIGNED = ", designed for "
+
+
+def plot_design(result: "Design") -> "Figure":
+    """The given and the best profile, and the standard error over peak speeds."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    profile, scan = figure.subplots(1, 2)
+    for each, name, colour in ((result.now, "given", "0.4"), (result.best, "best", "C0")):
+        command = each.setup.command.build()
+        label = f"{name}: ±{each.knows.error:.2g}"
+        profile.plot(command.time, np.degrees(command.omega), ".-", color=colour, label=label)
+    profile.set_xlabel("time [s]")
+    profile.set_ylabel("angular velocity [deg/s]")
+    profile.legend(title=f"standard error of {result.parameter}", fontsize=8)
+    peaks = np.degrees(result.peaks)
+    errors = np.array([each.knows.error for each in result.scan])
+    shifts = np.array([result.shift(each) for each in result.scan])
+    scan.loglog(peaks, errors, "o-", label="standard error, white noise")
+    label = f"shift by a model error of {result.model_error * 1e3:.3g} mm"
+    scan.loglog(peaks, shifts, "s--", label=label)
+    value = abs(result.now.knows.value)
+    if value:
+        label = f"{result.wanted:.0%} of the value"
+        scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":", label=label)
+    scan.set_xticks(peaks, [f"{each:.0f}" for each in peaks])
+    scan.minorticks_off()
+    scan.set_xlabel("peak speed of a trapezoid [deg/s]")
+    scan.set_ylabel(f"error of {result.parameter} [{result.unit}]")
+    scan.legend(fontsize=8)
+    return figure
+
+
+def design_table(result: "Design") -> "Table":
+    """Every run judged, its standard error and the factor gained over the given profile."""
+    import math
+
+    from rich.table import Table
+
+    from drftjax.runlog.schema import UNITS
+
+    unit = "" if result.unit == "-" else f" [{result.unit}]"
+    beside = ", ".join(result.nuisances) or "nothing else unknown"
+    table = Table(title=f"standard error of {result.parameter}{unit}, beside {beside}")
+    table.add_column("run")
+    table.add_column("standard error", justify="right")
+    table.add_column("of the value", justify="right")
+    table.add_column("factor gained", justify="right")
+    table.add_column(f"shift by {result.model_error * 1e3:.3g} mm", justify="right")
+
+    def add(name: str, knows: "Knowledge") -> None:
+        factor = result.now.knows.error / knows.error if math.isfinite(knows.error) else 0.0
+        shift = knows.shift * result.model_error
+        share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
+        table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
+
+    units = UNITS["measured"]
+    for head, options in (("", [result.now]), ("best: ", [result.best])):
+        for each in options:
+            add(head + each.name, each.knows)
+            for channel, more in each.added.items():
+                add(f"  with {channel} ({result.noise[channel]:g} {units[channel]})", more)
+        table.add_section()
+    for group in (result.others, result.found, result.scan):
+        for each in group:
+            add(each.name, each.knows)
+        table.add_section()
+    return table
+
+
+def design_document(result: "Design") -> dict:
+    """The design as plain values, in the layout of the JSON file."""
+    import msgspec
+
+    from drftjax import __version__
+    from identify.design.design import DESIGN_SCHEMA
+
+    def plain(option: "Option") -> dict:
+        return {
+            "name": option.name,
+            **_numbers(option.knows),
+            "way": option.way,
+            "added": {name: _numbers(each) for name, each in option.added.items()},
+            "setup": msgspec.to_builtins(option.setup),
+        }
+
+    return {
+        "schema": DESIGN_SCHEMA,
+        "schema_version": 1,
+        "software": f"drftjax {__version__}",
+        "parameter": result.parameter,
+        "unit": result.unit,
+        "nuisances": list(result.nuisances),
+        "noise": result.noise,
+        "channels": list(result.channels),
+        "identifiable": result.seen,
+        "factor": result.factor,
+        "wanted": result.wanted,
+        "model_error": result.model_error,
+        "speed_needed": result.speed_needed(),
+        "speed_needed_with_model_error": result.speed_needed(True),
+        "summary": result.summary(),
+        "given": plain(result.now),
+        "best": plain(result.best),
+        "found": [plain(each) for each in result.found],
+        "scan": [
+            {"peak": peak, **plain(each)}
+            for peak, each in zip(result.peaks, result.scan, strict=True)
+        ],
+        "others": [plain(each) for each in result.others],
+    }
+
+
+def _numbers(knows: "Knowledge") -> dict[str, float | str | None]:
+    """What a run tells; None where it tells nothing, as JSON has no infinity."""
+    import math
+
+    values = {name: getattr(knows, name) for name in ("value", "error", "alone", "share", "effect")}
+    values["shift_per_metre"] = knows.shift
+    finite = {name: float(v) if math.isfinite(v) else None for name, v in values.items()}
+    return {**finite, "imitator": knows.imitator}
+
+
+def design_toml(result: "Design") -> str:
+    """The run to make, as a set-up file."""
+    import numpy as np
+
+    from drftjax.setups.setup_toml import setup_toml
+
+    setup = copy.deepcopy(result.best.setup)
+    built = setup.command.build()
+    setup.command.time = np.round(built.time, 3).tolist()
+    setup.command.omega = (np.round(np.degrees(built.omega), 3) + 0.0).tolist()
+    setup.command.omega_unit = "deg/s"
+    setup.title = f"{setup.title}{DESIGNED}{result.parameter}"
+    return setup_toml(setup, result.summary().splitlines())

@@ -1,0 +1,177 @@
+"""From which angular velocity a parameter could be identified, where these runs cannot tell it.
+
+The same set-up is simulated under the same command, so many times as fast, with the value that is
+believed and not the one that these runs do not tell. Its standard error is that of the fit made,
+with the noise and the model's error that the fit found.
+"""
+
+import copy
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.common.errors import InputError
+from drftjax.physics.integrator import sharpest_ramp, steady_step
+from drftjax.recorded.batch import device_mesh, make_batch
+from drftjax.recorded.prepared_run import STEPS_A_ROW
+from drftjax.setups.setup import SetUp
+from drftjax.simulation.trial import Trial
+from identify.parameters.phase_zeta import PhaseZeta
+from identify.results.result import FitResult
+from identify.results.values import UNTOLD
+from identify.solver.problem import Problem, linearised
+from identify.solver.whitening import Whitening
+from identify.uncertainty.covariance import covariance
+from identify.uncertainty.estimate import Optimum
+
+FACTORS = (2.0, 4.0, 8.0, 16.0)
+
+
+def with_reach(result: FitResult) -> FitResult:
+    """The same, with a finding for every shared value that the runs do not tell."""
+    optimum = result.optimum
+    if optimum is None:
+        return result
+    setups = [run.setup for run in result.runs]
+    told = []
+    for name, value in result.shared.items():
+        if value.told:
+            continue
+        # What other runs would tell is no reason to lose what these do.
+        with suppress(InputError):
+            told.append(reach(optimum, setups, name))
+    return replace(result, findings=[*result.findings, *(each for each in told if each)])
+
+
+def reach(optimum: Optimum, setups: Sequence[SetUp], name: str) -> str | None:
+    """A sentence on the speed from which a shared parameter could be identified.
+
+    Args:
+        optimum: Where the fit ended.
+        setups: Each run's set-up with the fitted values put in.
+        name: The parameter's full name.
+
+    Returns:
+        None where no run moves, or its set-up has no size to compare an error with.
+    """
+    fastest = max(
+        range(len(setups)),
+        key=lambda run: optimum.solution.active[run] * _top(setups[run]),
+    )
+    parameter = next(p for p in optimum.problem.shared if p.quantity.name == name)
+    believed = float(parameter.quantity.read(optimum.candidates[fastest].trial))
+    speed = _top(setups[fastest])
+    if speed == 0 or believed == 0:
+        return None
+    setup = copy.deepcopy(setups[fastest])
+    parameter.quantity.record(setup, believed)
+    label = parameter.quantity.label
+    last, tried = None, 0.0
+    for factor in (1.0, *FACTORS):
+        error = _error(optimum, fastest, setup, name, factor)
+        if error is None:
+            break
+        share = error / abs(believed)
+        if share <= UNTOLD:
+            wanted = factor if last is None else _between(last, (factor, share))
+            return (
+                f"{label} could be identified from about {wanted * speed:.2g} rad/s on: at "
+                f"{wanted:.2g} times this speed its standard error falls to {100 * UNTOLD:.0f} % "
+                f"of the believed {believed:.4g}"
+            )
+        last, tried = (factor, share), factor
+    if last is None:
+        return None
+    return (
+        f"{label} could not be identified by the same run {tried:g} times as fast either, at "
+        f"{tried * speed:.2g} rad/s: its standard error would be {last[1] * abs(believed):.2g}"
+    )
+
+
+def _top(setup: SetUp) -> float:
+    """Largest angular velocity asked for [rad/s]."""
+    return float(np.abs(setup.command.build().omega).max())
+
+
+def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
+    """The factor at which the error crosses the wanted share, straight in logarithms."""
+    (a, above), (b, under) = last, now
+    way = np.log(above / UNTOLD) / np.log(above / under)
+    return float(a * (b / a) ** way)
+
+
+def _by_phase(trial: Trial, optimum: Optimum, run: int, name: str, stretch: float) -> Trial:
+    """The trial with the fit's zeta by phase, if that was fitted; the named one's as believed."""
+    given, (shared, own) = optimum.candidates[run].trial, optimum.solution.coordinates
+    zeta = optimum.problem.placed(given, shared, own[run]).simulator.terrain.zeta
+    if not isinstance(zeta, PhaseZeta):
+        return trial
+    zeta = eqx.tree_at(lambda z: z.time, zeta, stretch * zeta.time)
+    trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, zeta)
+    quantity = next(p.quantity for p in optimum.problem.parameters if p.quantity.name == name)
+    return quantity.write(trial, quantity.read(given))
+
+
+def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -> float | None:
+    """Standard error of the parameter by one run so many times as fast; None if it cannot be."""
+    setup = copy.deepcopy(setup)
+    setup.command.omega = [factor * value for value in setup.command.omega]
+    if setup.command.vx is not None:
+        setup.command.vx = [factor * value for value in setup.command.vx]
+    try:
+        command = setup.command.build()
+        turning = np.abs(np.diff(command.omega) / np.diff(command.time)).max()
+        # A run that would speed up too fast to be simulated takes longer, with as many samples.
+        stretch = max(1.0, turning / sharpest_ramp(setup.wheel.radius))
+        setup.command.time = [stretch * value for value in setup.command.time]
+        command = setup.command.build()
+        setup.integrator.step = min(
+            setup.integrator.step, steady_step(setup.wheel.radius, command.time, command.omega)
+        )
+        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
+        trial = _by_phase(trial, optimum, run, name, stretch)
+    except InputError:
+        return None
+    observation = optimum.candidates[run].observation
+    observation = replace(observation, time=stretch * observation.time)
+    batch = make_batch([trial], [observation], jax.device_count())
+    # At the values that the set-up holds, wherever the fit was told to start.
+    parameters = tuple(
+        replace(each, start=math.nan) for each in optimum.problem.shared + optimum.problem.own
+    )
+    problem = Problem(batch, parameters, optimum.problem.correlation, device_mesh())
+    kept = [optimum.problem.batch.channels.index(c) for c in batch.channels]
+    length = batch.observed.weight.shape[-1]
+    weight = np.zeros(batch.observed.weight.shape)
+    common = min(length, optimum.problem.batch.observed.weight.shape[-1])
+    known = np.asarray(optimum.problem.batch.observed.weight)[run][kept]
+    weight[0, :, :common] = known[:, :common]
+    problem = eqx.tree_at(
+        lambda p: (p.batch.observed.weight, p.correlation),
+        problem,
+        (jnp.asarray(weight), optimum.problem.correlation[jnp.asarray(kept)]),
+    )
+    _, blocks = linearised(problem, problem.start())
+    if not np.isfinite(blocks).all():
+        return None
+
+    def cut(values: np.ndarray) -> np.ndarray:
+        wide = np.zeros((1, *weight.shape[1:]))
+        wide[0, :, :common] = values[run][kept][:, :common]
+        return wide
+
+    whitening = optimum.whitening
+    phase = np.zeros((1, length), int)
+    phase[0, :common] = whitening.phase[run, :common]
+    alone = Whitening(cut(whitening.scale), cut(whitening.unit), phase)
+    spread = covariance(blocks[:1], alone, optimum.shared)
+    number = [p.quantity.name for p in parameters].index(name)
+    at = problem.start()[0][number]
+    slope = float(parameters[number].bijector.slope(at))
+    return slope * float(np.sqrt(spread[number, number]))

@@ -1,0 +1,144 @@
+"""The descent of a parameter's standard error, over profile, load and start angle."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from drftjax.physics.integrator import steady_step
+from drftjax.physics.stress import Rounded
+from drftjax.setups.setup import CommandSetUp
+from drftjax.simulation.rollout import step_times
+from drftjax.simulation.trial import ROW_INTERVAL, Trial
+from identify.design.fisher_information import MARGIN, Objective, Profile, scales, with_gradient
+from identify.design.options import Judge, Option
+
+# Share of the run at its end that the search leaves out.
+LEFT_OUT = 0.08
+
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How hard is searched.
+
+    Attributes:
+        knots: Speeds that are free, evenly in time.
+        starts: Peak speeds that a descent starts from, the best of the scan.
+        steps: Steps of each descent.
+        scan: Peak speeds scanned.
+        plate_size: Of the wheel while searching [m].
+    """
+
+    knots: int = 6
+    starts: int = 2
+    steps: int = 3
+    scan: int = 7
+    plate_size: float = 8e-3
+
+
+@eqx.filter_jit
+def _descend(
+    start: Float[Array, " free"], objective: Objective, steps: int
+) -> Float[Array, " free"]:
+    solver = optx.BFGS(rtol=1e-3, atol=1e-3)
+    function = lambda c, objective: with_gradient(objective, c)  # noqa: E731
+    found = optx.minimise(function, solver, start, objective, max_steps=steps, throw=False)
+    return found.value
+
+
+def _rounded(trial: Trial) -> Trial:
+    """The trial with a stress law whose derivatives have no jumps, so that they have slopes."""
+    return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
+
+
+def objective_of(judge: Judge, search: Search, duration: float | None = None) -> Objective:
+    """The standard error around the given set-up, on coarse plates with rounded corners.
+
+    Args:
+        judge: Of the parameter.
+        search: How hard is searched.
+        duration: Of the run [s]; all that the limits allow where none is given.
+    """
+    setup = copy.deepcopy(judge.base)
+    setup.wheel.plate_size = max(search.plate_size, setup.wheel.plate_size)
+    limit = judge.limits
+    lasts = limit.duration if duration is None else duration
+    turn = limit.travel / setup.wheel.radius
+    profile = Profile(search.knots, limit.speed, limit.acceleration, lasts, limit.rest, turn)
+    setup.command = CommandSetUp(profile.time.tolist(), np.zeros(search.knots + 4).tolist())
+    # The whole step is fast, and the rows of the last slow-down, where it is too long, are not
+    # needed to tell profiles apart.
+    setup.integrator.step = steady_step(
+        setup.wheel.radius, np.array([0.0, 1.0]), np.array([0.0, limit.acceleration])
+    )
+    trial = _rounded(setup.trial())
+    loads, depths = np.zeros(0), np.zeros(0)
+    if limit.loads is not None:
+        loads = np.array(limit.loads) / setup.rig.gravity
+        depths = np.array([judge.deeper(each) for each in limit.loads])
+    ends = np.asarray(step_times(trial.rows, ROW_INTERVAL))
+    until = (lasts - limit.rest) * (1 - LEFT_OUT)
+    counts = np.concatenate([[1.0], ends <= until]).astype(float)
+    scale = scales(trial, judge.quantities)
+    weight = judge.instrument.weight()
+    real = jnp.asarray
+    return Objective(
+        trial,
+        profile,
+        real(loads),
+        real(depths),
+        real(scale),
+        real(weight),
+        real(counts),
+        tuple(judge.quantities),
+    )
+
+
+def descended(judge: Judge, search: Search, starts: list[Option], report: Progress) -> list[Option]:
+    """What each descent came to, where it came to anything; judged as it was at its start.
+
+    Args:
+        judge: Of the parameter.
+        search: How hard is searched.
+        starts: Where descents begin.
+        report: Called with what is being done.
+    """
+    # Where the way ends a run, slower ones last longer.
+    longest = max(each.setup.command.time[-1] for each in starts)
+    objective = objective_of(judge, search, longest)
+    profile = objective.profile
+    points = []
+    for each in starts:
+        command = each.setup.command
+        speeds = np.asarray(np.interp(profile.time[2:-2], command.time, command.omega))
+        extra = [judge.base.start.angle]
+        if judge.limits.loads is not None:
+            low, high = judge.limits.loads
+            share = np.clip((judge.load() - low) / (high - low), MARGIN, 1 - MARGIN)
+            extra = [math.log(share / (1 - share)), *extra]
+        points.append(np.concatenate([profile.coordinates(speeds), extra]))
+    report(f"descending from {len(starts)} peak speeds, {search.steps} steps each")
+    ends = [_descend(jnp.asarray(each), objective, search.steps) for each in points]
+    options = []
+    for start, end in zip(starts, map(np.asarray, ends), strict=True):
+        if not np.isfinite(end).all():
+            continue
+        knots = profile.knots
+        omega = np.asarray(profile.omega(jnp.asarray(end[:knots])))
+        command = CommandSetUp(profile.time.tolist(), omega.tolist())
+        chosen = {"angle": float(end[-1])}
+        if judge.limits.loads is not None:
+            low, high = judge.limits.loads
+            chosen["load"] = low + (high - low) / (1 + math.exp(-end[knots]))
+        name = f"descended from {start.name}"
+        options.append(Option(name, judge.setup_of(command, **chosen), start.knows, {}))
+    return options

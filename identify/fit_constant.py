@@ -1,0 +1,361 @@
+"""Fit numbers of the simulator to recorded runs."""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.common.errors import InputError
+from drftjax.recorded.batch import device_mesh, make_batch
+from drftjax.recorded.compatible import of_one_kind
+from drftjax.recorded.observation import white_noise
+from drftjax.recorded.prepared_run import Candidate
+from identify.parameters.bijector import Interval
+from identify.parameters.parameter import Parameter
+from identify.parameters.phase_zeta import PhaseZeta, by_phase, with_phases
+from identify.results.findings import findings
+from identify.results.result import FitResult
+from identify.results.values import RunFit, values_of
+from identify.solver.batched_levenberg_marquardt import Descent
+from identify.solver.initial_zeta import met_sinkage
+from identify.solver.levenberg_marquardt import LEAST_GAIN, NEGLIGIBLE, Solution, solve
+from identify.solver.multistart import best_start, require_starts
+from identify.solver.problem import Coordinates, Problem, predicted
+from identify.uncertainty.covariance import unseen
+from identify.uncertainty.estimate import Optimum
+from identify.uncertainty.noise_model import AbstractNoise, White
+from identify.uncertainty.priors import contradicted, weighed
+
+# Fits with the weights that the last fit's residuals give; two change the values no further than
+# a small part of their errors.
+REWEIGHTINGS = 2
+
+
+# What a step must gain before the last weights are known, in residual variances: other weights
+# move the least sum of squares by more.
+ROUGHLY_LEAST = 10.0
+
+
+# A run whose residuals are so many times most runs' is weighed by its own: it was recorded or set
+# up amiss, and must not pass for what the others scatter by.
+ODD_MISFIT = 10.0
+
+
+# So far from where it starts a bounded number's coordinate leaves no slope to come back by.
+FARTHEST = 5.0
+
+
+WHITE = White()
+
+
+# How far the simulation may be off by a constant over a phase of the command [m, N, N m]: what its
+# plates and step leave open in sinkage (docs/integrator.md), and the same share of the rest.
+MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
+
+
+# No channel is weighed as finer than this share of it, however fine its readings: the others tell
+# as much then.
+FINEST = 0.2
+
+
+Progress = Callable[[str, int, float], None]
+
+
+def fit(
+    candidates: Sequence[Candidate],
+    parameters: Sequence[Parameter],
+    progress: Progress | None = None,
+    noise: AbstractNoise = WHITE,
+    model_error: Mapping[str, float] = MODEL_ERROR,
+    starts: int = 1,
+) -> FitResult:
+    """Fit `parameters` to all runs together.
+
+    Residuals are weighted first by each instrument's white noise; then, as the model's own error
+    is mostly far larger, by what each channel's residuals were over all runs.
+
+    Args:
+        candidates: Runs; those of another kind of wheel, law or carriage than most are left out.
+        parameters: What to fit, shared or for each run.
+        progress: Called with the stage, the solver's step and the sum of squares.
+        noise: How residuals scatter.
+        model_error: How far the simulation may be off by a constant over a phase of the command,
+            by channel [m, N, N m]; none where it is empty.
+        starts: Starting points to try; the best is kept. See `identify.solver.multistart`.
+
+    Raises:
+        InputError: where no run is left, or two have the same name.
+    """
+    candidates = with_phases(candidates, parameters) if by_phase(parameters) else list(candidates)
+    problem, before, failures = _problem(candidates, tuple(parameters))
+    kept = [each for each in candidates if each.name not in failures]
+    coordinates, tried = met_sinkage(problem, problem.start()), None
+    report = progress or (lambda stage, step, loss: None)
+    require_starts(starts)
+    if starts > 1:
+        coordinates, tried = best_start(
+            problem, len(kept), starts, progress=lambda s, n: report(f"{starts} starts", s, n)
+        )
+    solution = solve(
+        problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
+    )
+    thrown = _thrown(problem, coordinates, solution.coordinates)
+    if solution.status != "converged" or any(thrown):
+        solution = _in_short_steps(problem, len(kept), coordinates, solution, thrown, report)
+    for turn in range(REWEIGHTINGS):
+        active, start = solution.active, solution.coordinates
+        problem = _reweighted(problem, predicted(problem, start), noise, active)
+        stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
+        solution = solve(
+            problem,
+            start,
+            lambda s, v, stage=stage: report(stage, s, v),
+            active,
+            LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
+        )
+        thrown = _thrown(problem, start, solution.coordinates)
+        if any(thrown):
+            solution = _in_short_steps(problem, len(kept), start, solution, thrown, report)
+    optimum = Optimum.of(problem, solution, tuple(kept), model_error)
+    if any(np.isfinite(each.prior_error) for each in problem.parameters):
+        optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
+    return replace(_result(optimum, before, failures), starts=tried)
+
+
+def _in_short_steps(
+    problem: Problem,
+    runs: int,
+    start: Coordinates,
+    solution: Solution,
+    thrown: list[bool],
+    report: Progress,
+) -> Solution:
+    """Where short steps lead to: a number that hardly bears on the runs may be thrown far off.
+
+    Args:
+        problem: Runs and parameters.
+        runs: Number of true runs.
+        start: Where the solver began.
+        solution: Where it ended. From there short steps go on. Where a number was thrown they go
+            from the start, with that number held first and then free, so that they come to no
+            worse an end than without it; the better end counts.
+        thrown: Which numbers were thrown, by `_thrown`.
+        report: Called with the stage, the step and the sum of squares.
+    """
+    descent = Descent(problem, runs, None, solution.active)
+    point = descent.flat(start if any(thrown) else solution.coordinates)[None]
+
+    def said(step: int, _: int) -> None:
+        report("short steps", step, np.nan)
+
+    if any(thrown):
+        shared, own = thrown[: descent.shared], thrown[descent.shared :]
+        held = np.array([*shared, *own * runs])
+        point = descent.run(point, held, progress=said).points
+    ends = descent.run(point, progress=said)
+    again = solve(
+        problem,
+        descent.coordinates(ends.points[0]),
+        lambda s, v: report("fit again", s, v),
+        solution.active,
+    )
+    return again if not any(thrown) or again.loss < solution.loss else solution
+
+
+def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool]:
+    """Which bounded numbers steps have thrown to their bounds, where they hardly move any more.
+
+    Returns:
+        For each shared number, then for each of the runs' own.
+    """
+    (shared, own), (shared_there, own_there) = start, end
+    moved = np.abs(np.asarray(shared_there - shared)), np.abs(np.asarray(own_there - own)).max(0)
+    return [
+        isinstance(each.bijector, Interval) and bool(move > FARTHEST)
+        for each, move in zip(problem.shared + problem.own, np.concatenate(moved), strict=True)
+    ]
+
+
+def _problem(
+    candidates: list[Candidate], parameters: tuple[Parameter, ...]
+) -> tuple[Problem, np.ndarray, dict[str, str]]:
+    """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
+    candidates, failures = _to_start_from(candidates, parameters)
+    while True:
+        if not candidates:
+            named = "; ".join(f"{name}: {why}" for name, why in failures.items())
+            raise InputError(f"no run is left to fit{f' ({named})' if named else ''}")
+        batch = make_batch(
+            [each.trial for each in candidates],
+            [each.observation for each in candidates],
+            jax.device_count(),
+        )
+        white = jnp.zeros(len(batch.channels))
+        problem = Problem(batch, parameters, white, device_mesh())
+        before = predicted(problem, problem.start())
+        fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
+        if all(fine):
+            return problem, before, failures
+        for each, good in zip(candidates, fine, strict=True):
+            if not good:
+                failures[each.name] = "its simulation diverges at the values it starts from"
+        candidates = [each for each, good in zip(candidates, fine, strict=True) if good]
+
+
+def _to_start_from(
+    candidates: list[Candidate], parameters: tuple[Parameter, ...]
+) -> tuple[list[Candidate], dict[str, str]]:
+    """The largest set of runs that one program fits, and why the others are left out."""
+    failures: dict[str, str] = {}
+    for each in candidates:
+        try:
+            for parameter in parameters:
+                parameter.require_start(each.trial)
+        except InputError as problem:
+            failures[each.name] = str(problem)
+    kept, others = of_one_kind([each for each in candidates if each.name not in failures])
+    return kept, failures | others
+
+
+def _reweighted(
+    problem: Problem, simulated: np.ndarray, noise: AbstractNoise, active: np.ndarray
+) -> Problem:
+    """The problem with each channel weighed, and whitened, by its residuals over all runs."""
+    weight = np.asarray(problem.batch.observed.weight)
+    counts = (weight > 0) & active[:, None, None]
+    raw = np.where(counts, simulated - np.asarray(problem.batch.observed.values), 0)
+    intervals = np.asarray(problem.batch.observed.intervals)
+    number = counts.sum(axis=2)
+    each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
+    # A channel that is met better than its instrument can tell must not rule the others.
+    finest = np.array(
+        [
+            max(_lower_median(fast), FINEST * MODEL_ERROR[channel])
+            for channel, fast in zip(problem.batch.channels, _fast(raw, counts), strict=True)
+        ]
+    )
+    usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]
+    odd = each > ODD_MISFIT * np.maximum(usual, finest)
+    kept = np.where(odd, 0, number)
+    pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
+    fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
+    return eqx.tree_at(
+        lambda p: (p.batch.observed.weight, p.correlation),
+        problem,
+        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts, intervals))),
+    )
+
+
+def _fast(raw: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
+    """White noise of each channel's residuals [m, N, N m], of the runs that have some."""
+    return [
+        np.array(
+            [
+                white_noise(residual[here])
+                for residual, here in zip(raw[:, channel], counts[:, channel], strict=True)
+                if here.any()
+            ]
+        )
+        for channel in range(raw.shape[1])
+    ]
+
+
+def _lower_median(values: np.ndarray) -> float:
+    return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
+
+
+def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> FitResult:
+    problem, solution, candidates = optimum.problem, optimum.solution, optimum.candidates
+    error = np.sqrt(np.diag(optimum.covariance))
+    shared_coordinates, own_coordinates = solution.coordinates
+    own_error = error[optimum.shared :].reshape(own_coordinates.shape)
+    own_error = np.where(solution.active[:, None], own_error, np.inf)
+    shared = values_of(problem.shared, shared_coordinates, error[: optimum.shared])
+    after = predicted(problem, solution.coordinates)
+    recorded = np.asarray(problem.batch.observed.values)
+    states = run_states(optimum)
+    runs = []
+    for index, each in enumerate(candidates):
+        own = values_of(problem.own, own_coordinates[index], own_error[index])
+        status = states[index]
+        if status != "diverged" and any(value.at_bound for value in own.values()):
+            status = "at a bound"
+        setup = copy.deepcopy(each.setup)
+        for parameter in problem.parameters:
+            name = parameter.quantity.name
+            parameter.quantity.record(setup, (shared | own)[name].value)
+        placed = problem.placed(each.trial, shared_coordinates, own_coordinates[index])
+        if isinstance(zeta := placed.simulator.terrain.zeta, PhaseZeta):
+            setup.terrain.zeta = zeta.knots()
+        length = len(each.observation.time)
+        channels = each.observation.channels
+        picked = [problem.batch.channels.index(channel) for channel in channels]
+        runs.append(
+            RunFit(
+                name=each.name,
+                setup=setup,
+                values=own,
+                time=each.observation.time,
+                counts=each.observation.counts,
+                channels=channels,
+                recorded=recorded[index, picked, :length],
+                before=before[index, picked, :length],
+                after=after[index, picked, :length],
+                status=status,
+                believed=(each.setup.wheel, each.setup.rig),
+            )
+        )
+    size = len(optimum.ordered)
+    spread = optimum.covariance[:size, :size]
+    hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
+    alone = np.sqrt(optimum.scatter) * np.abs(optimum.slopes[: optimum.shared])
+    scatter = {
+        each.quantity.name: float(size) for each, size in zip(problem.shared, alone, strict=True)
+    }
+    return FitResult(
+        shared=shared,
+        runs=runs,
+        status=solution.status,
+        steps=solution.steps,
+        failures=failures,
+        findings=[
+            *findings(problem.parameters, shared, runs, spread, hidden, scatter),
+            *contradicted(optimum),
+        ],
+        labels=optimum.labels,
+        covariance=optimum.covariance_of_values,
+        optimum=optimum,
+    )
+
+
+def run_states(optimum: Optimum) -> list[str]:
+    """How the solver left each run: "converged", "stalled" or "diverged".
+
+    A run has stalled where a straight line still promises to lower its own sum of squares by a
+    noticeable part, moving its own parameters by more than their errors.
+    """
+    solution = optimum.solution
+    _, own = map(np.asarray, solution.coordinates)
+    counted = (optimum.whitening.scale > 0).sum(axis=(1, 2))
+    beliefs = solution.belief[optimum.shared :].reshape(own.shape)
+    slopes = solution.belief_slope[optimum.shared :].reshape(own.shape)
+    states = []
+    for run in range(len(optimum.candidates)):
+        if not solution.active[run]:
+            states.append("diverged")
+            continue
+        if optimum.share is not None or not optimum.own:
+            states.append("converged" if solution.status == "converged" else "stalled")
+            continue
+        rows = solution.blocks[run][..., optimum.shared :].reshape(-1, optimum.own)
+        left = solution.residual[run].ravel()
+        information = rows.T @ rows + np.diag(slopes[run] ** 2)
+        slope = rows.T @ left + slopes[run] * beliefs[run]
+        gain = float(slope @ np.linalg.lstsq(information, slope, rcond=None)[0])
+        noticeable = max(NEGLIGIBLE, 1 / max(int(counted[run]), 1)) * float(left @ left)
+        states.append("stalled" if gain > noticeable else "converged")
+    return states

@@ -1,0 +1,287 @@
+"""Parameters: which numbers of a trial are fitted, under what name, within what bounds."""
+
+import math
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from drftjax.common.errors import InputError
+from drftjax.physics.stress import COEFFICIENT_NAMES
+from drftjax.simulation.trial import Trial
+from identify.parameters.bijector import AbstractBijector, Interval, Positive, Scaled
+from identify.parameters.effect_quantities import effect_numbers, effect_quantity
+from identify.parameters.quantity import (
+    COEFFICIENT_PREFIX,
+    PHASE_PREFIX,
+    PHASES,
+    SHORT_NAMES,
+    Quantity,
+)
+
+
+def _leaf(
+    name: str, unit: str, where: Callable[[Any], Any], bijector: AbstractBijector
+) -> Quantity:
+    """A quantity that is one leaf of the trial."""
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        return eqx.tree_at(where, trial, value)
+
+    return Quantity(name, unit, where, put, bijector)
+
+
+def _put_sinkage(trial: Trial, value: Float[Array, ""]) -> Trial:
+    place = trial.start.position
+    return eqx.tree_at(lambda t: t.start.position, trial, place.at[1].set(-value))
+
+
+def _put_x(trial: Trial, value: Float[Array, ""]) -> Trial:
+    place = trial.start.position
+    return eqx.tree_at(lambda t: t.start.position, trial, place.at[0].set(value))
+
+
+def _put_speed(trial: Trial, value: Float[Array, ""]) -> Trial:
+    velocity = trial.start.velocity
+    return eqx.tree_at(lambda t: t.start.velocity, trial, velocity.at[0].set(value))
+
+
+def _coefficient(number: int, name: str) -> Quantity:
+    """One of the nine stress coefficients; it may have either sign."""
+
+    def get(trial: Trial) -> Float[Array, ""]:
+        return trial.simulator.terrain.law.coefficients.values[number]  # pyright: ignore
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        where = lambda t: t.simulator.terrain.law.coefficients.values  # noqa: E731
+        return eqx.tree_at(where, trial, where(trial).at[number].set(value))
+
+    return Quantity(COEFFICIENT_PREFIX + name, "N/cm3", get, put, Scaled(0.1))
+
+
+# Coordinate of an interval's inner values up to a thousandth of it from either end.
+NEAR = math.log(1e3)
+
+
+# lambda may leave the physical range a little, so that a fit can say that it does not matter.
+LAMBDA_BOUNDS = Interval(-20.0, 50.0)
+
+
+# A prior's error is more than this share of its mean: a number known so well is no parameter.
+SHARPEST = 1e-9
+
+
+QUANTITIES: dict[str, Quantity] = {
+    each.name: each
+    for each in (
+        _leaf("terrain.zeta", "-", lambda t: t.simulator.terrain.zeta.value, Positive()),
+        _leaf(
+            "terrain.inertial_coefficient",
+            "-",
+            lambda t: t.simulator.terrain.law.inertial_coefficient,
+            LAMBDA_BOUNDS,
+        ),
+        _leaf(
+            "terrain.bulk_density",
+            "kg/m3",
+            lambda t: t.simulator.terrain.law.bulk_density,
+            Positive(),
+        ),
+        _leaf(
+            "terrain.height_decrease",
+            "-",
+            lambda t: t.simulator.terrain.law.height_decrease,
+            Scaled(0.1),
+        ),
+        _leaf("wheel.radius", "m", lambda t: t.simulator.wheel.radius, Positive()),
+        _leaf("wheel.width", "m", lambda t: t.simulator.wheel.width, Positive()),
+        _leaf("wheel.grouser_height", "m", lambda t: t.simulator.wheel.grouser_height, Positive()),
+        _leaf(
+            "wheel.grouser_fraction", "-", lambda t: t.simulator.wheel.grouser_fraction, Positive()
+        ),
+        _leaf(
+            "wheel.grouser_thickness",
+            "m",
+            lambda t: t.simulator.wheel.grouser_thickness,
+            Positive(),
+        ),
+        _leaf("rig.gravity", "m/s2", lambda t: t.simulator.rig.gravity, Positive()),
+        _leaf("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
+        _leaf("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
+        _leaf("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
+        _leaf("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
+        _leaf("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
+        Quantity("start.sinkage", "m", lambda t: -t.start.position[1], _put_sinkage, Scaled(1e-3)),
+        Quantity("start.x", "m", lambda t: t.start.position[0], _put_x, Scaled(1e-3)),
+        Quantity("start.speed", "m/s", lambda t: t.start.velocity[0], _put_speed, Scaled(1e-2)),
+        _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
+        *(_coefficient(number, name) for number, name in enumerate(COEFFICIENT_NAMES)),
+    )
+}
+
+
+def _of_phase(number: int, name: str) -> Quantity:
+    def get(trial: Trial) -> Float[Array, ""]:
+        return trial.simulator.terrain.zeta.level[number]  # pyright: ignore
+
+    def put(trial: Trial, value: Float[Array, ""]) -> Trial:
+        level = trial.simulator.terrain.zeta.level.at[number].set(value)  # pyright: ignore
+        return eqx.tree_at(lambda t: t.simulator.terrain.zeta.level, trial, level)
+
+    return Quantity(PHASE_PREFIX + name, "-", get, put, Positive())
+
+
+PHASE_QUANTITIES = {
+    PHASE_PREFIX + name: _of_phase(number, name) for number, name in enumerate(PHASES)
+}
+
+
+class Parameter(eqx.Module):
+    """A quantity to fit, one number for all runs or one for each.
+
+    Attributes:
+        quantity: What is fitted.
+        shared: One number for all runs.
+        bijector: The bounds it is fitted within.
+        prior_mean, prior_error: A Gaussian belief held before the runs, in the quantity's unit;
+            an infinite error is no belief.
+        start: Where the fit starts; the set-up's value where it is NaN.
+    """
+
+    quantity: Quantity
+    shared: bool = eqx.field(static=True)
+    bijector: AbstractBijector
+    prior_mean: float = 0.0
+    prior_error: float = math.inf
+    start: float = math.nan
+
+    def coordinate(self, trial: Trial) -> Float[Array, ""]:
+        """The solver's coordinate to start from."""
+        value = self.quantity.read(trial)
+        return self.bijector.coordinate(value if math.isnan(self.start) else 0 * value + self.start)
+
+    def require_start(self, trial: Trial) -> None:
+        """Refuse a trial whose own value leaves the fit nowhere to start.
+
+        Raises:
+            InputError: with the value, and the bounds where there are some.
+        """
+        if bool(jnp.isfinite(self.coordinate(trial))):
+            return
+        name, value = self.quantity.name, float(self.quantity.read(trial))
+        if isinstance(self.bijector, Interval):
+            raise InputError(
+                f"its {name} is {value:g}, outside the bounds {self.bijector.low:g} to "
+                f"{self.bijector.high:g}; give a start within them"
+            )
+        raise InputError(f"its {name} is {value:g}, where no fit within its bounds starts")
+
+    def belief(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Residual of the prior: how many of its errors the value lies from its mean."""
+        return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
+
+    def at_bound(self, coordinate: float, error: float) -> bool:
+        """Whether the value has run into one of its bounds.
+
+        Near a bound a coordinate's unit is the way to it: a value whose error is less than one lies
+        inside, however wide the bounds are.
+
+        Args:
+            coordinate: The solver's.
+            error: Its standard error; 0 or infinite where the runs tell nothing of it there.
+        """
+        return isinstance(self.bijector, Interval) and abs(coordinate) > NEAR and not 0 < error < 1
+
+
+def quantity(name: str) -> Quantity:
+    """A quantity by its name, such as "terrain.zeta" or "drawbar.force", or a short one, "zeta".
+
+    Raises:
+        InputError: for an unknown name, with the nearest known ones.
+    """
+    full = SHORT_NAMES.get(name, name)
+    every = QUANTITIES | PHASE_QUANTITIES
+    of_effect = None if full in every else effect_quantity(full)
+    if of_effect is not None:
+        return of_effect
+    if full not in every:
+        short = [each for each in SHORT_NAMES if "." not in each or name.startswith("zeta.")]
+        near = get_close_matches(name, [*QUANTITIES, *short, *effect_numbers()], n=3, cutoff=0.4)
+        known = " or ".join(near) if near else ", ".join(QUANTITIES)
+        raise InputError(f"there is no parameter {name!r}; did you mean {known}?")
+    return every[full]
+
+
+def typical(name: str) -> float:
+    """A typical change of a quantity that may be zero, in its unit; zero for any other."""
+    full = SHORT_NAMES.get(name, name)
+    known = (QUANTITIES | PHASE_QUANTITIES).get(full) or effect_quantity(full)
+    return known.bijector.scale if known and isinstance(known.bijector, Scaled) else 0.0
+
+
+def own(name: str, **known: Any) -> Parameter:
+    """A parameter that each run has for itself; see `parameter`."""
+    return parameter(name, shared=False, **known)
+
+
+def shared(name: str, **known: Any) -> Parameter:
+    """A parameter that all runs have in common; see `parameter`."""
+    return parameter(name, shared=True, **known)
+
+
+def require_once(parameters: Sequence[Parameter]) -> None:
+    """Refuse a number that is to be fitted twice."""
+    names = [each.quantity.name for each in parameters]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"{', '.join(sorted(twice))} is asked for twice; fit it shared or own")
+
+
+def parameter(
+    name: str,
+    *,
+    shared: bool,
+    bounds: tuple[float, float] | None = None,
+    prior: tuple[float, float] | None = None,
+    start: float | None = None,
+) -> Parameter:
+    """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
+
+    Args:
+        name: See `QUANTITIES`, or NAME.NUMBER of an effect; "zeta", "lambda" and "A00" are short.
+        shared: One number for all runs, or one for each.
+        bounds: Lowest and highest value; the quantity's natural ones where none are given.
+        prior: Mean and standard error of what is believed before the runs.
+        start: Where the fit starts; the set-up's value where none is given.
+
+    Raises:
+        InputError: for an unknown name, bounds that leave nothing or exclude the start, or a
+            prior without a positive error.
+    """
+    what = quantity(name)
+    bijector = what.bijector
+    if bounds is not None:
+        low, high = bounds
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise InputError(f"the bounds of {name} are {low:g} to {high:g}; both must be finite")
+        if not low < high:
+            raise InputError(
+                f"the bounds of {name} are {low:g} to {high:g}; the first must be less"
+            )
+        bijector = Interval(low, high)
+    if start is not None and isinstance(bijector, Interval):
+        low, high = bijector.low, bijector.high
+        if not low < start < high:
+            raise InputError(f"{name} starts at {start:g}, outside its bounds {low:g} to {high:g}")
+    elif start is not None and isinstance(bijector, Positive) and not 0 < start < math.inf:
+        raise InputError(f"{name} starts at {start:g}, must be positive and finite")
+    mean, error = prior or (0.0, math.inf)
+    if not math.isfinite(mean):
+        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its mean must be finite")
+    if not error > SHARPEST * abs(mean):
+        least = f"over {SHARPEST * abs(mean):g}" if error > 0 else "positive"
+        raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be {least}")
+    return Parameter(what, shared, bijector, mean, error, math.nan if start is None else start)

@@ -1,0 +1,295 @@
+"""What a fit found: values with errors, residuals by run and channel, and the models as files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import msgspec
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from drftjax import __version__
+from drftjax.common.errors import InputError
+from drftjax.common.output_files import files_of, make_folder, replace_file
+from drftjax.common.rich_text import summary_html, summary_text
+from drftjax.common.structured_files import as_json
+from drftjax.common.text import printable
+from drftjax.recorded.observation import SHOWN
+from drftjax.runlog.hdf5.api import write_result
+from drftjax.runlog.schema import UNITS
+from drftjax.setups.command_knots import thinned
+from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
+from drftjax.setups.setup import SetUp
+from identify.results.values import RunFit, Value
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from identify.solver.multistart import Starts
+    from identify.uncertainty.bootstrap import Bootstrap
+    from identify.uncertainty.estimate import Optimum
+    from identify.uncertainty.profile_likelihood import Profile
+    from identify.zeta_path.path import ZetaPath
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """A fit of many runs.
+
+    Attributes:
+        shared: Values shared by all runs, by name.
+        runs: Each run's own values, residuals and fitted set-up.
+        status: How the solver ended: "converged", "stalled" or "out of steps".
+        steps: Steps of the last solve.
+        failures: Runs that were left out, and why.
+        findings: What the numbers mean, in sentences.
+        labels: A name for each value: shared ones, then each run's own.
+        covariance: Of the values, in their units squared, ordered as `labels`.
+        starts: What became of several starting points, where there were any.
+        profiles: Profiles asked for.
+        bootstraps: Bootstraps asked for.
+        optimum: What `profile` and `bootstrap` go on from.
+    """
+
+    shared: Mapping[str, Value]
+    runs: list[RunFit]
+    status: str
+    steps: int
+    failures: Mapping[str, str]
+    findings: list[str] = field(default_factory=list)
+    labels: tuple[str, ...] = ()
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    starts: "Starts | None" = None
+    profiles: tuple["Profile", ...] = ()
+    bootstraps: tuple["Bootstrap", ...] = ()
+    optimum: "Optimum | None" = field(default=None, repr=False)
+
+    def with_failures(self, more: Mapping[str, str]) -> "FitResult":
+        """The same with further runs named as left out."""
+        return replace(self, failures={**more, **self.failures})
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Every fitted value by its label: "lambda", "zeta of slow_a"."""
+        every = [*self.shared.values(), *(v for run in self.runs for v in run.values.values())]
+        return dict(zip(self.labels, every, strict=True)) if self.labels else {}
+
+    @property
+    def residuals(self) -> dict[str, dict[str, np.ndarray]]:
+        """Simulated minus recorded by run and channel [m, N, N m]."""
+        return {run.name: run.residuals for run in self.runs}
+
+    @property
+    def predictions(self) -> dict[str, dict[str, np.ndarray]]:
+        """Simulated channels by run and channel [m, N, N m]."""
+        return {run.name: run.predictions for run in self.runs}
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that any run compares."""
+        return tuple(c for c in SHOWN if any(c in run.channels for run in self.runs))
+
+    def rmse(self, fitted: bool = True) -> dict[str, float]:
+        """Root mean square over all samples of all runs, by channel [m, N, N m]."""
+        pooled = {}
+        for channel in self.channels:
+            runs = [run for run in self.runs if channel in run.channels]
+            runs = [run for run in runs if run.status != "diverged"] or runs
+            power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in runs)
+            pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in runs)))
+        return pooled
+
+    def table(self) -> Table:
+        """RMSE before and after, by run and channel, with each run's own values."""
+        channels = self.channels
+        table = Table(title="simulated minus recorded, RMSE before → after the fit")
+        # Names fold in a narrow terminal: cut off, zeta.stand and zeta.steady would look alike.
+        table.add_column("run", overflow="fold")
+        table.add_column("status", overflow="fold")
+        own = list(self.runs[0].values)
+        for name in own:
+            label = self.runs[0].values[name].label
+            table.add_column(label, justify="right", overflow="fold")
+        for channel in channels:
+            heading = escape(f"{channel} [{SHOWN[channel][0]}]")
+            table.add_column(heading, justify="right", overflow="fold")
+
+        def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
+            return [
+                f"{before[c] * SHOWN[c][1]:.3f} → {after[c] * SHOWN[c][1]:.3f}"
+                if c in before
+                else "-"
+                for c in channels
+            ]
+
+        for run in self.runs:
+            values = [run.values[n].cell() for n in own]
+            compared = cells(run.rmse(False), run.rmse())
+            table.add_row(escape(printable(run.name)), run.status, *values, *compared)
+        table.add_section()
+        table.add_row("all runs", "", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
+        return table
+
+    def document(self) -> dict:
+        """The result as plain values, in the layout of the JSON file."""
+        return {
+            "schema": FIT_SCHEMA,
+            "schema_version": 1,
+            "software": f"drftjax {__version__}",
+            "status": self.status,
+            "steps": self.steps,
+            "shared": msgspec.to_builtins(self.shared),
+            "covariance": {"of": list(self.labels), "values": self.covariance.tolist()},
+            "starts": msgspec.to_builtins(self.starts),
+            "profiles": [
+                {
+                    "label": each.label,
+                    "unit": each.unit,
+                    "level": each.level,
+                    "low": each.low,
+                    "high": each.high,
+                    "value": each.value.tolist(),
+                    "rise": each.rise.tolist(),
+                }
+                for each in self.profiles
+            ],
+            "bootstraps": [
+                {
+                    "over": each.over,
+                    "refit": each.refit,
+                    "draws": len(each.draws),
+                    "level": each.level,
+                    "intervals": {
+                        name: {"low": low, "high": high, "error": error}
+                        for name, low, high, error in zip(
+                            each.labels,
+                            each.low.tolist(),
+                            each.high.tolist(),
+                            each.error.tolist(),
+                            strict=True,
+                        )
+                    },
+                }
+                for each in self.bootstraps
+            ],
+            "rmse_before": self.rmse(False),
+            "rmse_after": self.rmse(),
+            "failures": dict(self.failures),
+            "findings": self.findings,
+            "runs": [
+                {
+                    "name": run.name,
+                    "status": run.status,
+                    "values": msgspec.to_builtins(run.values),
+                    "zeta_path": _path(run.path),
+                    "rmse_before": run.rmse(False),
+                    "rmse_after": run.rmse(),
+                    "setup": msgspec.to_builtins(_slim(run.setup)),
+                }
+                for run in self.runs
+            ],
+        }
+
+    def plot(self) -> "Figure":
+        """Recorded and simulated channels of each run as a figure."""
+        from identify.results.figure import plot_fit
+
+        return plot_fit(self.runs, self.channels, list(self.shared.values()), self.bands)
+
+    def profile(self, name: str, **options: Any) -> "FitResult":
+        """The same with the profile likelihood of a value; see `profile_likelihood.profiles`."""
+        from identify.uncertainty.profile_likelihood import profiles
+
+        with jax.enable_x64(True):
+            found = profiles(self._settled(), name, **options)
+        return replace(self, profiles=(*self.profiles, *found))
+
+    def bootstrap(self, count: int, **options: Any) -> "FitResult":
+        """The same with intervals and bands of `count` draws; see `uncertainty.bootstrap`."""
+        from identify.uncertainty.bootstrap import bootstrap
+
+        with jax.enable_x64(True):
+            found = bootstrap(self._settled(), count, **options)
+        return replace(self, bootstraps=tuple(found))
+
+    def _settled(self) -> "Optimum":
+        if self.optimum is None:
+            raise InputError("this result holds no solved fit to go on from")
+        return self.optimum
+
+    @property
+    def bands(self) -> Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]:
+        """Where readings are expected, by run and channel [m, N, N m]; needs a bootstrap."""
+        return self.bootstraps[0].bands if self.bootstraps else {}
+
+    def sentences(self) -> list[str]:
+        """What stands under the table: shared values, findings, and what was left out."""
+        told = [str(value) for value in self.shared.values()]
+        told += [str(self.starts)] if self.starts else []
+        told += [str(profile) for profile in self.profiles]
+        told += [sentence for each in self.bootstraps for sentence in each.sentences()]
+        told += self.findings
+        told += [f"left out: {name}: {why}" for name, why in self.failures.items()]
+        if self.status != "converged":
+            told.append(f"the solver is {self.status} after {self.steps} steps")
+        return told
+
+    def summary(self, width: int = 110) -> str:
+        """Table and findings as text, so many columns wide."""
+        return summary_text([self.table(), *self.sentences()], width)
+
+    def _repr_html_(self) -> str:
+        return summary_html([self.table(), *self.sentences()])
+
+    def write(self, stem: Path) -> list[Path]:
+        """Write `stem`.json and `stem`.h5, from which `drft simulate --from` reads models back.
+
+        The HDF5 file also holds every run's recorded and simulated channels.
+
+        Raises:
+            InputError: where they cannot be written.
+        """
+        text, binary, _ = result_files(stem)
+        make_folder(stem.parent)
+        replace_file(text, as_json(self.document()))
+        groups = {run.name: _group(run, self.bands.get(run.name, {})) for run in self.runs}
+        numbers = {
+            f"{n}_{k}": getattr(v, k) for n, v in self.shared.items() for k in ("value", "error")
+        }
+        write_result(binary, FIT_SCHEMA, {"status": self.status, **numbers}, groups)
+        return [text, binary]
+
+
+def result_files(stem: Path) -> tuple[Path, Path, Path]:
+    """`stem`.json, `stem`.h5 and `stem`.png: a fit's values, its channels and its figure."""
+    text, binary, picture = files_of(stem, (".json", ".h5", ".png"))
+    return text, binary, picture
+
+
+def _path(path: "ZetaPath | None") -> dict | None:
+    if path is None:
+        return None
+    columns = {name: getattr(path, name).tolist() for name in ("time", "value", "error", "told")}
+    return columns | {"weight": path.weight}
+
+
+def _slim(setup: SetUp) -> SetUp:
+    return msgspec.structs.replace(setup, command=thinned(setup.command))
+
+
+def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):
+    datasets = {"time": (run.time, "s"), "counts": (run.counts, "1")}
+    for index, channel in enumerate(run.channels):
+        for kind in ("recorded", "before", "after"):
+            datasets[f"{channel}_{kind}"] = (getattr(run, kind)[index], UNITS["measured"][channel])
+        for kind, values in zip(("low", "high"), bands.get(channel, ()), strict=False):
+            datasets[f"{channel}_{kind}"] = (values, UNITS["measured"][channel])
+    if run.path is not None:
+        datasets["zeta_time"] = (run.path.time, "s")
+        datasets["zeta"] = (run.path.value, "1")
+        datasets["zeta_error"] = (run.path.error, "1")
+    numbers = {f"{n}_{k}": getattr(v, k) for n, v in run.values.items() for k in ("value", "error")}
+    return model_group(run.setup, datasets, numbers)

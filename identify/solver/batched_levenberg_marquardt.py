@@ -1,0 +1,239 @@
+"""Many fits of one batch side by side: Levenberg-Marquardt from many points under one vmap.
+
+Starting points, places of a profile and simulated recordings all ask for the same: the batch and
+its derivative at many coordinates at once. The small linear algebra of each is NumPy's.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.common.memory import piece_bytes
+from identify.parameters.parameter import Parameter
+from identify.solver.levenberg_marquardt import LEAST_GAIN
+from identify.solver.problem import Coordinates, Problem, normal_equations
+from identify.solver.whitening import Whitening
+
+# Derivatives of so many bytes at most are held at once; more points are taken in turns.
+CHUNK_BYTES = 2e8
+
+
+# Points are computed together by ones, fours, sixteens: few programs for any number of them.
+ROOMIER = 4
+
+
+MOST_STEPS = 40
+
+
+# Shorter steps in a row that gain nothing: what is left lies under the simulation's resolution.
+MOST_REFUSED = 6
+
+
+# Damping, as a share of the information's diagonal; each refusal multiplies it, each step divides.
+FIRST_DAMPING, DAMPING_FACTOR = 1e-3, 8.0
+
+
+# No coordinate moves by more than this in one step, so that a straight line is not followed out
+# of sight.
+LONGEST_STEP = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where each point came to.
+
+    Attributes:
+        points: Coordinates, shape (points, coordinates).
+        loss: Sum of squares there, priors included; infinite where nothing could be simulated.
+        settled: Whether no further step gains anything.
+    """
+
+    points: np.ndarray
+    loss: np.ndarray
+    settled: np.ndarray
+
+
+@eqx.filter_jit
+def _blocks_at_all(problem: Problem, points: Coordinates) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(problem.blocks)(*points)
+
+
+def _blocks_at(problem: Problem, points: Coordinates) -> tuple[jax.Array, ...]:
+    if len(points[0]) > 1:
+        return _blocks_at_all(problem, points)
+    # The program that others need for one point, too.
+    return tuple(each[None] for each in problem.blocks(points[0][0], points[1][0]))
+
+
+class Descent:
+    """A batch of runs, ready to be fitted from many points.
+
+    Args:
+        problem: Runs and parameters.
+        runs: Number of true runs; the rest of the batch is padding.
+        whitening: Of the residuals; as weighted where none is given.
+        active: False for runs that do not count, shape (runs,).
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        runs: int,
+        whitening: Whitening | None = None,
+        active: np.ndarray | None = None,
+    ):
+        self.problem = problem
+        self.runs = runs
+        self.whitening = whitening
+        weight = np.asarray(problem.batch.observed.weight)
+        self.counts = weight > 0
+        if active is not None:
+            self.counts &= active[:, None, None]
+        self.shared, self.own = len(problem.shared), len(problem.own)
+        size = max(1, weight.size * (self.shared + self.own + 1) * 8)
+        # Powers, so that few programs are compiled as what is free comes and goes.
+        fitting = max(1.0, piece_bytes(CHUNK_BYTES) / size)
+        self.chunk = ROOMIER ** math.floor(math.log(fitting, ROOMIER))
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """The parameter of each coordinate."""
+        return [*self.problem.shared, *self.problem.own * self.runs]
+
+    def start(self) -> np.ndarray:
+        """The point that the problem starts from."""
+        return self.flat(self.problem.start())
+
+    def flat(self, coordinates: Coordinates) -> np.ndarray:
+        """Coordinates in one row, padded runs left out."""
+        shared, own = map(np.asarray, coordinates)
+        return np.r_[shared, own[: self.runs].ravel()]
+
+    def coordinates(self, point: np.ndarray) -> Coordinates:
+        """Coordinates as the problem takes them, from one row."""
+        shared, own = self._coordinates(point[None])
+        return self.problem.everywhere((shared[0], own[0]))
+
+    def run(
+        self,
+        points: np.ndarray,
+        held: np.ndarray | None = None,
+        shift: np.ndarray | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Ends:
+        """Lower the sum of squares from every point.
+
+        Args:
+            points: Where to start, shape (points, coordinates).
+            held: True for coordinates that stay, shape (coordinates,).
+            shift: Added to every whitened residual, shape (points, runs, channels, samples).
+            progress: Called with the number of the step and of points that still move.
+        """
+        free = np.ones(points.shape[1], bool) if held is None else ~held
+        here = points.copy()
+        count = float(self.counts.sum())
+        loss, information, slope = self._equations(here, shift)
+        settled = ~np.isfinite(loss)
+        damping = np.full(len(here), FIRST_DAMPING)
+        refused = np.zeros(len(here), int)
+        for number in range(1, MOST_STEPS + 1):
+            moving = np.flatnonzero(~settled)
+            if progress:
+                progress(number, len(moving))
+            if not len(moving):
+                break
+            tried = here.copy()
+            for point in moving:
+                tried[point] += _step(information[point], slope[point], damping[point], free)
+            kept = None if shift is None else shift[moving]
+            fresh = self._equations(tried[moving], kept)
+            for point, *ours in zip(moving, *fresh, strict=True):
+                gain = loss[point] - ours[0]
+                if not gain > 0:
+                    refused[point] += 1
+                    damping[point] *= DAMPING_FACTOR
+                    settled[point] = refused[point] == MOST_REFUSED
+                    continue
+                settled[point] = gain * count <= LEAST_GAIN * ours[0]
+                here[point] = tried[point]
+                loss[point], information[point], slope[point] = ours
+                damping[point] /= DAMPING_FACTOR
+                refused[point] = 0
+        return Ends(here, loss, settled & np.isfinite(loss))
+
+    def _equations(
+        self, points: np.ndarray, shift: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Loss, J^T J and J^T r of every point, the priors included."""
+        size = points.shape[1]
+        loss = np.full(len(points), np.inf)
+        information, slope = np.zeros((len(points), size, size)), np.zeros((len(points), size))
+        for begin in range(0, len(points), self.chunk):
+            part = points[begin : begin + self.chunk]
+            # One size of chunk is compiled once; the last is filled up.
+            filled = np.concatenate([part, part[:1].repeat(self._room(len(points)) - len(part), 0)])
+            residuals, blocks = map(np.asarray, _blocks_at(self.problem, self._coordinates(filled)))
+            for index in range(len(part)):
+                number = begin + index
+                extra = None if shift is None else shift[number]
+                ends = self._normal(residuals[index], blocks[index], points[number], extra)
+                if ends is not None:
+                    loss[number], information[number], slope[number] = ends
+        return loss, information, slope
+
+    def _room(self, points: int) -> int:
+        """How many points the program for so many takes: each such number is compiled once."""
+        room = 1
+        while room < min(points, self.chunk):
+            room *= ROOMIER
+        return min(self.chunk, room)
+
+    def _normal(
+        self, residual: np.ndarray, blocks: np.ndarray, point: np.ndarray, shift: np.ndarray | None
+    ) -> tuple[float, np.ndarray, np.ndarray] | None:
+        residual = np.where(self.counts, residual, 0)
+        blocks = np.where(self.counts[..., None], blocks, 0)
+        if not (np.isfinite(residual).all() and np.isfinite(blocks).all()):
+            return None
+        if self.whitening is not None:
+            residual, blocks = self.whitening.apply(residual), self.whitening.apply(blocks)
+        if shift is not None:
+            residual = residual + shift
+        information, slope = normal_equations(blocks[: self.runs], self.shared, residual)
+        belief, belief_slope = self._beliefs(point)
+        information += np.diag(belief_slope**2)
+        slope += belief_slope * belief
+        return float(np.sum(residual**2) + np.sum(belief**2)), information, slope
+
+    def _beliefs(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values = [
+            (float(p.belief(at)), float(p.bijector.slope(at)) / p.prior_error)
+            if np.isfinite(p.prior_error)
+            else (0.0, 0.0)
+            for p, at in zip(self.parameters, jnp.asarray(point), strict=True)
+        ]
+        belief, slope = zip(*values, strict=True) if values else ((), ())
+        return np.array(belief), np.array(slope)
+
+    def _coordinates(self, points: np.ndarray) -> Coordinates:
+        rows = self.counts.shape[0]
+        own = np.zeros((len(points), rows, self.own))
+        own[:, : self.runs] = points[:, self.shared :].reshape(len(points), self.runs, self.own)
+        # Padded runs repeat the first.
+        own[:, self.runs :] = own[:, :1]
+        return jnp.asarray(points[:, : self.shared]), jnp.asarray(own)
+
+
+def _step(
+    information: np.ndarray, slope: np.ndarray, damping: float, free: np.ndarray
+) -> np.ndarray:
+    move = np.zeros(len(slope))
+    inner = information[np.ix_(free, free)]
+    damped = inner + damping * np.diag(np.maximum(np.diag(inner), np.finfo(float).tiny))
+    move[free] = -np.linalg.lstsq(damped, slope[free], rcond=None)[0]
+    return move * min(1.0, LONGEST_STEP / max(np.abs(move).max(initial=0.0), LONGEST_STEP))

@@ -1,0 +1,333 @@
+"""Least squares over a batch: optimistix's Levenberg-Marquardt on a structured Jacobian."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float
+
+from identify.solver.problem import Coordinates, Problem, normal_equations
+
+# A step that lowers the sum of squares by less than this many residual variances moves no
+# parameter by a noticeable part of its standard error.
+LEAST_GAIN = 0.1
+
+
+# After so many refusals in a row, each a shorter step than the last, what is left to gain lies
+# under the simulation's resolution: stops and landings make the sum of squares rough by as much.
+MOST_REFUSED = 3
+
+
+# Parts of the whole step that are tried along it where damping finds nothing: optimistix damps all
+# coordinates alike, which hardly shortens a step in one that the runs tell well.
+PARTS = (0.3, 0.1, 0.03)
+
+
+# Steps in a row, each shorter than the last, on which a run cannot be simulated before it is put
+# aside for the others' sake.
+MOST_STRIKES = 3
+
+
+# A run whose roughness keeps the others from gaining more than this, in residual variances, is
+# left where it is while they go on; they go back where all together lose by it.
+HELD = 1.0
+
+
+# Of the sum of squares: less is not worth a warning.
+NEGLIGIBLE = 0.01
+
+
+MOST_STEPS = 60
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the solver stopped.
+
+    Attributes:
+        coordinates: Shared coordinates, and each run's own.
+        residual: Weighted residuals there, shape (runs, channels, samples).
+        blocks: Their derivative, shape (runs, channels, samples, shared + own).
+        belief: Residuals of the priors of all coordinates: shared, then each run's own.
+        belief_slope: Their derivative, each by its own coordinate.
+        steps: Steps taken.
+        status: "converged", "stalled" or "out of steps".
+        promised: Share of the sum of squares that a straight line from here says is still to gain.
+        active: False for runs that were put aside, as their simulation diverged; shape (runs,).
+            They count no more, and their own coordinates stay where they last could be simulated.
+    """
+
+    coordinates: Coordinates
+    residual: np.ndarray
+    blocks: np.ndarray
+    belief: np.ndarray
+    belief_slope: np.ndarray
+    steps: int
+    status: str
+    promised: float
+    active: np.ndarray
+
+    @property
+    def loss(self) -> float:
+        """Sum of squared weighted residuals, those of the priors included."""
+        return float(np.sum(self.residual**2) + np.sum(self.belief**2))
+
+
+def solve(
+    problem: Problem,
+    start: Coordinates,
+    progress: Callable[[int, float], None] | None = None,
+    active: np.ndarray | None = None,
+    least_gain: float = LEAST_GAIN,
+) -> Solution:
+    """Minimise the sum of squared weighted residuals, a compiled step at a time.
+
+    Args:
+        problem: Batch and parameters.
+        start: Coordinates to start from.
+        progress: Called with the number of the step and the sum of squares so far.
+        active: False for runs that do not count.
+        least_gain: Where a step gains less than so many residual variances, and the next one
+            promises no more, the sum of squares is least.
+    """
+    report = progress or (lambda step, loss: None)
+    counted = (np.asarray(problem.batch.observed.weight) > 0).sum(axis=(1, 2))
+    active = np.ones(len(counted), bool) if active is None else active.copy()
+    moving = active.copy()
+    strikes = np.zeros(len(counted), int)
+
+    def begun() -> tuple:
+        task = problem, problem.everywhere(jnp.asarray(moving))
+        return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
+
+    coordinates, ahead, status, number = start, None, "out of steps", 0
+    # Where runs were set aside for the others' sake.
+    parted: list[Coordinates] = []
+    task, state, loss, each, refused = begun()
+    shortened = False
+    for number in range(1, MOST_STEPS + 1):
+        tried = state.y_eval
+        coordinates, state, now, each_now, each_next = _step(task, coordinates, state)
+        now, each_now = float(now), np.asarray(each_now)
+        report(number, now)
+        if now < loss:
+            if _gain(each, each_now, counted) <= least_gain:
+                status = "converged"
+                break
+            if not shortened and _gain(each_now, np.asarray(each_next), counted) <= least_gain:
+                # So short a step is taken on the straight line's word.
+                ahead, status = state.y_eval, "converged"
+                break
+            loss, each, refused = now, each_now, 0
+            continue
+        # From here on steps are damped, and promise little because they are short.
+        shortened = True
+        sound, each_tried = map(np.asarray, _tried(task, tried))
+        if not all(np.isfinite(part).all() for part in state.y_eval):
+            sound = sound & np.asarray(_differentiated(task, coordinates))
+        strikes = np.where(moving & ~sound, strikes + 1, 0)
+        if strikes.any():
+            if strikes.max() < MOST_STRIKES:
+                continue
+            active &= strikes < MOST_STRIKES
+            moving &= active
+        else:
+            refused += 1
+            if refused < MOST_REFUSED:
+                continue
+            least = least_gain * loss / max(counted[moving].sum(), 1)
+            nearer = _on_the_way(task, coordinates, state, loss - least)
+            if nearer is not None:
+                coordinates = nearer
+                task, state, loss, each, refused = begun()
+                shortened = False
+                continue
+            rough = moving & (each_tried > each)
+            others = moving & ~rough
+            gain = _gain(each[others], each_tried[others], counted[others])
+            # Of numbers that all share no run may be left out: what one loses, others gain.
+            if not problem.own or not rough.any() or gain <= HELD:
+                status = "stalled"
+                break
+            parted.append(coordinates)
+            moving = others
+        if not moving.any():
+            status = "stalled"
+            break
+        task, state, loss, each, refused = begun()
+        shortened = False
+    if (active != moving).any() or not np.isfinite(loss):
+        # The solver has not been where it stands with all these runs.
+        task = problem, problem.everywhere(jnp.asarray(active))
+        stands = [(at, *_step(task, at, _initial(task, at))[1:3]) for at in (coordinates, *parted)]
+        best = min(stands, key=lambda each: np.nan_to_num(float(each[2]), nan=np.inf))
+        if best is not stands[0]:
+            ahead, status = None, "stalled"
+        coordinates, state, _ = best
+    ends = _ending(coordinates, ahead or coordinates, state)
+    residual, blocks, belief, belief_slope = map(np.asarray, ends)
+    coordinates = ahead or coordinates
+    promised, _ = _whole_step(problem, residual, blocks, belief, belief_slope)
+    if status == "stalled" and promised < NEGLIGIBLE:
+        status = "converged"
+    return Solution(
+        coordinates, residual, blocks, belief, belief_slope, number, status, promised, active
+    )
+
+
+def _gain(before: np.ndarray, now: np.ndarray, counted: np.ndarray) -> float:
+    """What a step gained, in each run's residual variances: a run met badly rules no other."""
+    variance = np.maximum(now, np.finfo(float).tiny) / np.maximum(counted, 1)
+    return float(np.sum(np.where(counted > 0, np.abs(before - now) / variance, 0)))
+
+
+def _whole_step(
+    problem: Problem,
+    residual: np.ndarray,
+    blocks: np.ndarray,
+    belief: np.ndarray,
+    belief_slope: np.ndarray,
+) -> tuple[float, np.ndarray]:
+    """Share of the sum of squares that a straight line could still take away, and the step there.
+
+    Arguments as in `Solution`; the step is of all coordinates: shared ones, then each run's own.
+    """
+    information, slope = normal_equations(blocks, len(problem.shared), residual)
+    information += np.diag(belief_slope**2)
+    slope += belief_slope * belief
+    step = -np.linalg.lstsq(information, slope, rcond=None)[0]
+    whole = max(np.sum(residual**2), np.finfo(float).tiny)
+    return float(-slope @ step / whole), step
+
+
+def _on_the_way(task: "Task", coordinates: Coordinates, state, under: float) -> Coordinates | None:
+    """A part of the way along the whole step where the sum of squares is `under` so much.
+
+    None where there is none, or the step promises nothing noticeable.
+    """
+    problem, _ = task
+    residual, blocks, belief, belief_slope = map(
+        np.asarray, _ending(coordinates, coordinates, state)
+    )
+    promised, step = _whole_step(problem, residual, blocks, belief, belief_slope)
+    if promised < NEGLIGIBLE:
+        return None
+    shared, own = coordinates
+    number = len(problem.shared)
+    for part in PARTS:
+        there = problem.everywhere(
+            (shared + part * step[:number], own + part * step[number:].reshape(own.shape))
+        )
+        # Not finite, so not under, where a run cannot be simulated.
+        if float(_loss(task, there)) < under:
+            return there
+    return None
+
+
+_SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=lx.QR())
+
+
+# A problem, and which of its runs count.
+Task = tuple[Problem, Bool[Array, " runs"]]
+
+
+def _function(coordinates: Coordinates, task: Task) -> tuple[tuple[Array, ...], None]:
+    problem, _ = task
+    return (structured_residual(task, coordinates), *problem.beliefs(*coordinates)), None
+
+
+@eqx.filter_jit
+def _initial(task: Task, start: Coordinates):
+    shape, nothing = jax.eval_shape(_function, start, task)
+    state = _SOLVER.init(_function, start, task, {}, shape, nothing, frozenset())
+    return task[0].everywhere(state)
+
+
+@eqx.filter_jit
+def _step(task: Task, coordinates: Coordinates, state):
+    coordinates, state, _ = _SOLVER.step(_function, coordinates, task, {}, state, frozenset())
+    coordinates, state = task[0].everywhere((coordinates, state))
+    residual, *beliefs = state.f_info.residual
+    each = jnp.sum(residual**2, axis=(1, 2))
+    loss = each.sum() + sum(jnp.sum(part**2) for part in beliefs)
+    # What a straight line says that the next step, known already, leaves of each run.
+    ahead = jax.tree.map(jnp.subtract, state.y_eval, coordinates)
+    promised, *_ = state.f_info.jac.mv(ahead)
+    return coordinates, state, loss, each, jnp.sum((residual + promised) ** 2, axis=(1, 2))
+
+
+@eqx.filter_jit
+def _tried(task: Task, tried: Coordinates) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
+    """Which runs can be simulated at `tried`, and each run's sum of squares there."""
+    residual = task[0].residual(*tried)
+    return _finite(residual), jnp.sum(residual**2, axis=(1, 2))
+
+
+@eqx.filter_jit
+def _loss(task: Task, at: Coordinates) -> Float[Array, ""]:
+    """Sum of squares of the runs that count, and of the priors."""
+    residual, *beliefs = _function(at, task)[0]
+    return jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in beliefs)
+
+
+@eqx.filter_jit
+def _differentiated(task: Task, coordinates: Coordinates) -> Bool[Array, " runs"]:
+    """Which runs can be differentiated where the solver stands."""
+    return _finite(task[0].blocks(*coordinates)[1])
+
+
+def _finite(values: Array) -> Bool[Array, " runs"]:
+    return jnp.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+
+
+@eqx.filter_jit
+def _ending(coordinates: Coordinates, ahead: Coordinates, state):
+    """Residuals and derivatives where the solver stands, on a straight line to `ahead`.
+
+    What the solver has is taken: nothing is simulated.
+    """
+    info = state.f_info
+    shared, own = coordinates
+    runs, number = own.shape
+    units = [
+        *((unit, jnp.zeros_like(own)) for unit in jnp.eye(len(shared))),
+        *((jnp.zeros_like(shared), jnp.tile(unit, (runs, 1))) for unit in jnp.eye(number)),
+    ]
+    blocks = jnp.stack([info.jac.mv(unit)[0] for unit in units], axis=-1)
+    step = jax.tree.map(jnp.subtract, ahead, coordinates)
+    residual, *beliefs = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
+    # Each belief bears on one coordinate, so a single sweep gives every slope.
+    _, *slopes = info.jac.mv(jax.tree.map(jnp.ones_like, coordinates))
+    flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (beliefs, slopes)]
+    return residual, blocks, *flat
+
+
+def _counted(active: Bool[Array, " runs"], values: Array) -> Array:
+    """`values` of each run, zero for those that do not count, whatever theirs are."""
+    return jnp.where(active.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
+
+
+@eqx.filter_custom_jvp
+def structured_residual(task: Task, coordinates: Coordinates) -> Array:
+    """`problem.residual` of the runs that count, its derivative made of one block for each run.
+
+    The blocks are computed once, however many directions the solver asks for.
+    """
+    problem, active = task
+    return _counted(active, problem.residual(*coordinates))
+
+
+@structured_residual.def_jvp
+def _structured_derivative(primals, tangents):
+    (problem, active), coordinates = primals
+    _, (shared_dot, own_dot) = tangents
+    residual, blocks = (_counted(active, part) for part in problem.blocks(*coordinates))
+    runs = residual.shape[0]
+    spread = jnp.broadcast_to(shared_dot, (runs, shared_dot.shape[0]))
+    along = jnp.concatenate([spread, own_dot], axis=1)
+    return residual, jnp.einsum("rcsp,rp->rcs", blocks, along)

@@ -1,0 +1,156 @@
+"""Where a fit ended: what profiles, bootstraps and questions about other runs go on from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.recorded.prepared_run import Candidate
+from drftjax.setups.command_knots import cornered
+from identify.parameters.parameter import Parameter
+from identify.solver.levenberg_marquardt import Solution
+from identify.solver.problem import Coordinates, Problem
+from identify.solver.whitening import Whitening
+from identify.uncertainty.covariance import covariance, each_alone, from_run_to_run
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A solved problem, and the scatter of its residuals.
+
+    Attributes:
+        problem: Runs and parameters, with the weights of the last solve.
+        solution: Where the solver stopped.
+        candidates: The runs; the batch may hold more, which weigh nothing.
+        model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
+        left: What is left of the residuals where each run has its own zeta, if they share one: it
+            scatters, and the rest is noise. Shaped like the solution's residuals.
+        whitening: Of that.
+        scatter: Variance of each shared coordinate from run to run; zero where it is none of sand;
+            shape (shared,).
+        covariance: Of all coordinates: shared, then each run's own, padded runs too.
+        share: What turns the runs' slope into what they tell, shaped like `covariance`, where
+            there are priors; see `identify.uncertainty.priors`.
+    """
+
+    problem: Problem
+    solution: Solution
+    candidates: tuple[Candidate, ...]
+    model_error: Mapping[str, float]
+    left: np.ndarray
+    whitening: Whitening
+    scatter: np.ndarray
+    covariance: np.ndarray
+    share: np.ndarray | None = None
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        solution: Solution,
+        candidates: tuple[Candidate, ...],
+        model_error: Mapping[str, float],
+    ) -> "Optimum":
+        """Covariance and whitening of a solved problem.
+
+        Args:
+            problem, solution, candidates: See `Optimum`.
+            model_error: Standard deviation of a constant that the simulation may be off by over a
+                phase of the command, by channel [m, N, N m].
+        """
+        counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
+        offset = _offset(problem, model_error)
+        phases = phases_of(candidates, counts)
+        intervals = np.asarray(problem.batch.observed.intervals)
+        shared, blocks = len(problem.shared), solution.blocks
+        # Sand is never the same twice; what is built stays as it is.
+        sands = [place for place, each in enumerate(problem.shared) if each.quantity.is_zeta]
+        alone = [*sands, *range(shared, blocks.shape[-1])]
+        left = solution.residual
+        moves = np.zeros((len(blocks), len(alone)))
+        if sands:
+            moves, left = each_alone(blocks, left, alone)
+        whitening = Whitening.of(left, counts, offset, phases, intervals)
+        scatter = np.zeros(shared)
+        scatter[sands] = from_run_to_run(moves, blocks[..., alone], whitening, len(sands))
+        spread = covariance(blocks, whitening, shared, scatter)
+        return cls(problem, solution, candidates, model_error, left, whitening, scatter, spread)
+
+    @property
+    def shared(self) -> int:
+        """Number of shared coordinates."""
+        return len(self.problem.shared)
+
+    @property
+    def own(self) -> int:
+        """Number of each run's own coordinates."""
+        return len(self.problem.own)
+
+    @property
+    def ordered(self) -> list[tuple[Parameter, int | None]]:
+        """The parameter of each coordinate, and whose run it is; padded runs left out."""
+        of_runs = [(p, r) for r in range(len(self.candidates)) for p in self.problem.own]
+        return [*((p, None) for p in self.problem.shared), *of_runs]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A name for each coordinate: "lambda", "zeta of slow_a"."""
+        return tuple(
+            p.quantity.label
+            if run is None
+            else f"{p.quantity.label} of {self.candidates[run].name}"
+            for p, run in self.ordered
+        )
+
+    @property
+    def flat(self) -> np.ndarray:
+        """All coordinates in one row, padded runs left out."""
+        shared, own = map(np.asarray, self.solution.coordinates)
+        return np.r_[shared, own[: len(self.candidates)].ravel()]
+
+    def coordinates(self, flat: np.ndarray) -> Coordinates:
+        """Coordinates as the problem takes them, from one row."""
+        filled = np.array(self.solution.coordinates[1])
+        filled[: len(self.candidates)] = flat[self.shared :].reshape(-1, self.own)
+        return self.problem.everywhere((jnp.asarray(flat[: self.shared]), jnp.asarray(filled)))
+
+    def values(self, flat: np.ndarray) -> np.ndarray:
+        """Parameters' values at these coordinates, the last axis of any shape before it."""
+        columns = [
+            np.asarray(p.bijector.value(jnp.asarray(flat[..., k])))
+            for k, (p, _) in enumerate(self.ordered)
+        ]
+        return np.stack(columns, axis=-1) if columns else np.zeros(flat.shape)
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Derivative of each value by its coordinate."""
+        at = jnp.asarray(self.flat)
+        return np.array([float(p.bijector.slope(at[k])) for k, (p, _) in enumerate(self.ordered)])
+
+    @property
+    def covariance_of_values(self) -> np.ndarray:
+        """Covariance of the values, in their units squared, ordered as `labels`."""
+        size = len(self.ordered)
+        slopes = self.slopes
+        return slopes[:, None] * self.covariance[:size, :size] * slopes
+
+
+def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
+    """Weighted residual that the simulation's own error makes, held over a phase."""
+    error = np.array([model_error.get(channel, 0.0) for channel in problem.batch.channels])
+    carried = np.asarray(jax.vmap(problem.carried)(problem.batch.observed))
+    whitened = (1 - carried) / np.sqrt(1 - carried**2)
+    return np.asarray(problem.batch.observed.weight) * error[:, None] * whitened
+
+
+def phases_of(candidates: tuple[Candidate, ...], counts: np.ndarray) -> np.ndarray:
+    """Number of the phase of the command (a straight piece of it) that each sample falls in."""
+    phases = np.zeros((counts.shape[0], counts.shape[2]), int)
+    for index, each in enumerate(candidates):
+        knots = np.asarray(cornered(each.setup.command).time)
+        time = each.observation.time + knots[0]
+        phases[index, : len(time)] = np.searchsorted(knots, time, side="right")
+    return phases

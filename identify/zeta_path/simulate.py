@@ -1,0 +1,78 @@
+"""A run with zeta in straight lines that draw a spline, and its derivative by the knots."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float
+
+from drftjax.physics.terrain import KnotZeta
+from drftjax.recorded.batch import Batch, Observed, between_rows, over_runs
+from drftjax.simulation.trial import Trial
+
+# Standard deviation of the start's sinkage and travel about their recorded means [m].
+START_SPREAD = 1e-3
+
+
+START_COORDINATES = 2
+
+
+def in_lines(trial: Trial, ends: np.ndarray) -> Trial:
+    """The trial with straight lines of zeta that end here [s]; `placed` says at which zeta."""
+    return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, 1 + 0 * ends))
+
+
+def placed(
+    trial: Trial, curve: Float[Array, "ends knots"], coordinates: Float[Array, " all"]
+) -> Trial:
+    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD].
+
+    Args:
+        trial: A trial whose zeta is straight lines.
+        curve: The spline that they draw, from `identify.zeta_path.path.cardinal`.
+        coordinates: Log zeta at the spline's knots, and the start's two.
+    """
+    knots = curve.shape[1]
+    trial = eqx.tree_at(
+        lambda t: t.simulator.terrain.zeta.value, trial, jnp.exp(curve @ coordinates[:knots])
+    )
+    moved = trial.start.position + START_SPREAD * coordinates[knots:]
+    return eqx.tree_at(lambda t: t.start.position, trial, moved)
+
+
+def predicted(
+    trial: Trial,
+    observed: Observed,
+    channels: tuple[str, ...],
+    curve: Float[Array, "ends knots"],
+    coordinates: Float[Array, " all"],
+) -> Float[Array, "channels samples"]:
+    """Simulated channels of one run at its recorded times [m], up to the last one compared."""
+    drawn = placed(trial, curve, coordinates)
+    return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
+
+
+@eqx.filter_jit
+def simulated(
+    batch: Batch,
+    mesh: Mesh,
+    curves: Float[Array, "runs ends knots"],
+    coordinates: Float[Array, "runs all"],
+) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
+    """Every run's channels at its recorded times [m], and their derivative by its coordinates.
+
+    As `predicted`; zero for a run of which no row is compared.
+    """
+
+    def one(trial: Trial, observed: Observed, _, own: tuple[Array, Array]):
+        curve, at = own
+
+        def both(at: Array) -> tuple[Array, Array]:
+            values = predicted(trial, observed, batch.channels, curve, at)
+            return values, values
+
+        derivative, values = jax.jacfwd(both, has_aux=True)(at)
+        return values, derivative
+
+    return over_runs(batch, mesh, one, (), (curves, coordinates))

@@ -1,0 +1,131 @@
+r"""zeta(t) of a recorded run, offline: knots in time, how smooth is for the data to say.
+
+The logarithm of zeta is a natural cubic spline through knots, simulated as short straight lines;
+its values u at the knots are fitted to recorded sinkage and, once that is met, to travel too. The
+prior is a discrete cubic smoothing spline's,
+
+$$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
+
+and each channel's residual is first-order autoregressive, with a variance and a correlation of its
+own; sinkage's lasts no longer than knots can draw, as what lasts is zeta's to explain. With the
+simulation linearised by its exact derivative, the data's probability given w and the noise (the
+evidence, Laplace's approximation of it) is a Gaussian integral in closed form. Its largest value
+over a grid of w, with the noise found by expectation-maximisation at each, chooses w; Gauss-Newton
+steps move the linearisation to where it settles.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.common.errors import InputError, RunError
+from drftjax.recorded.batch import device_mesh, make_batch
+from drftjax.recorded.prepared_run import Candidate
+from identify.zeta_path.gauss_newton import PathSteps, sinkage_and_travel
+from identify.zeta_path.path import ZetaPath, between, cardinal
+from identify.zeta_path.simulate import START_COORDINATES, in_lines, simulated
+
+KNOT_SPACING = 1.0
+
+
+def zeta_paths(
+    candidates: Sequence[Candidate], knot_spacing: float = KNOT_SPACING
+) -> list[ZetaPath]:
+    """zeta(t) of each run; the runs are simulated side by side.
+
+    Args:
+        candidates: Runs of the same kind of wheel, law and carriage.
+        knot_spacing: Time from knot to knot [s]; stretched a little, so that they end with the
+            samples compared.
+
+    Raises:
+        RunError: where a run has no sinkage, is too short, or cannot be simulated.
+        InputError: for a knot spacing that is none.
+    """
+    return [each.path() for each in path_steps(candidates, knot_spacing)]
+
+
+def path_steps(
+    candidates: Sequence[Candidate],
+    knot_spacing: float,
+    begun: Sequence[PathSteps] | None = None,
+) -> list[PathSteps]:
+    """`zeta_paths` with the linearisations that they ended at.
+
+    Args:
+        candidates, knot_spacing: See `zeta_paths`.
+        begun: The same runs' paths to go on from, at other values of what is not fitted here.
+    """
+    channels = [sinkage_and_travel(each).channels for each in candidates]
+    found: dict[int, PathSteps] = {}
+    for kind in dict.fromkeys(channels):
+        alike = [number for number, own in enumerate(channels) if own == kind]
+        steps = _steps_of_alike(
+            [candidates[number] for number in alike],
+            knot_spacing,
+            [None if begun is None else begun[number] for number in alike],
+        )
+        found |= dict(zip(alike, steps, strict=True))
+    return [found[number] for number in range(len(candidates))]
+
+
+def _steps_of_alike(
+    candidates: Sequence[Candidate], knot_spacing: float, begun: Sequence[PathSteps | None]
+) -> list[PathSteps]:
+    """`path_steps` of runs that have the same channels."""
+    grids = [_knots(each, knot_spacing) for each in candidates]
+    longest = max(grids, key=len)
+    most, lines = len(longest), len(between(longest))
+    trials = [
+        in_lines(each.trial, _padded(between(grid), lines))
+        for each, grid in zip(candidates, grids, strict=True)
+    ]
+    observations = [sinkage_and_travel(each) for each in candidates]
+    batch, mesh = make_batch(trials, observations, jax.device_count()), device_mesh()
+    curves = np.zeros((len(batch.order), lines, most))
+    for curve, grid in zip(curves, grids, strict=False):
+        drawn = cardinal(grid, between(grid))
+        curve[: len(drawn), : len(grid)] = drawn
+    curves = jnp.asarray(curves)
+    fits = [
+        PathSteps(each, batch, number, grid, curves[number], last)
+        for number, (each, grid, last) in enumerate(zip(candidates, grids, begun, strict=True))
+    ]
+    compared = batch.observed.compared_rows
+    coordinates = np.zeros((len(curves), most + START_COORDINATES))
+    while not all(fit.settled for fit in fits):
+        for number, fit in enumerate(fits):
+            coordinates[number] = fit.padded
+            if fit.settled:
+                compared = compared.at[number].set(0)
+        left = eqx.tree_at(lambda b: b.observed.compared_rows, batch, compared)
+        found = simulated(left, mesh, curves, jnp.asarray(coordinates))
+        predicted, derivative = (np.asarray(each)[: len(fits)] for each in found)
+        for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
+            if not fit.settled:
+                fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
+    return fits
+
+
+def _knots(each: Candidate, spacing: float) -> np.ndarray:
+    if not (np.isfinite(spacing) and spacing > 0):
+        raise InputError(f"the knot spacing is {spacing:g} s, must be positive")
+    duration = float(each.observation.time[each.observation.counts].max(initial=0.0))
+    duration = min(duration, float(each.trial.time[-1]))
+    intervals = max(2, round(duration / spacing))
+    samples = int(each.observation.counts.sum())
+    if samples < 2 * intervals:
+        raise RunError(
+            each.name,
+            f"has {samples} samples to compare, too few for {intervals + 1} knots of zeta; give a "
+            "longer knot spacing",
+        )
+    return np.linspace(0.0, duration, intervals + 1)
+
+
+def _padded(ends: np.ndarray, length: int) -> np.ndarray:
+    """Further ends of lines after the run, which nothing depends on."""
+    return np.concatenate([ends, ends[-1] + np.arange(1.0, length - len(ends) + 1)])

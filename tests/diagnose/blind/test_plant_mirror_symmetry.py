@@ -1,0 +1,229 @@
+"""The plant of blind sets with a wheel that turns backward: each mechanism in the mirror.
+
+As in `test_backward.py`, what knows no direction mirrors by itself, and what is fixed in space or
+to the wheel does once it is mirrored as well.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diagnose.blind.generation.random_mechanisms import CATALOGUE, STRANGERS
+from diagnose.blind.plant import bed, drive, machine, plant, sand
+from diagnose.blind.plant import sensors as instrument
+from diagnose.blind.plant import unlisted as stranger
+from diagnose.blind.plant.plant import Change, Part
+from diagnose.blind.plant.random_profiles import PLACES, Curve, drawn_variation
+from diagnose.blind.plant.run_plan import Profile
+from diagnose.blind.plant.sensors import Reading
+from drftjax.effects.base import Moment
+
+# Every run starts with a grouser straight under the axle, at the very corner of the leading-plate
+# rule: a rounding decides which of its faces leads at first [m].
+CORNER = 5e-6
+# What a mechanism fixed in space does on the wrong side is far more [m].
+SEEN = 5e-5
+# Places that the way back is told by: play is crossed to a place, and begins at one.
+BETWEEN = 2 * drive.GRID
+# A catch slips off at 0.2 m, of which places 1.5 mm apart miss up to one.
+SLIPS = 0.01
+FINER, MASS, ZETA = 0.5, 18.837, 0.8
+
+
+def profile(time: Sequence[float], speed: Sequence[float]) -> Profile:
+    """A commanded speed by its knots [s], [rad/s]."""
+    return Profile(tuple(time), tuple(np.degrees(speed).tolist()), MASS)
+
+
+def mirrored(one: Profile) -> Profile:
+    return replace(one, speed=tuple(-each for each in one.speed))
+
+
+FORWARD = profile((0.0, 0.2, 0.9, 2.2, 2.6), (0.0, 0.0, 1.75, 1.75, 0.0))
+BACKWARD = mirrored(FORWARD)
+REVERSED = profile((0.0, 0.2, 0.6, 1.2, 2.0, 2.8, 3.2), (0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0))
+
+WAVY = Curve(np.sin(15 * PLACES + 0.4) - np.sin(0.4))
+MIRRORED = Curve(np.interp(-PLACES, PLACES, np.asarray(WAVY.values)))
+
+
+def law(name: str, by: float) -> Part:
+    return Change(lambda s: getattr(s.terrain.law, name), by)
+
+
+def wheel(name: str, by: float) -> Part:
+    return Change(lambda s: getattr(s.wheel, name), by)
+
+
+# By kind: what is wrong, and what is wrong in the mirror where that is something else.
+PARTS: dict[str, tuple[Part, ...]] = {
+    "loosening": (sand.Loosening(0.3, 1.0),),
+    "slip_softening": (sand.SlipSoftening(0.3),),
+    "rate_hardening": (bed.RateHardening(0.2),),
+    "depth_hardening": (bed.DepthHardening(0.2),),
+    "terrain_variation": (
+        sand.TerrainVariation(0.2, WAVY),
+        sand.TerrainVariation(0.2, MIRRORED),
+    ),
+    "surface_profile": (bed.SurfaceProfile(0.003, WAVY), bed.SurfaceProfile(0.003, MIRRORED)),
+    "surface_slope": (bed.SurfaceSlope(0.02, 0.1), bed.SurfaceSlope(-0.02, -0.1)),
+    "rigid_floor": (bed.RigidFloor(0.5, 0.03),),
+    "cohesion": (bed.Cohesion(0.003),),
+    "excavation": (bed.Excavation(0.2),),
+    "bulldozing": (sand.Bulldozing(15.0, 0.2),),
+    "momentum_flux": (law("inertial_coefficient", 2.0),),
+    "height_decrease": (law("height_decrease", 2.0),),
+    "wheel_radius": (wheel("radius", 0.004),),
+    "grouser_height": (wheel("grouser_height", -0.004),),
+    "eccentricity": (machine.Eccentricity(0.002, 0.5), machine.Eccentricity(0.002, np.pi - 0.5)),
+    "imbalance": (machine.Imbalance(2.0, 0.5), machine.Imbalance(2.0, np.pi - 0.5)),
+    "vertical_load": (machine.VerticalLoad(20.0),),
+    "vertical_coulomb": (machine.VerticalCoulomb(10.0),),
+    "vertical_viscous": (machine.VerticalViscous(2000.0),),
+    "horizontal_coulomb": (machine.HorizontalCoulomb(10.0, surplus=0.2),),
+    "horizontal_viscous": (machine.HorizontalViscous(50.0, 1.2),),
+    "drawbar": (machine.Drawbar(10.0), machine.Drawbar(-10.0)),
+    "cable_spring": (machine.CableSpring(20.0),),
+    "vertical_spring": (machine.VerticalSpring(1000.0, 0.2),),
+    "speed_gain": (drive.SpeedGain(0.1, 0.2),),
+    "speed_lag": (drive.SpeedLag(0.1, 0.8),),
+    "speed_ripple": (
+        drive.SpeedRipple(0.1, 8.0, 0.4, 0.3, 0.7),
+        drive.SpeedRipple(0.1, 8.0, -0.4, 0.3, -0.7),
+    ),
+    "backlash": (drive.Backlash(0.1),),
+    "sinkage_gain": (instrument.SinkageGain(0.1, 0.1),),
+    "sinkage_drift": (instrument.SinkageDrift(1e-4),),
+    "travel_gain": (instrument.TravelGain(0.1, 0.1), instrument.TravelGain(0.1, -0.1)),
+    "measurement_delay": (instrument.MeasurementDelay(0.1),),
+    "measurement_filter": (instrument.MeasurementFilter(0.1),),
+    "damaged_grouser": (stranger.DamagedGrouser(0.5, 0.7), stranger.DamagedGrouser(0.5, -0.7)),
+    "healing": (stranger.Healing(0.5),),
+    "swing": (stranger.Swing(0.3),),
+    "thixotropy": (stranger.Thixotropy(0.5),),
+    "rise_and_fall": (stranger.RiseAndFall(0.4),),
+    "critical_speed": (stranger.CriticalSpeed(0.5, 0.9),),
+    "catch": (stranger.Catch(20.0, 0.1, 0.15), stranger.Catch(20.0, -0.25, 0.15)),
+    "sinkage_drag": (stranger.SinkageDrag(200.0),),
+    "jamming_guide": (stranger.JammingGuide(1000.0),),
+    "travel_lift": (stranger.TravelLift(300.0), stranger.TravelLift(-300.0)),
+    "drive_crosstalk": (instrument.DriveCrosstalk(1e-3),),
+}
+DIRECTED = [name for name, parts in PARTS.items() if len(parts) > 1]
+
+
+def ran(part: Part, asked: Profile) -> Reading:
+    return plant.run([part], asked, ZETA, finer=FINER)
+
+
+def apart(forward: Reading, backward: Reading) -> float:
+    z, x = forward.z - backward.z, forward.x + backward.x
+    return max(float(np.abs(z).max()), float(np.abs(x).max()))
+
+
+def test_every_mechanism_that_can_be_drawn_is_mirrored_here():
+    named = {name for names in CATALOGUE.values() for name in names}
+    assert set(PARTS) == named | set(STRANGERS)
+
+
+@pytest.mark.parametrize("name", list(PARTS))
+def test_a_mechanism_goes_backward_as_its_mirror_image_goes_forward(name):
+    parts = PARTS[name]
+    forward = ran(parts[0], FORWARD)
+    # It gets somewhere.
+    assert forward.x[-1] > 0.3
+    assert apart(forward, ran(parts[-1], BACKWARD)) < CORNER
+
+
+@pytest.mark.parametrize("name", DIRECTED)
+def test_a_mechanism_fixed_in_space_or_to_the_wheel_does_not_mirror_by_itself(name):
+    part = PARTS[name][0]
+    assert apart(ran(part, FORWARD), ran(part, BACKWARD)) > SEEN
+
+
+@pytest.mark.parametrize("name", list(PARTS))
+def test_a_run_that_reverses_half_way_can_be_made(name):
+    run = ran(PARTS[name][0], REVERSED)
+    assert np.isfinite([run.x, run.z, run.omega]).all()
+    assert 0 < np.argmax(run.x) < len(run.x) - 1
+
+
+def test_a_rail_goes_as_far_back_as_the_wheel_is_to_go():
+    far = profile((0.0, 0.2, 1.5, 4.0), (0.0, 0.0, -3.0, -3.0))
+    assert ran(machine.Drawbar(1.0), far).x[-1] < -1.0
+
+
+def test_sand_and_surface_vary_on_both_sides_of_the_start():
+    random = np.random.default_rng(0)
+    kinds = {}
+    while len(kinds) < 5:
+        kind, values = drawn_variation(random)
+        kinds[kind] = Curve(values)
+    places = jnp.linspace(-5, -1, 200)
+    assert np.ptp(np.asarray(kinds["sinusoid"](places))) > 1
+    # A draw of some knots of order one each.
+    assert np.ptp(np.asarray(kinds["smooth"](places))) > 0.3
+    # What lies ahead only is not met behind.
+    for kind in ("step patch", "step", "ramp"):
+        assert np.ptp(np.asarray(kinds[kind](places))) < 1e-12  # but for a smooth step's far end
+
+
+def test_a_drive_that_turns_back_crosses_twice_its_play():
+    ahead, back = np.ones(1000), -np.ones(1000)
+    backlash = drive.Backlash(play=0.1, snap=1e-3)
+
+    def lost(course: np.ndarray) -> np.ndarray:
+        missed = np.abs(course) - np.abs(backlash.follow(course))
+        return drive.GRID * np.array([missed[:1000].sum(), missed[1000:].sum()])
+
+    np.testing.assert_allclose(lost(np.r_[ahead, back]), [0.1, 0.2], rtol=0, atol=BETWEEN)
+    np.testing.assert_allclose(
+        lost(np.r_[ahead, 0 * back, ahead]), [0.1, 0.0], rtol=0, atol=BETWEEN
+    )
+    # One that turns back in the middle of its play has the rest of it to cross, and the other half.
+    np.testing.assert_allclose(
+        lost(np.r_[0 * ahead[25:], ahead[:25], back]), [0.05, 0.15], rtol=0, atol=BETWEEN
+    )
+
+
+def pulls(effect, places: Sequence[float], omega: Callable[[int], float]) -> np.ndarray:
+    """What a load pulls along x at places that the axle comes by one after another [N]."""
+    nought, memory, felt = jnp.zeros(()), effect.begin(jnp.zeros(2)), []
+    for number, x in enumerate(places):
+        position, turns = jnp.asarray([x, 0.0]), jnp.asarray(omega(number))
+        moment = Moment(nought, jnp.asarray(0.01), position, jnp.zeros(2), nought, turns, turns,
+                        jnp.asarray(0.15))  # fmt: skip
+        felt.append(effect.load(position, jnp.zeros(2), moment, memory)[0])
+        memory = effect.advance(memory, moment)
+    return np.asarray(felt)
+
+
+THERE = np.linspace(0, 0.6, 401)
+
+
+def test_a_catch_holds_the_carriage_back_from_either_side():
+    both = np.r_[THERE, THERE[::-1]]
+    felt = pulls(stranger.Catch(20.0, 0.2, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
+    ahead, back = felt[:401], felt[401:]
+    assert ahead.max() == back.min() == 0
+    assert ahead.min() == pytest.approx(-20, rel=SLIPS)
+    assert back.max() == pytest.approx(20, rel=SLIPS)
+    # Let go before it slips off, the spring pulls back the same way.
+    half = pulls(stranger.Catch(20.0, 0.2, 0.2), [0.1, 0.3, 0.25], lambda k: (1.0, 1.0, -1.0)[k])
+    np.testing.assert_allclose(half, [0, -10, -5])
+
+
+def test_sand_is_piled_up_on_either_side():
+    both = np.r_[THERE, THERE[::-1]]
+    felt = pulls(sand.Bulldozing(10.0, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
+    assert felt[400] == pytest.approx(-10)
+    assert felt[-1] == pytest.approx(10)
+
+
+def test_a_cable_pulls_back_to_the_start_from_either_side():
+    for bend in (-0.2, 0.3):
+        felt = pulls(machine.CableSpring(20.0, bend), [-5.0, -1.0, 1.0, 4.0], lambda k: 1.0)
+        assert np.all(felt * [1, 1, -1, -1] > 0)

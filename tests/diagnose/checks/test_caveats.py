@@ -1,0 +1,56 @@
+"""What a case's runs cannot say."""
+
+import pytest
+
+from diagnose.checks.caveats import caveats
+from diagnose.dataset import Case
+from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
+
+FORCES = ("fx", "fz", "torque")
+
+
+def case_of(*channels: tuple[str, ...], driven: bool = False) -> Case:
+    vx = [0.0, 0.0, 0.06, 0.06] if driven else None
+    runs = [recorded(setup_of(SLOW, vx=vx), channels=each) for each in channels]
+    return Case.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+
+
+def of_channels(case: Case) -> list[str]:
+    return [note for note in caveats(case) if "condition" not in note and "One run" not in note]
+
+
+@pytest.fixture(scope="module")
+def driven() -> Case:
+    return case_of(("z", *FORCES), ("x", "z", "fx"), driven=True)
+
+
+def test_the_way_of_a_driven_carriage_is_given_and_not_missed(driven):
+    notes = of_channels(driven)
+    assert notes[0].startswith("The carriage was driven: x is given")
+    assert not [note for note in notes if "has x" in note or "x was" in note]
+
+
+def test_a_run_that_lacks_what_others_have_is_named(driven):
+    assert "run 1 lacks torque, which other runs have." in of_channels(driven)
+    assert "run 1 lacks fz, which other runs have." in of_channels(driven)
+    assert of_channels(case_of(("x", "z"), ("z",))) == [
+        "run 1 lacks x, which other runs have; taken to start at x = 0, wherever that was."
+    ]
+
+
+def test_what_no_run_has_cannot_be_told():
+    assert of_channels(case_of(("x", "z"), ("x", "z"))) == []
+    (note,) = of_channels(case_of(("z",), ("z",)))
+    assert note == "No run has x: effects that show in it cannot be told apart."
+    (_, note) = of_channels(case_of(("z", "fx", "fz"), driven=True))
+    assert note.startswith("No run has torque")
+
+
+def test_forces_of_a_free_carriage_are_not_compared_and_that_is_said():
+    (note,) = of_channels(case_of(("x", "z", "fx"), ("x", "z")))
+    assert note.startswith("fx was recorded and not compared")
+
+
+def test_runs_of_one_condition_check_nothing_under_another():
+    assert any("one command and load" in each for each in caveats(case_of(("x", "z"), ("x", "z"))))
+    assert any("One run only" in each for each in caveats(case_of(("x", "z"))))

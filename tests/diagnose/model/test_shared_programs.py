@@ -1,0 +1,132 @@
+"""Curves that are fitted: one program of a stage gives what each curve's own class gives."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diagnose.dataset import Case, with_zeta
+from diagnose.model.augmented_model import Model, predict, respond, with_effects
+from diagnose.model.shared_programs import SHORTEST_ROW, in_modes, program_of
+from drftjax.common.arrays import as_real
+from drftjax.effects.correction import STAGES, correction, fields, known_to, with_values
+from drftjax.effects.sensor import TravelGain
+from drftjax.recorded.batch import Observed, between_rows
+from drftjax.simulation.trial import Trial
+from tests.helpers.synthetic_runs import coarse, recorded, setup_of
+
+# The program interpolates in a longer row and picks its variable by products with 0 and 1: each
+# step rounds once more, and a run of 2,000 steps gathers 1e-13 m, as does a derivative by a unit.
+ROUNDING = 1e-12
+
+PLACES = {
+    "angular velocity": (0.1, 0.4, 0.7, 0.9),
+    "slip speed": (-0.01, 0.0, 0.01, 0.03),
+    "sinkage": (0.01, 0.02, 0.025, 0.03),
+    "travel": (0.0, 0.05, 0.1, 0.2),
+    "turning": (0.0, 0.5, 1.0, 2.0),
+    "time": (0.0, 0.5, 1.0, 2.0),
+    "wheel angle": (0.3, 1.0, 3.0, 5.0),
+    "vx": (0.0, 0.02, 0.05, 0.1),
+    "vz": (-0.01, -0.001, 0.001, 0.01),
+}
+HEIGHTS = np.array([0.5, -1.0, 0.25, 1.5])
+
+
+@cache
+def case() -> Case:
+    setup = setup_of(([0.0, 0.25, 0.75, 2.0], [0.0, 0.0, 1.0, 1.0]), 0.75)
+    setup.integrator.step = 1e-3
+    return Case.of([coarse("run", recorded(setup), step=1e-3)])
+
+
+def of_trial(trial: Trial, observed: Observed) -> jax.Array:
+    return between_rows(trial.run_to(observed.compared_rows, ("x", "z")), observed)
+
+
+def zeta_of(trial: Trial):
+    return trial.simulator.terrain.zeta.value
+
+
+def simulated(kind, values) -> np.ndarray:
+    """The run with the curve's own class in the simulator."""
+    trial = with_effects(case().trials[0], (with_values(kind, values),))
+    return np.asarray(jax.jit(of_trial)(trial, case().observed[0]))
+
+
+def predicted(kind, coordinates) -> np.ndarray:
+    of = case().channels, case().trials[0], case().observed[0], as_real(0.0)
+    return np.asarray(predict(Model((kind,)), *of, np.asarray(coordinates)))
+
+
+# zeta may follow all variables there are; the other stages tell theirs in their own ways.
+STANDING = [("zeta", variable) for variable in known_to("zeta")]
+STANDING += [
+    (stage, variable)
+    for stage in ("force_z", "speed", "height", "reading z")
+    for variable in (known_to(stage)[0], known_to(stage)[-1])
+]
+
+
+@pytest.mark.parametrize(("stage", "variable"), STANDING)
+def test_the_program_runs_as_the_curve_does(stage, variable):
+    kind = correction(stage, variable, PLACES[variable])
+    typical = STAGES[stage][2]
+    of_class = simulated(kind, (typical * HEIGHTS).tolist())
+    assert np.abs(predicted(kind, HEIGHTS) - of_class).max() < ROUNDING
+    assert np.abs(of_class - predicted(kind, 0 * HEIGHTS)).max() > 1e3 * ROUNDING
+
+
+def test_curves_of_a_stage_share_one_program():
+    kinds = [correction("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
+    kinds.append(in_modes(kinds[0], np.eye(4)[:, :2], 1.0))
+    assert len({program_of(each).effect for each in kinds}) == 1
+    assert len({Model((each,)).program[0] for each in kinds}) == 1
+
+
+def test_a_curve_of_more_knots_than_the_row_has_a_longer_one():
+    knots = np.linspace(0, 0.2, SHORTEST_ROW + 3)
+    kind = correction("zeta", "travel", knots.tolist())
+    values = 0.1 * np.sin(30 * knots)
+    assert len(fields(SHORTEST_ROW + 3)) == len(program_of(kind).mix)
+    assert np.abs(predicted(kind, values / 0.1) - simulated(kind, values)).max() < ROUNDING
+
+
+def test_modes_are_the_curve_that_they_add_up_to():
+    kind = correction("force_z", "travel", PLACES["travel"])
+    modes = np.array([[1.0, 0.0], [2.0, 1.0], [0.0, -1.0], [0.5, 0.5]])
+    amplitudes, typical = np.array([1.5, -2.0]), 0.5
+    summed = typical * modes @ amplitudes
+    of_modes = predicted(in_modes(kind, modes, typical), amplitudes)
+    assert np.abs(of_modes - simulated(kind, summed.tolist())).max() < ROUNDING
+
+
+def test_the_derivative_is_by_the_effects_own_coordinates():
+    kind = in_modes(
+        correction("zeta", "travel", PLACES["travel"]), np.array([[1.0], [0.5], [0.0], [-1.0]]), 0.2
+    )
+    # The gain of a reading beside it stays a number of its own.
+    model = Model((TravelGain, kind))
+    at = np.array([*(0.3 for _ in range(len(model.free) - 1)), 0.5])
+    of = case().channels, case().trials[0], case().observed[0], as_real(0.01)
+    value, slope = respond(model, *of, at)
+    assert slope.shape == (*value.shape, 1 + len(at))
+    trial = with_zeta(case().trials[0], 0.01)
+    observed = case().observed[0]
+
+    def of_class(both):
+        scaled = eqx.tree_at(zeta_of, trial, zeta_of(trial) * jnp.exp(both[0]))
+        return of_trial(with_effects(scaled, model.build(both[1:])), observed)
+
+    exact = jax.jit(jax.jacfwd(of_class))(np.array([0.0, *at]))
+    assert np.abs(slope - np.asarray(exact)).max() < ROUNDING
+
+
+def test_any_other_effect_is_its_own_program():
+    program = program_of(TravelGain)
+    assert program.effect is TravelGain
+    assert not program.held
+    assert np.array_equal(program.mix, np.eye(len(program.mix)))

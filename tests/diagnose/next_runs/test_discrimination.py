@@ -1,0 +1,144 @@
+"""What to run next: a run on which two explanations of the same runs part."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnose.dataset import Case
+from diagnose.hypotheses.screening import search
+from diagnose.next_runs.discrimination import (
+    TELLING,
+    _scaled,
+    _stop_and_go,
+    _variations,
+    _ways,
+    next_run,
+)
+from drftjax.effects.catalogue import effect_class
+from drftjax.physics.integrator import STEPS
+from tests.helpers.rig_datasets import case_with
+from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
+
+FLOORS = {"x": 80e-6, "z": 30e-6}
+# Sums of speeds over time, of metres.
+ROUNDING = 1e-12
+NAMES = ("drawbar", "horizontal_coulomb")
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    return case_with({"name": "drawbar", "force": 4.0})
+
+
+@pytest.fixture(scope="module")
+def advice(pulled):
+    # Both pull back all the while as long as the carriage only goes forward.
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    first, second = (singles[(name,)] for name in NAMES)
+    return next_run(pulled, first, [second], FLOORS)
+
+
+def test_it_names_the_run_that_parts_two_explanations(advice):
+    assert advice["tells"] == list(NAMES)
+    assert "backward" in advice["run"]["run"]
+    assert advice["run"]["floors"] > TELLING
+
+
+def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
+    assert advice["channel"]["channel"] == "torque"
+    assert advice["channel"]["floors"] > TELLING
+    assert advice["channel"]["unit"] == "N m"
+
+
+def test_no_run_goes_farther_than_the_longest_so_far(pulled):
+    farthest = max(_ways(each.trial)[-1] for each in pulled.candidates)
+    found = {each.words: each for each in _variations(pulled, 0)}
+    cut = [each for words, each in found.items() if "its first" in words and "deg/s" in words]
+    assert cut
+    for each in found.values():
+        if "deg/s" in each.words and "stop" not in each.words:
+            lasts = min(each.lasts, float(np.asarray(each.trial.time)[-1]))
+            gone = np.interp(lasts, np.asarray(each.trial.time), _ways(each.trial))
+            assert gone <= farthest * (1 + ROUNDING)
+
+
+def test_no_run_outlasts_a_command_that_ends_in_motion(pulled):
+    (end,) = {float(each.trial.time[-1]) for each in pulled.candidates[:2]}
+    assert pulled.trials[0].time[-1] > end
+    for each in _variations(pulled, 0):
+        assert each.lasts <= end, each.words
+
+
+def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
+    def ways(case) -> list[str]:
+        return [v.words for v in _variations(case, 0) if v.words.endswith(("backward", "forward"))]
+
+    def turned(each):
+        return dataclasses.replace(each, trial=_scaled(each.trial, -1.0))
+
+    name = pulled.candidates[0].name
+    assert ways(pulled) == [f"{name} backward"]
+    assert ways(Case.of([turned(each) for each in pulled.candidates])) == [f"{name} forward"]
+    first, *others = pulled.candidates
+    assert ways(Case.of([turned(first), *others])) == []
+
+
+def test_a_driven_carriage_goes_with_its_wheel(pulled):
+    trial = pulled.trials[0]
+    slip = 0.2
+    vx = (1 - slip) * float(trial.simulator.wheel.radius) * trial.omega
+    driven = dataclasses.replace(trial, vx=vx)
+    for each in (_scaled(driven, 2.0), _scaled(driven, -1.0), _stop_and_go(driven, 0.8)):
+        expected = (1 - slip) * float(trial.simulator.wheel.radius) * np.asarray(each.omega)
+        np.testing.assert_allclose(np.asarray(each.vx), expected, rtol=0, atol=ROUNDING)
+
+
+def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):
+    trial = _stop_and_go(pulled.trials[0], top=0.8)
+    time, omega = np.asarray(trial.time), np.asarray(trial.omega)
+    assert float(trial.step) == STEPS[-1]
+    assert omega[0] == omega[1] == 0
+    assert set(np.unique(omega)) == {0.0, 0.8}
+    # What is simulated of it holds a start and a stop at least.
+    until = time <= trial.rows * trial.every * float(trial.step)
+    assert np.count_nonzero(np.diff(omega[until] > 0)) >= 2
+
+
+@pytest.mark.parametrize("channels", [("z",), ("z", "fz")])
+def test_runs_without_travel_are_advised_too(channels):
+    vx = [0.0, 0.0, 0.05, 0.05] if "fz" in channels else None
+    runs = [
+        coarse(
+            f"run {n}", recorded(setup_of(SLOW, zeta, vx), n, channels=channels, force_noise=1.0)
+        )
+        for n, zeta in enumerate((0.75, 0.76))
+    ]
+    case = Case.of(runs)
+    found = search(case, [effect_class("vertical_spring"), effect_class("loosening")])
+    floors = dict.fromkeys(case.channels, 1e-9)
+    first, second = found.none, found.singles[0]
+    told = next_run(case, first, [second], floors)
+    compared = {"z", "fx", "fz", "torque"} if "fz" in channels else {"x", "z", "torque"}
+    asked = [each for each in (told["run"], told["channel"]) if each is not None]
+    assert told["tells"] == ["none", *second.names]
+    assert {each["channel"] for each in asked} <= compared
+
+
+def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
+    names = ("drawbar", "horizontal_coulomb", "bulldozing")
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, names)]).singles}
+    first, second, third = (singles[(name,)] for name in names)
+    both = next_run(pulled, first, [second, third], FLOORS)
+    each = [next_run(pulled, first, [rival], FLOORS)["run"]["floors"] for rival in (second, third)]
+    assert both["tells"] == [*names]
+    # What parts two rivals parts each of them, and no better than the run that is best for it.
+    assert TELLING < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
+
+
+def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled):
+    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    first, second = (singles[(name,)] for name in NAMES)
+    # Nothing parts an explanation from itself.
+    told = next_run(pulled, first, [second, first], FLOORS)
+    assert told == next_run(pulled, first, [second], FLOORS)

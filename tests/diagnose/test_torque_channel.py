@@ -1,0 +1,28 @@
+"""Torque beside travel and sinkage: a channel that tells look-alikes apart."""
+
+from diagnose.dataset import Case
+from diagnose.pipeline import diagnose
+from drftjax.effects.catalogue import effect_class
+from tests.helpers.synthetic_runs import FAST, SLOW, coarse, recorded, setup_of
+
+NAMES = ("wheel_radius", "travel_gain")
+# Of what is believed without it; in truth, of a share of a few hundredths, a fifth is left.
+HALF = 0.5
+TORQUE_NOISE = 0.02  # of a usual transducer [N m]
+
+
+def weight_of_travel_gain(channels: tuple[str, ...]) -> float:
+    """What is believed of it where in truth the wheel is larger."""
+    runs = []
+    for number, profile in enumerate((SLOW, SLOW, FAST)):
+        setup = setup_of(profile)
+        setup.effects = [{"name": "wheel_radius", "excess": 0.008}]
+        runs.append(recorded(setup, number, channels=channels, force_noise=TORQUE_NOISE))
+    case = Case.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+    found = diagnose(case, [*map(effect_class, NAMES)])
+    assert found.verdict == ("wheel_radius",)
+    return found.weights.get("travel_gain", 0.0)
+
+
+def test_torque_tells_a_larger_wheel_from_a_reading_of_travel_that_is_too_long():
+    assert weight_of_travel_gain(("x", "z", "torque")) < HALF * weight_of_travel_gain(("x", "z"))

@@ -1,0 +1,366 @@
+"""What every effect of the catalogue promises: an exact null, and derivatives that tell at it.
+
+All effects stand in one simulator, most at zero strength, so that one program serves every test.
+The runs start from a moving wheel: at rest a rounding decides which plates lead.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.effects import composition as chain
+from drftjax.effects.base import (
+    AbstractAdjustment,
+    AbstractDrive,
+    AbstractLoad,
+    AbstractPlacement,
+    AbstractSensor,
+    AbstractStressFactor,
+    AbstractSurface,
+    AbstractZetaFactor,
+    Moment,
+)
+from drftjax.effects.catalogue import OURS, catalogue, numbers, shapes, strengths
+from drftjax.physics.state import State
+from drftjax.physics.stress import plate_motion
+from drftjax.runlog.hdf5.api import read_run
+from drftjax.simulation.rollout import simulate
+from drftjax.simulation.statics import sinkage_under_load
+from tests.helpers.effect_runs import (
+    GROUSERS,
+    KNOWN,
+    NUMBERS,
+    STRENGTHS,
+    built,
+    commands,
+    driven,
+    rows,
+    simulator,
+    typical,
+    vector,
+    with_effects,
+)
+
+# Two programs of the same arithmetic, one with the null effects and one without: the compiler
+# joins multiplications and additions in other places. So the null run may be no further from the
+# plain one than runs whose commands are one unit in the last place off are: of so many the
+# furthest, twice.
+ROUNDED = 20
+ROUNDING = 2
+# About as in test_gradients: parts in a thousand, of the largest change of that channel. What
+# changes little is rougher beside its own size.
+AGREEMENT = 3e-3
+# Share of the typical strength. Longer changes pass corners, shorter ones drown in rounding.
+CHANGES = (1e-7, 3e-7, 1e-6)
+# Forward and reverse mode multiply the same matrices in another order.
+ORDER = 1e-8
+# Sums and products of some doubles in another order.
+SUMS = 1e-13
+# The smallest change of a reading that a typical effect makes here [m], [N]: far under any noise
+# that could hide it, far over rounding.
+FELT = 1e-8
+
+DT, STEPS, EVERY = 1e-3, 600, 20
+SPEED = 0.6
+OMEGA = SPEED * (1 + 0.3 * np.sin(2 * np.pi * np.arange(1, STEPS + 1) / STEPS))
+CHANNELS = ("x", "z", "fx", "fz", "torque")
+START = partial(driven, False, SPEED)
+NULL_VECTOR = vector()
+TYPICAL = np.asarray([typical(name)[field] for name, field in STRENGTHS])
+PLACES = np.asarray([NUMBERS.index(each) for each in STRENGTHS])
+
+effects = pytest.mark.parametrize("name", list(KNOWN))
+
+
+def readings(values, only=tuple(KNOWN)):
+    """Channels (5, rows) of a run with the effects at these numbers."""
+    sim = with_effects(GROUSERS, values, only)
+    output = rows(sim, START(), OMEGA, DT, EVERY)
+    return jnp.stack([getattr(output, name) for name in CHANNELS])
+
+
+def direction(index) -> np.ndarray:
+    along = np.zeros(len(NUMBERS))
+    along[PLACES[index]] = TYPICAL[index]
+    return along
+
+
+DIRECTIONS = np.stack([direction(k) for k in range(len(STRENGTHS))])
+
+
+@pytest.fixture(scope="module")
+def null():
+    """Readings at the null, and their derivatives per typical strength (strengths, 5, rows)."""
+    START()  # kept for later, so it must not be asked for first within a trace
+    value, along = jax.jit(
+        lambda at, directions: (
+            readings(at),
+            jax.vmap(lambda d: jax.jvp(readings, (at,), (d,))[1])(directions),
+        )
+    )(jnp.asarray(NULL_VECTOR), jnp.asarray(DIRECTIONS))
+    return np.asarray(value), np.asarray(along)
+
+
+@pytest.fixture(scope="module")
+def differences():
+    """Central differences per typical strength: (changes, strengths, 5, rows)."""
+    START()
+    table = [NULL_VECTOR + s * c * d for c in CHANGES for s in (1, -1) for d in DIRECTIONS]
+    runs = np.asarray(jax.jit(jax.vmap(readings))(jnp.asarray(np.stack(table))))
+    runs = runs.reshape(len(CHANGES), 2, len(STRENGTHS), *runs.shape[1:])
+    return (runs[:, 0] - runs[:, 1]) / (2 * np.asarray(CHANGES)[:, None, None, None])
+
+
+def test_the_catalogue_holds_ours_first_with_names_of_their_own():
+    assert list(catalogue())[: len(OURS)] == [each.about.name for each in OURS]
+    assert len(set(KNOWN)) == len(OURS) == 37
+
+
+@effects
+def test_an_effect_says_what_it_is(name):
+    effect = KNOWN[name]
+    assert effect.about.stage in ("drive", "wheel", "terrain", "rig", "sensor")
+    assert effect.about.formula
+    assert effect.about.meaning
+    assert strengths(effect), "an effect has a strength"
+    assert set(strengths(effect)) | set(shapes(effect)) == set(numbers(effect))
+    for about in numbers(effect).values():
+        assert about["unit"]
+        assert about["meaning"]
+    for field in shapes(effect):
+        starts = numbers(effect)[field]["starts"]
+        assert min(starts) > 0
+        assert min(starts) <= float(getattr(effect(), field)) <= max(starts)
+
+
+@effects
+def test_at_zero_strength_every_hook_gives_back_what_it_was_given(name):
+    effect = KNOWN[name]()
+    random = np.random.default_rng(1)
+    sim = simulator().prepared()
+    state = replace(START(), angle=jnp.asarray(0.3))
+    command = jax.tree.map(lambda c: c[0], commands(OMEGA))
+    output = sim.observe(state, command)
+    dt = jnp.asarray(DT)
+    pair = jnp.asarray(random.normal(size=2))
+    moment = Moment(*map(jnp.asarray, (0.3, DT)), pair, 0.1 * pair, *map(jnp.asarray, (1.0, 0.5)),
+                    jnp.asarray(0.5), sim.wheel.radius)  # fmt: skip
+    plates = sim.wheel.cut().plates(state.angle)
+    motion = plate_motion(plates, jnp.asarray(0.13), pair, moment.omega, jnp.asarray(0.0), pair)
+
+    def same(a, b):
+        assert jax.tree.structure(a) == jax.tree.structure(b)
+        pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+        assert all(jnp.array_equal(p, q) for p, q in pairs)
+
+    seen = False
+    if isinstance(effect, AbstractAdjustment):
+        same(effect.adjust(simulator()), simulator())
+        seen = True
+    if isinstance(effect, AbstractDrive):
+        memory = effect.begin(jnp.asarray(0.2), jnp.asarray(0.1))
+        same(effect.turn(jnp.asarray(0.7), state.angle, dt, memory)[0], jnp.asarray(0.7))
+        seen = True
+    if isinstance(effect, AbstractPlacement):
+        same(effect.place(plates, state.angle), plates)
+        seen = True
+    if isinstance(effect, AbstractZetaFactor):
+        memory = effect.advance(effect.begin(), moment)
+        same(effect.factor(moment, memory), jnp.ones(()))
+        seen = True
+    if isinstance(effect, AbstractStressFactor):
+        same(effect.factor(motion), jnp.ones_like(motion.depth))
+        seen = True
+    if isinstance(effect, AbstractSurface):
+        memory = effect.advance(effect.begin(), moment)
+        height = effect.height(state.position[0], plates.x, memory)
+        same(jnp.abs(height), jnp.zeros_like(plates.x))
+        seen = True
+    if isinstance(effect, AbstractLoad):
+        memory = effect.advance(effect.begin(0 * pair), moment)
+        same(jnp.abs(effect.load(pair, pair, moment, memory)), jnp.zeros(2))
+        seen = True
+    if isinstance(effect, AbstractSensor):
+        memory = jax.tree.map(lambda leaf: leaf + 0.1, effect.begin(output))
+        same(effect.read(output, dt, memory)[0], output)
+        seen = True
+    assert seen, "it plugs into a stage"
+
+
+def test_the_run_with_every_effect_at_zero_is_the_run_without(null):
+    start = START()
+
+    @jax.vmap
+    def run(omega):
+        output = rows(simulator(), start, omega, DT, EVERY)
+        return jnp.stack([getattr(output, name) for name in CHANNELS])
+
+    ulps = np.random.default_rng(0).integers(-1, 2, (ROUNDED, STEPS))
+    plain, *rounded = jax.jit(run)(jnp.stack([OMEGA, *(OMEGA + ulps * np.spacing(OMEGA))]))
+
+    def apart(one):
+        return np.abs(one - plain).max(axis=1)
+
+    assert np.all(apart(null[0]) <= ROUNDING * np.max([apart(one) for one in rounded], axis=0))
+
+
+@effects
+def test_every_strength_is_felt_at_the_null(name, null):
+    for index, (effect, field) in enumerate(STRENGTHS):
+        if effect == name:
+            assert np.abs(null[1][index]).max() > FELT, field
+
+
+@effects
+def test_derivatives_at_the_null_are_those_of_the_program(name, null, differences):
+    for index, (effect, field) in enumerate(STRENGTHS):
+        if effect != name:
+            continue
+        exact = null[1][index]
+        # The first row of a late reading holds what the run began with.
+        size = np.abs(exact).max(axis=1, keepdims=True) + FELT
+        error = np.median(np.abs(differences[:, index] - exact) / size, axis=0)
+        assert error.max() < AGREEMENT, field
+
+
+# Those with memory or a derivative of their own, of every stage that has any.
+BACKWARD = ("backlash", "loosening", "surface_profile", "cable_spring", "measurement_delay")
+
+
+def test_reverse_mode_agrees_with_forward(null):
+    weights = np.random.default_rng(0).normal(size=null[0].shape)
+    weights /= np.abs(null[0]).max(axis=1, keepdims=True)
+    gradient = jax.jit(jax.grad(lambda values: jnp.sum(weights * readings(values, BACKWARD))))
+    reverse = np.asarray(gradient(jnp.asarray(NULL_VECTOR))) @ DIRECTIONS.T
+    forward = np.sum(weights * null[1], axis=(1, 2))
+    there = [effect in BACKWARD for effect, _ in STRENGTHS]
+    size = np.abs(forward[there]).max()
+    np.testing.assert_allclose(reverse[there], forward[there], rtol=ORDER, atol=ORDER * size)
+
+
+# Length [s], knots in time [s] and wheel speeds [deg/s]: of the gentlest reference runs (in half
+# the time) and of the fastest.
+PROFILES = {
+    "30 deg/s": (12.0, (0, 1, 3.5, 8.5, 11, 12), (0, 0, 30, 30, 0, 0)),
+    "300 deg/s": (10.0, (0, 1, 3, 7, 9, 10), (0, 0, 300, 300, 0, 0)),
+}
+PROFILE_STEPS = 8000
+
+
+@pytest.fixture(scope="module")
+def over_a_profile():
+    """z, x and their derivatives by every number of one effect, at half its strength."""
+
+    def one(values, along, dt, omega):
+        def run(values):
+            sim = with_effects(GROUSERS, values)
+            return simulate(sim, State.at_rest(0.0176), commands(omega), dt, every=400)[1]
+
+        value, change = jax.jvp(run, (values,), (along,))
+        return value.z, value.x, change.z, change.x
+
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, None, None)))
+
+
+@pytest.mark.parametrize("profile", list(PROFILES))
+def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drives(
+    profile, over_a_profile
+):
+    end, knots, speeds = PROFILES[profile]
+    dt = end / PROFILE_STEPS
+    omega = np.radians(np.interp(dt * np.arange(1, PROFILE_STEPS + 1), knots, speeds))
+    table, along = [], []
+    for name, effect in KNOWN.items():
+        half = {field: size / 2 for field, size in typical(name).items()}
+        table.append(vector(**{name: half}))
+        units = half | {field: float(getattr(effect(), field)) for field in shapes(effect)}
+        along.append([units.get(f, 0.0) if n == name else 0.0 for n, f in NUMBERS])
+    z, x, by_z, by_x = over_a_profile(
+        jnp.asarray(np.stack(table)), jnp.asarray(along), jnp.asarray(dt), jnp.asarray(omega)
+    )
+    driving = dt * 400 * np.arange(1, z.shape[1] + 1) < knots[3]
+    for name, *channels in zip(KNOWN, z, x, by_z, by_x, strict=True):
+        assert all(np.isfinite(each).all() for each in channels), name
+        # As much again of any effect moves the axle by less than the wheel's height, or a third of
+        # the way. (While a wheel slows down, steps as long as these lose the derivative.)
+        assert np.abs(channels[2][driving]).max() < 0.15, name
+        assert np.abs(channels[3][driving]).max() < 0.3 * np.abs(x).max(), name
+
+
+@pytest.mark.parametrize("name", ["paper", "fast_90deg", "fast_300deg"])
+def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(
+    name, shared, over_a_profile
+):
+    command = read_run(shared / "reference" / f"{name}.h5").command
+    dt = float(command.time[-1]) / PROFILE_STEPS
+    omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), command.time, command.omega)
+    table = jnp.asarray(np.stack([NULL_VECTOR] * len(KNOWN)))
+    along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in KNOWN]
+    z, x, by_z, by_x = over_a_profile(
+        table, jnp.asarray(np.stack(along)), jnp.asarray(dt), jnp.asarray(omega)
+    )
+    np.testing.assert_array_equal(z, np.broadcast_to(z[0], z.shape))
+    np.testing.assert_array_equal(x, np.broadcast_to(x[0], x.shape))
+    for effect, *channels in zip(KNOWN, by_z, by_x, strict=True):
+        assert all(np.isfinite(each).all() for each in channels), effect
+        assert max(np.abs(each).max() for each in channels) > FELT, effect
+
+
+def test_loads_factors_and_surfaces_act_in_any_order():
+    values = vector(**{name: typical(name) for name in KNOWN})
+    forward = built(values, leave_out=("wheel_radius", "grouser_height"))
+    sim = simulator().prepared()
+    state = START()
+    moment = Moment(jnp.asarray(0.3), jnp.asarray(DT), state.position, state.velocity, state.angle,
+                    state.omega, state.omega, sim.wheel.radius)  # fmt: skip
+    plates = sim.wheel.cut().plates(state.angle)
+    height = jnp.asarray(0.13)
+    motion = plate_motion(plates, height, state.velocity, state.omega, height * 0, state.velocity)
+
+    def everything(effects):
+        memory = chain.advance(effects, chain.begin(effects, state), moment)
+        place, speed = state.position + 0.1, state.velocity
+        return (
+            chain.zeta_factor(effects, memory, moment),
+            chain.stress_factor(effects, motion),
+            chain.on_surface(effects, memory, motion, place[0], plates.x).depth,
+            chain.loads(effects, memory, place, speed, moment, of_the_sand=True),
+            chain.loads(effects, memory, place, speed, moment, of_the_sand=False),
+        )
+
+    for one, other in zip(everything(forward), everything(forward[::-1]), strict=True):
+        np.testing.assert_allclose(one, other, rtol=SUMS)
+
+
+def test_plates_can_be_looked_at_with_effects_and_without_a_run():
+    values = vector(**{name: typical(name) for name in KNOWN})
+    sim = with_effects(GROUSERS, values)
+    state = START()
+    load = sim.plate_load(state.position, state.velocity, state.angle, state.omega, jnp.ones(()))
+    assert np.isfinite(load.stress_z).all()
+    firm = replace(simulator(), effects=(KNOWN["cohesion"](depth=0.004),))
+    # Stress as of 4 mm of depth more lifts it by nearly as much.
+    assert sinkage_under_load(firm, 0.7) < sinkage_under_load(simulator(), 0.7) - 3e-3
+
+
+def test_effects_of_several_stages_act_at_once():
+    """A sensor's first reading is that of the other effects' sand, and of the sensors before it.
+
+    Where the wheel starts is what the scale read there.
+    """
+    lag = KNOWN["measurement_filter"](lag=0.2)
+    cohesion = KNOWN["cohesion"](depth=0.002)
+    gain = KNOWN["travel_gain"](gain=0.5)
+    sim = replace(simulator(), effects=(cohesion, gain, lag))
+    state = replace(START(), position=jnp.array([0.2, START().position[1]]))
+    command = jax.tree.map(lambda c: c[0], commands(OMEGA))
+    first = sim.observe(sim.begin(state, command), command)
+    bare = replace(simulator(), effects=(cohesion,))
+    truth = bare.observe(bare.begin(state, command), command)
+    np.testing.assert_allclose(first.fz, truth.fz, rtol=SUMS)
+    begun = sim.begin(state, command)
+    np.testing.assert_allclose((begun.position[0], first.x), (0.2 / 1.5, 0.2), rtol=SUMS)

@@ -1,0 +1,65 @@
+"""Fits by some of the recorded channels alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import drftjax
+from drftjax.common.errors import InputError
+from drftjax.recorded.prepared_run import candidate
+from drftjax.runlog.hdf5.api import write_run
+from drftjax.runlog.record import Measured
+from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
+
+# A channel that is not compared takes no part: the same program on the same numbers.
+SAME = 1e-12
+
+
+@pytest.fixture(scope="module")
+def run():
+    return recorded(setup_of(SLOW, 0.74), 1)
+
+
+def test_a_channel_left_out_counts_no_more_than_one_not_recorded(run):
+    alone = dataclasses.replace(run, measured=Measured(time=run.measured.time, z=run.measured.z))
+    by_z, without = (
+        drftjax.fit({"run": each}, parameters="zeta", compare=channels).runs[0]
+        for each, channels in ((run, "z"), (alone, ("x", "z")))
+    )
+    assert by_z.channels == without.channels == ("z",)
+    ((ours,), (theirs,)) = (each.values.values() for each in (by_z, without))
+    assert ours.value == pytest.approx(theirs.value, rel=SAME)
+    assert ours.error == pytest.approx(theirs.error, rel=SAME)
+    np.testing.assert_allclose(by_z.residuals["z"], without.residuals["z"], rtol=0, atol=SAME)
+
+
+def test_what_is_not_compared_is_told_as_unused(run):
+    observation = candidate("run", run, compare=("x",)).observation
+    assert observation.channels == ("x",)
+    assert "z" in observation.unused
+
+
+@pytest.mark.parametrize(
+    ("compare", "why"),
+    [
+        (("sinkage",), "must be among x, z, fx, fz, torque"),
+        ((), "must be among x, z, fx, fz, torque"),
+        (("torque",), "of a free carriage x or z must be compared, not torque alone"),
+        (("fx", "fz"), "of a free carriage x or z must be compared"),
+    ],
+)
+def test_channels_that_cannot_be_compared_are_refused(run, compare, why):
+    with pytest.raises(InputError, match=why):
+        drftjax.fit({"run": run}, compare=compare)
+
+
+def test_the_command_compares_what_it_is_told(drft, run, tmp_path):
+    write_run(tmp_path / "run.h5", run)
+    answer = drft("fit", tmp_path / "run.h5", "--own", "zeta", "--compare", "z")
+    assert answer.code == 0
+    assert "z [mm]" in answer.out
+    assert "x [mm]" not in answer.out
+    assert "must be among" in drft("fit", tmp_path / "run.h5", "--compare", "y").refusal
+    refusal = drft("fit", tmp_path / "run.h5", "--zeta", "path", "--compare", "x").refusal
+    assert "--compare must name z" in refusal

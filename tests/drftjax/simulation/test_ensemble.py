@@ -1,0 +1,84 @@
+"""An ensemble is its runs, whatever the number of devices."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.common.errors import InputError
+from drftjax.physics.command import Command
+from drftjax.physics.integrator import HeldPace
+from drftjax.physics.state import State
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel
+from drftjax.simulation.ensemble import simulate_ensemble, stack
+from drftjax.simulation.rollout import simulate
+from drftjax.simulation.simulator import Simulator
+
+DT, STEPS, EVERY = 2e-3, 200, 20
+
+# The same operations compiled into another loop: rounding, which the stiff force at rest magnifies.
+ROUNDING = {"rtol": 1e-7, "atol": 1e-9}
+# Forward and backward sum in another order.
+GRADIENT = {"rtol": 1e-9}
+
+
+def simulator(zeta) -> Simulator:
+    return Simulator(GrouserWheel(plate_size=0.01), Terrain(ConstantZeta(zeta)))
+
+
+def rolling() -> Command:
+    omega = jnp.linspace(0.0, 0.5, STEPS)
+    return Command(omega, jnp.zeros(STEPS), jnp.zeros(STEPS))
+
+
+def ensemble(zetas):
+    simulators = eqx.filter_vmap(simulator)(zetas)
+    states = eqx.filter_vmap(State.at_rest)(jnp.full(zetas.shape, 0.0176))
+    return simulate_ensemble(simulators, states, rolling(), DT, every=EVERY)
+
+
+def alone(zeta):
+    return simulate(simulator(zeta), State.at_rest(0.0176), rolling(), DT, every=EVERY)
+
+
+@pytest.mark.parametrize("runs", [1, 3, 4])
+def test_an_ensemble_equals_its_runs_one_by_one(runs):
+    zetas = jnp.linspace(0.7, 0.9, runs)
+    together = ensemble(zetas)
+    singles = stack([jax.jit(alone)(zeta) for zeta in zetas])
+    assert together[1].z.shape == (runs, STEPS // EVERY)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, **ROUNDING), together, singles)
+
+
+def test_devices_only_share_the_work():
+    zetas = jnp.linspace(0.7, 0.9, 3)
+    simulators = eqx.filter_vmap(simulator)(zetas)
+    states = stack([State.at_rest(0.0176)] * 3)
+    one, all_of_them = (
+        simulate_ensemble(simulators, states, rolling(), DT, every=EVERY, devices=devices)
+        for devices in (jax.devices()[:1], None)
+    )
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, **ROUNDING), one, all_of_them)
+
+
+def test_gradients_pass_through_an_ensemble_as_through_a_run():
+    zetas = jnp.linspace(0.7, 0.9, 3)
+    single = jax.vmap(jax.jit(jax.grad(lambda zeta: alone(zeta)[1].z[-1])))(zetas)
+    backward = jax.grad(lambda zetas: ensemble(zetas)[1].z[:, -1].sum())(zetas)
+    forward = jax.jvp(lambda zetas: ensemble(zetas)[1].z[:, -1], (zetas,), (jnp.ones(3),))[1]
+    np.testing.assert_allclose(backward, single, **GRADIENT)
+    np.testing.assert_allclose(forward, single, **GRADIENT)
+
+
+def test_runs_that_differ_in_more_than_numbers_are_refused():
+    with pytest.raises(InputError, match="numbers only"):
+        stack([Simulator(), Simulator(integrator=HeldPace())])
+
+
+def test_arrays_without_a_common_axis_of_runs_are_refused():
+    simulators = stack([Simulator(), Simulator()])
+    states = stack([State.at_rest(0.0176)] * 3)
+    with pytest.raises(InputError, match="leading axis"):
+        simulate_ensemble(simulators, states, rolling(), DT)

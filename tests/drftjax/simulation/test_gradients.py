@@ -1,0 +1,158 @@
+"""Gradients over the paper's whole 24 s: forward, reverse and central differences agree.
+
+The program that steps the wheel is smooth but for corners: a plate that enters the sand, or begins
+to lead, changes the matrix that a step solves with. So three questions are asked apart.
+1. Are the derivatives those of the program? Central differences over steps so short that hardly a
+   corner is passed say so, to `AGREEMENT`.
+2. Do they tell how the run answers a change that someone would make? Differences over a part in a
+   thousand say so, to `WIDE`.
+3. Are they those of the equations, whatever the step? The same with the other integrator and a
+   four times longer step says so, to `METHODS`.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.physics.integrator import DEFAULT_STEP, HeldPace
+from drftjax.simulation.rollout import simulate
+from tests.studies.runs import profile
+
+AGREEMENT = 1e-3
+WIDE = 1e-2
+METHODS = 2e-2
+# Forward and reverse mode multiply the same matrices in another order.
+ORDER = 1e-9
+
+# Rows and their states take 8 MB [B]; 48,000 steps whole, some hundreds of numbers each, would take
+# hundreds.
+LARGEST_MEMORY = 30e6
+
+NAMES = ("zeta", "lambda", "radius", "grouser height", "mass_z")
+# Relative steps. lambda moves the mean sinkage by a nanometre in all, so that its steps must be
+# long to stand over rounding, and may be, as it moves no plate over a corner.
+SHORT = np.array([[1e-7, 3e-4, 1e-7, 1e-7, 1e-7], [3e-7, 1e-3, 3e-7, 3e-7, 3e-7]])
+SHORT = np.concatenate([SHORT, [[1e-6, 3e-3, 1e-6, 1e-6, 1e-6]]])
+
+
+def parameters(simulator):
+    return (
+        simulator.terrain.zeta.value,
+        simulator.terrain.law.inertial_coefficient,
+        simulator.wheel.radius,
+        simulator.wheel.grouser_height,
+        simulator.rig.mass_z,
+    )
+
+
+def outcome(run, step):
+    """Mean z and final x of a run, as a function of factors on the five parameters."""
+    start, commands = run.start(), run.commands(step)
+
+    def of(factors):
+        values = [factor * p for factor, p in zip(factors, parameters(run.simulator), strict=True)]
+        simulator = eqx.tree_at(parameters, run.simulator, values)
+        _, rows = simulate(simulator, start, commands, step, every=round(0.02 / step))
+        return jnp.stack([jnp.mean(rows.z), rows.x[-1]])
+
+    return of
+
+
+AT = np.ones(len(NAMES))
+
+
+@pytest.fixture(scope="module")
+def default():
+    return outcome(profile(), DEFAULT_STEP)
+
+
+@pytest.fixture(scope="module")
+def forward(default):
+    return np.asarray(jax.jit(jax.jacfwd(default))(jnp.asarray(AT)))
+
+
+@pytest.fixture(scope="module")
+def reverse(default):
+    return jax.jit(jax.jacrev(default)).lower(jnp.asarray(AT)).compile()
+
+
+def differences(function, steps):
+    """Central differences (outcomes, parameters) with one relative step a parameter."""
+    ahead = AT + np.diag(steps)
+    behind = AT - np.diag(steps)
+    values = jax.jit(jax.vmap(function))(jnp.asarray(np.concatenate([ahead, behind])))
+    ahead, behind = np.split(np.asarray(values), 2)
+    return ((ahead - behind) / (2 * steps[:, None])).T
+
+
+def test_forward_and_reverse_mode_agree(forward, reverse):
+    np.testing.assert_allclose(reverse(jnp.asarray(AT)), forward, rtol=ORDER)
+
+
+def test_central_differences_agree_over_short_steps(default, forward):
+    # One of three steps may still straddle a corner: their median does not.
+    error = [differences(default, steps) / forward - 1 for steps in SHORT]
+    assert np.max(np.abs(np.median(error, axis=0))) < AGREEMENT, dict(
+        zip(NAMES, np.transpose(error), strict=True)
+    )
+
+
+def test_gradients_tell_how_a_run_answers_a_change_of_a_thousandth(default, forward):
+    wide = differences(default, np.full(len(NAMES), 1e-3))
+    np.testing.assert_allclose(wide, forward, rtol=WIDE)
+
+
+def test_gradients_are_the_same_by_held_pace_at_four_times_the_step(forward):
+    held = outcome(profile().integrated_by(HeldPace()), 4 * DEFAULT_STEP)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(held))(jnp.asarray(AT)), forward, rtol=METHODS)
+
+
+def test_gradients_have_the_signs_of_physics(forward):
+    zeta, inertia, _, _, mass = forward[0]
+    assert zeta > 0  # firmer sand carries the wheel higher,
+    assert inertia > 0  # and so does sand that must be set in motion;
+    assert mass < 0  # a heavier wheel sinks.
+    assert forward[1, 2] > 1.0  # A larger wheel goes farther, about in proportion to its 1.17 m.
+
+
+def test_reverse_mode_over_the_whole_run_needs_little_memory(reverse):
+    assert reverse.memory_analysis().temp_size_in_bytes < LARGEST_MEMORY
+
+
+MEASURE = """
+from pathlib import Path
+import jax, jax.numpy as jnp
+from tests.studies.runs import profile
+from tests.drftjax.simulation.test_gradients import AT, DEFAULT_STEP, outcome
+
+def most():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+
+run = outcome(profile(), DEFAULT_STEP)
+gradient = jax.jit(jax.jacrev(run)).lower(jnp.asarray(AT)).compile()
+# What compiling took at most would hide what running takes.
+Path("/proc/self/clear_refs").write_text("5")
+before = most()
+gradient(jnp.asarray(AT)).block_until_ready()
+print(most() - before)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux tells the most")
+def test_a_process_that_takes_the_gradient_grows_little():
+    measured = subprocess.run(
+        [sys.executable, "-c", MEASURE],
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert float(measured.stdout) < LARGEST_MEMORY

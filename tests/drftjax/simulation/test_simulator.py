@@ -1,0 +1,255 @@
+"""The wheel in its rig: rest, falling, rolling, towing, driven slip, and energy."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from drftjax.physics.command import Command, command_at
+from drftjax.physics.integrator import DEFAULT_STEP, HeldPace, Rosenbrock
+from drftjax.physics.rig import DrivenCarriage, Rig
+from drftjax.physics.state import State
+from drftjax.physics.stress import REST_SPEED, QuasiStatic
+from drftjax.physics.terrain import ConstantZeta, Terrain
+from drftjax.physics.wheel import GrouserWheel, PlainWheel
+from drftjax.simulation.rollout import step_times
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import REST, SINKAGE_TOLERANCE, sinkage_under_load
+from tests.studies.runs import profile, roll
+
+# A wheel that stands where the sand at rest carries it goes no farther than that depth is known.
+NO_CREEP = SINKAGE_TOLERANCE
+# Elsewhere the sand gives way no faster than the regulariser's width, but for its tails: a plate
+# at 2 REST_SPEED still lacks a tenth of its direction.
+CREEP = 2 * REST_SPEED
+# A steady quasi-static state does not know time; what is left is the ripple's inertia.
+RATE_INDEPENDENCE = 2e-3
+# A bare rim with nothing to pull rolls with the slip that its own resistance asks for.
+FREE_ROLLING_SLIP = 0.02
+# Mean forces over whole grouser passages of a wheel of 19 kg whose mean speed is steady: to under a
+# millimetre a second over four seconds.
+STEADY_FORCE = 5e-3
+# Sums of doubles of some 100 W.
+ENERGY_ROUNDING = 1e-9
+# Dropped from 50 mm over the sand; where both integrators go with ever finer steps, and how near.
+LANDING_DEPTH, LANDING = 49.5e-3, 0.3e-3
+# A landed wheel is eased up by its rest force at most at REST_SPEED.
+NO_BOUNCE = 5e-5
+# A linearly implicit step falls g t dt / 2 short of the parabola.
+FALL = 1.1
+# The same step on c v = m g (1 - e^(-c t / m)) is late by c dt / 2 m at first, 5.3e-4; twice that.
+TERMINAL = 1e-3
+# A bare rim at one speed has no ripple: held at it, it goes on as it did.
+SAME_MOTION = 1e-9
+# A few doubles of order one, and a sum of 12,000 of them.
+ROUNDING, SUM_ROUNDING = 1e-15, 1e-12
+
+MASS_Z, GRAVITY = 18.837, 9.81
+PITCH = 2 * math.pi / 12
+REST_DEPTH = float(sinkage_under_load(Simulator(), 0.7823, descent=REST))
+
+
+def drive(simulator, duration, omega, start=None, vx=0.0, step=DEFAULT_STEP, interval=0.01):
+    """Rows of a wheel that turns at omega [rad/s] from the first step on."""
+    start = State.at_rest(0.025) if start is None else start
+    times = step_times(round(duration / step), step)
+    flat = jnp.ones_like(times)
+    commands = Command(omega * flat, vx * flat, flat)
+    return roll(simulator, start, commands, step, every=round(interval / step))[1]
+
+
+def passages(rows, omega, count=2):
+    """Indices of the last `count` whole grouser passages."""
+    row = float(rows.time[1] - rows.time[0])
+    return slice(-round(count * PITCH / omega / row), None)
+
+
+@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
+def test_wheel_at_its_rest_depth_does_not_creep_in_a_minute(integrator):
+    simulator = Simulator(integrator=integrator)
+    rows = drive(simulator, 60.0, 0.0, State.at_rest(REST_DEPTH), step=1e-3, interval=0.1)
+    assert float(jnp.max(jnp.abs(rows.z + REST_DEPTH))) < NO_CREEP
+    assert float(jnp.max(jnp.abs(rows.x))) < NO_CREEP
+    assert float(rows.fz[-1]) == pytest.approx(MASS_Z * GRAVITY, rel=ENERGY_ROUNDING)
+
+
+def test_deeper_wheel_is_not_pushed_up():
+    rows = drive(Simulator(), 10.0, 0.0, State.at_rest(REST_DEPTH + 0.005))
+    # As far as the regulariser lets it go in that time.
+    assert float(rows.z[-1] + REST_DEPTH + 0.005) < 10.0 * REST_SPEED
+    assert float(jnp.max(rows.vz)) < CREEP
+
+
+@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
+def test_shallower_wheel_creeps_down_no_faster_than_the_regulariser_allows(integrator):
+    # At 17.6 mm sand at rest carries 42 % of the load: the wheel keeps intruding, slowly.
+    rows = drive(Simulator(integrator=integrator), 2.0, 0.0, State.at_rest(0.0176))
+    settled = rows.vz[np.asarray(rows.time) > 0.1]
+    assert float(jnp.max(settled)) <= 0
+    assert float(jnp.min(settled)) > -CREEP
+
+
+def test_lifted_wheel_falls_freely_until_it_touches():
+    start = State.at_rest(-0.100)
+    rows = drive(Simulator(), 0.12, 0.0, start, step=1e-4, interval=1e-3)
+    in_air = rows.z > 0.018
+    fallen = 0.5 * GRAVITY * rows.time**2
+    late = FALL * 0.5 * GRAVITY * rows.time * 1e-4
+    assert int(jnp.sum(in_air)) > 100
+    assert bool(jnp.all(jnp.abs(0.100 - fallen - rows.z)[in_air] <= late[in_air]))
+    assert float(jnp.max(jnp.abs(rows.fz[in_air]))) == 0
+
+
+@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
+def test_dropped_wheel_comes_to_rest_where_it_lands(integrator):
+    # At longer steps a fall ends in chatter: docs/integrator.md has the table.
+    rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=1e-4)
+    landed = int(jnp.argmin(rows.z))
+    # A fall of 50 mm takes 0.10 s, and of 100 mm 0.14; in the sand it takes longer.
+    assert 0.1 < float(rows.time[landed]) < 0.2
+    assert -float(rows.z[landed]) == pytest.approx(LANDING_DEPTH, abs=LANDING)
+    assert float(rows.z[-1] - rows.z[landed]) < NO_BOUNCE
+    assert float(jnp.max(rows.vz)) < CREEP
+
+
+@pytest.mark.parametrize("wheel", [GrouserWheel(), PlainWheel()], ids=["grousers", "plain"])
+def test_quasi_static_speed_is_proportional_to_omega_at_the_same_sinkage(wheel):
+    simulator = Simulator(wheel=wheel, terrain=Terrain(law=QuasiStatic()))
+    speeds, depths = [], []
+    for degrees in (5.0, 10.0, 20.0):
+        omega = math.radians(degrees)
+        start = State.at_rest(0.030 if isinstance(wheel, GrouserWheel) else 0.040)
+        rows = drive(simulator, 150 / degrees, omega, start, interval=0.005)
+        last = passages(rows, omega)
+        speeds.append(float(jnp.mean(rows.vx[last])) / omega)
+        depths.append(float(jnp.mean(rows.sinkage[last])))
+    np.testing.assert_allclose(speeds, speeds[0], rtol=RATE_INDEPENDENCE)
+    np.testing.assert_allclose(depths, depths[0], rtol=RATE_INDEPENDENCE)
+
+
+def test_dynamic_terms_make_a_fast_wheel_differ():
+    # What the test above would miss if rate never entered: at 300 deg/s it does.
+    omega = math.radians(300.0)
+    rows = drive(Simulator(), 3.0, omega, interval=0.002)
+    slow = drive(Simulator(terrain=Terrain(law=QuasiStatic())), 3.0, omega, interval=0.002)
+    last = passages(rows, omega, 6)
+    # Ten times what that allows.
+    apart = abs(float(jnp.mean(rows.vx[last] - slow.vx[last])))
+    assert apart > 10 * RATE_INDEPENDENCE * 0.150 * omega
+
+
+def test_free_rolling_wheel_has_near_zero_slip():
+    # On firm sand, where sinkage and so resistance are small.
+    firm = Simulator(wheel=PlainWheel(), terrain=Terrain(ConstantZeta(20.0)))
+    rows = drive(firm, 4.0, 0.5, State.at_rest(0.003))
+    assert abs(float(jnp.mean(rows.slip[-100:]))) < FREE_ROLLING_SLIP
+
+
+def test_forces_balance_the_load_and_the_tow_when_rolling_is_steady():
+    omega = math.radians(30.0)
+    last = None
+    slips = []
+    for tow in (-20.0, 0.0, 20.0, 40.0):
+        simulator = Simulator(rig=Rig(drawbar_load=tow), integrator=HeldPace())
+        # Every step is a row: a mean of forces must not skip any.
+        rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
+        last = passages(rows, omega, 4)
+        assert float(jnp.mean(rows.fx[last])) == pytest.approx(tow, abs=STEADY_FORCE)
+        assert float(jnp.mean(rows.fz[last])) == pytest.approx(MASS_Z * GRAVITY, abs=STEADY_FORCE)
+        slips.append(float(jnp.mean(rows.slip[last])))
+    assert slips == sorted(slips)
+    # A third of the weight more to tow costs a tenth of the way at the very least.
+    assert slips[-1] > slips[0] + 0.1
+
+
+def test_driven_carriage_imposes_the_speed_and_pulls_more_at_more_slip():
+    omega = math.radians(30.0)
+    pulls = []
+    for slip in (0.0, 0.2, 0.5):
+        vx = 0.150 * omega * (1 - slip)
+        simulator = Simulator(rig=Rig(carriage=DrivenCarriage()), integrator=HeldPace())
+        rows = drive(simulator, 6.0, omega, vx=vx)
+        np.testing.assert_allclose(rows.vx, vx, rtol=ROUNDING)
+        np.testing.assert_allclose(rows.slip, slip, rtol=0, atol=ROUNDING)
+        # The carriage starts from rest, and over its first step travels at the mean speed.
+        assert float(rows.x[-1]) == pytest.approx((6.0 - DEFAULT_STEP / 2) * vx, rel=SUM_ROUNDING)
+        pulls.append(float(jnp.mean(rows.fx[passages(rows, omega, 4)])))
+    assert pulls == sorted(pulls)
+    # At half the way it pulls more than a quarter of its weight.
+    assert pulls[-1] > MASS_Z * GRAVITY / 4
+
+
+def test_driven_carriage_at_its_own_steady_speed_needs_no_force():
+    omega = math.radians(30.0)
+    free = drive(Simulator(wheel=PlainWheel()), 10.0, omega, State.at_rest(0.04))
+    speed = float(jnp.mean(free.vx[-200:]))
+    held = Simulator(wheel=PlainWheel(), rig=Rig(carriage=DrivenCarriage()))
+    rows = drive(held, 10.0, omega, State.at_rest(0.04), vx=speed)
+    assert float(jnp.mean(rows.fx[-200:])) == pytest.approx(0.0, abs=STEADY_FORCE)
+    assert float(rows.z[-1]) == pytest.approx(float(free.z[-1]), abs=SAME_MOTION)
+
+
+def test_damping_slows_a_falling_wheel_to_its_terminal_speed():
+    # m_z dv/dt = -m_z g - c_z v, in the air.
+    simulator = Simulator(rig=Rig(damping_z=200.0))
+    rows = drive(simulator, 0.5, 0.0, State.at_rest(-2.0), step=1e-4)
+    expected = -MASS_Z * GRAVITY / 200.0 * (1 - jnp.exp(-rows.time * 200.0 / MASS_Z))
+    np.testing.assert_allclose(rows.vz, expected, rtol=TERMINAL)
+
+
+def test_damping_along_x_asks_for_the_pull_that_overcomes_it():
+    omega = math.radians(30.0)
+    simulator = Simulator(rig=Rig(damping_x=200.0), integrator=HeldPace())
+    rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
+    last = passages(rows, omega, 4)
+    pull, speed = float(jnp.mean(rows.fx[last])), float(jnp.mean(rows.vx[last]))
+    assert pull == pytest.approx(200.0 * speed, abs=STEADY_FORCE)
+    # It rolls with a slip of under a tenth.
+    assert pull > 0.9 * 200.0 * 0.150 * omega
+
+
+def test_drive_power_is_what_the_sand_dissipates_and_the_axle_takes():
+    # torque omega = F . v + dissipation holds plate by plate, at any instant; sand only takes.
+    simulator = Simulator()
+    rows = profile().rows(DEFAULT_STEP, 0.05)
+    moving = (np.asarray(rows.omega) > 0.1)[:-1]
+
+    def balance(x, z, vx, vz, angle, omega):
+        at = (
+            jnp.stack([x, z]),
+            jnp.stack([vx, vz]),
+            angle,
+            omega,
+            jnp.asarray(0.7823),
+        )
+        load = simulator.plate_load(*at)
+        force = simulator.wrench(*at)
+        power = load.stress_x * load.motion.velocity_x + load.stress_z * load.motion.velocity_z
+        dissipated = -jnp.sum(power * load.plates.area)
+        return force[2] * omega - (force[0] * vx + force[1] * vz), dissipated
+
+    kinds = (rows.x, rows.z, rows.vx, rows.vz, rows.angle, rows.omega)
+    spent, dissipated = jax.jit(jax.vmap(balance))(*kinds)
+    np.testing.assert_allclose(spent, dissipated, rtol=0, atol=ENERGY_ROUNDING)
+    assert float(jnp.min(dissipated)) >= 0
+    assert float(jnp.mean(dissipated[:-1][moving])) > 1.0
+
+
+def test_steady_drive_power_is_the_tow_power_and_what_the_sand_dissipates():
+    omega, tow = math.radians(30.0), 20.0
+    simulator = Simulator(rig=Rig(drawbar_load=tow), integrator=HeldPace())
+    rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
+    last = passages(rows, omega, 4)
+    power = float(jnp.mean(rows.torque[last])) * omega
+    towing = tow * float(jnp.mean(rows.vx[last]))
+    assert power > towing > 0
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+def test_command_is_linear_between_its_samples(speed):
+    knots = jnp.array([0.0, 1.0])
+    commands = command_at(jnp.array([0.25, 2.0]), knots, jnp.array([0.0, 0.4]), speed * knots)
+    np.testing.assert_allclose(commands.omega, [0.1, 0.4], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(commands.vx, [0.25 * speed, speed], rtol=0, atol=ROUNDING)

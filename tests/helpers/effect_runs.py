@@ -1,0 +1,82 @@
+"""Runs with any effects at any strength, by one program: nulls are numbers."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from drftjax.effects.catalogue import OURS, numbers, strengths
+from drftjax.physics.command import Command
+from drftjax.physics.integrator import HeldPace
+from drftjax.physics.state import Output, State
+from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
+from drftjax.simulation.rollout import simulate, with_first_row
+from drftjax.simulation.simulator import Simulator
+
+# Coarse plates, so that tests are quick.
+GROUSERS = GrouserWheel(plate_size=0.010)
+RIM = PlainWheel(plate_size=0.005)
+
+# Every number of every effect, in one order: (effect, field).
+NUMBERS = tuple((each.about.name, field) for each in OURS for field in numbers(each))
+STRENGTHS = tuple((each.about.name, field) for each in OURS for field in strengths(each))
+KNOWN = {each.about.name: each for each in OURS}
+
+
+def typical(name: str) -> dict[str, float]:
+    """Strengths of an effect at their typical sizes."""
+    about = numbers(KNOWN[name])
+    return {field: about[field]["typical"] for field in strengths(KNOWN[name])}
+
+
+def vector(**given: dict[str, float]) -> np.ndarray:
+    """The numbers of all effects, zero strengths and default shapes but for those given."""
+    return np.asarray(
+        [
+            given.get(name, {}).get(field, float(getattr(KNOWN[name](), field)))
+            for name, field in NUMBERS
+        ]
+    )
+
+
+def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple(KNOWN)):
+    """All effects but some, with these numbers."""
+    fields: dict[str, dict] = {name: {} for name in KNOWN}
+    for (name, field), value in zip(NUMBERS, values, strict=True):
+        fields[name][field] = value
+    return tuple(KNOWN[name](**fields[name]) for name in only if name not in leave_out)
+
+
+def simulator(wheel: AbstractWheel = GROUSERS) -> Simulator:
+    return Simulator(wheel, integrator=HeldPace())
+
+
+def commands(omega) -> Command:
+    omega = jnp.asarray(omega, float)
+    return Command(omega, jnp.zeros_like(omega), jnp.zeros_like(omega))
+
+
+def with_effects(wheel: AbstractWheel, values, only: tuple[str, ...] = tuple(KNOWN)) -> Simulator:
+    leave_out = () if isinstance(wheel, GrouserWheel) else ("grouser_height",)
+    return replace(simulator(wheel), effects=built(values, leave_out, only))
+
+
+def rows(sim: Simulator, start: State, omega, dt, every: int) -> Output:
+    """The output at the start and after every so many steps."""
+    command = commands(omega)
+    after = simulate(sim, start, command, dt, every=every)[1]
+    return with_first_row(sim, start, jax.tree.map(lambda c: c[0], command), after)
+
+
+@cache
+def driven(smooth: bool, speed: float, dt: float = 1e-3, seconds: float = 2.0) -> State:
+    """A wheel, with grousers or smooth, that has been driven at this speed [rad/s] for a while."""
+    sim = simulator(RIM if smooth else GROUSERS)
+    steps = round(seconds / dt)
+    omega = speed * np.minimum(1, np.arange(1, steps + 1) / (0.5 * steps))
+    run = jax.jit(lambda start: simulate(sim, start, commands(omega), dt)[0])
+    state = run(State.at_rest(0.02))
+    nought = jnp.zeros(())
+    return replace(state, time=nought, position=state.position.at[0].set(0.0), memory=())

@@ -1,0 +1,246 @@
+"""Each scripted fault in each phase of a run; docs/hils-faults.md states what follows.
+
+Whatever the fault: nothing moves before ARM, only one sentence is raised, the wheel rests in the
+end, the recorder is told why, and no command was beyond the limits or not finite.
+"""
+
+import math
+import re
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+from drftjax.common.errors import InputError
+from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
+from hils.control.limits import CommandLimits, ReadingLimits
+from hils.control.loop_config import LoopSetUp
+from hils.control.stop_request import StopRequest
+from hils.events import Event
+from hils.link.messages import RigState
+from hils.procedure.operator_prompts import Unattended
+from hils.procedure.procedure import Procedure, RunReport, run
+from hils.recording.sinks import KeptRows
+from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
+from hils.rig_sim.faults import (
+    Absurd,
+    DamagedFrames,
+    DelayedBytes,
+    DelayedFrames,
+    Disconnect,
+    DriveFault,
+    DuplicatedBytes,
+    DuplicatedFrames,
+    Fault,
+    FaultScript,
+    FlippedBytes,
+    LostBytes,
+    LostFrames,
+    ReorderedBytes,
+    ReorderedFrames,
+    Reset,
+    Saturated,
+    Stuck,
+    What,
+    Window,
+)
+from hils.rig_sim.in_process import SoftRig, soft_rig
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "hils-faults.md"
+LIMITS = CommandLimits(omega=2.0, vx=0.3)
+# No run of this profile may take longer, with every try and patience that there is [s].
+LONGEST = 30.0
+WATCHDOG, TICK = 0.1, 0.02
+
+# When each phase is struck: after what, from when and for how long [s].
+PHASES = {
+    "connect": ("power", 0.0),
+    "zero": ("hello", 0.1),
+    "settle": ("arm", 2.0),
+    "countdown": ("arm", 2.25),
+    "accelerate": ("motion", 0.15),
+    "steady": ("motion", 0.6),
+    "decelerate": ("motion", 1.1),
+    "ramp-down": ("motion", 1.52),
+    "stop": ("stop", 0.0),
+}
+# The countdown is no longer than it must be where it is not struck [s].
+COUNTDOWN, STRUCK_COUNTDOWN = 0.1, 0.6
+SHORT, FOR_GOOD = 0.3, math.inf
+
+WIRE_FAULTS: dict[str, tuple[What, float]] = {
+    "lost frames, 1 in 10": (LostFrames(0.1), SHORT),
+    "damaged frames, 1 in 10": (DamagedFrames(0.1), SHORT),
+    "duplicated frames, 1 in 2": (DuplicatedFrames(0.5), SHORT),
+    "reordered frames, 1 in 5 by 30 ms": (ReorderedFrames(0.2, delay=0.03), SHORT),
+    "delayed frames, 1 in 5 by 30 ms": (DelayedFrames(0.2, delay=0.03), SHORT),
+    "lost bytes, 3 in 1000": (LostBytes(0.003), SHORT),
+    "flipped bytes, 3 in 1000": (FlippedBytes(0.003), SHORT),
+    "duplicated bytes, 3 in 1000": (DuplicatedBytes(0.003), SHORT),
+    "reordered bytes, 3 in 1000": (ReorderedBytes(0.003), SHORT),
+    "delayed bytes, 1 frame in 5 by 30 ms": (DelayedBytes(0.2, delay=0.03), SHORT),
+    "all frames lost towards the rig": (LostFrames(towards="rig"), SHORT),
+    "all frames lost towards the host": (LostFrames(towards="host"), SHORT),
+    "all frames damaged": (DamagedFrames(), SHORT),
+    "all frames lost for good": (LostFrames(), FOR_GOOD),
+    "delayed by 200 ms towards the rig": (DelayedFrames(towards="rig", delay=0.2), SHORT),
+    "delayed by 200 ms towards the host": (DelayedFrames(towards="host", delay=0.2), SHORT),
+}
+RIG_FAULTS: dict[str, tuple[What, float]] = {
+    "disconnect": (Disconnect(), SHORT),
+    "reset": (Reset(), SHORT),
+    "reset within 50 ms": (Reset(), 0.05),
+    "drive fault": (DriveFault(7), SHORT),
+    "drive saturated": (Saturated(0.1), SHORT),
+    "stuck scale": (Stuck("z"), SHORT),
+    "stuck scale for good": (Stuck("z"), FOR_GOOD),
+    "stuck scale of x for good": (Stuck("x"), FOR_GOOD),
+    "absurd readings": (Absurd("z"), SHORT),
+    "absurd readings of x": (Absurd("x"), SHORT),
+    "absurd readings, 1 in 4": (Absurd("z", rate=0.25), SHORT),
+}
+
+FAULTS = WIRE_FAULTS | RIG_FAULTS
+
+# What the words of the table promise: how the run ends, and whether it was seen to rest.
+ENDS = {
+    "SAFE": (r"went SAFE", True),
+    "silent": (r"no measurement", None),
+    "unreached": (r"link lost", False),
+    "reset": (r"was reset", None),
+    "drive fault": (r"fault|emergency stop", True),
+    "readings": (r"readings in a row|height", True),
+}
+FLAGS = {
+    "stuck": Event.SENSOR_STUCK,
+    "stuck x": Event.X_STUCK,
+    "readings": Event.READING_REFUSED,
+    "drive": Event.DRIVE_OFF,
+    "stale": Event.READINGS_STALE,
+}
+
+
+class Cell(NamedTuple):
+    """One run with one fault."""
+
+    soft: SoftRig
+    rows: KeptRows
+    report: RunReport | None
+    refusal: str
+
+    @property
+    def events(self) -> set[int]:
+        if self.report is None or self.report.loop is None:  # it ended before its first tick
+            return set()
+        log = self.rows.run()
+        return set() if log.events is None else set(log.events.code.tolist())
+
+
+@cache
+def loop() -> LoopSetUp:
+    """Coarse and quick: what counts here is how runs end."""
+    setup = SetUp(
+        command=CommandSetUp([0, 0.1, 0.6, 1.1, 1.6], [0, 0, 30, 30, 10], omega_unit="deg/s"),
+        wheel=WheelSetUp(plate_size=0.01),
+        integrator=IntegratorSetUp("held pace", 5e-3),
+    )
+    return LoopSetUp(
+        setup=setup,
+        commands=LIMITS,
+        tick=TICK,
+        readings=ReadingLimits(still=0.2, drive_time=0.1),
+    )
+
+
+def cell(what: What | None, phase: str = "connect", duration: float = SHORT) -> Cell:
+    """A run with one fault, or none, in one phase."""
+    faults = () if what is None else (Fault(what, Window(*PHASES[phase], duration)),)
+    return struck(faults, STRUCK_COUNTDOWN if phase == "countdown" else COUNTDOWN)
+
+
+@cache
+def answer_at_once() -> None:
+    """Spare small steps the way through JAX's queue, where it has computed nothing yet."""
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
+    answer_at_once()
+    rig = VirtualSetUp(physics=PhysicsSetUp(step=2.5e-3, plate_size=0.01))
+    soft, rows = soft_rig(rig, FaultScript(faults, seed=1), grain=2e-3), KeptRows()
+    report, refusal = None, ""
+    procedure = Procedure(loop=loop(), countdown=countdown)
+    try:
+        report = run(procedure, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
+    except InputError as error:
+        refusal = str(error)
+    soft.rig.live(soft.clock.now() + 1.0)
+    return Cell(soft, rows, report, refusal)
+
+
+def require_safety(cell: Cell) -> None:
+    """What holds in every cell."""
+    soft, occasions = cell.soft, cell.soft.rig.occasions
+    assert soft.clock.now() - occasions["power"] < LONGEST
+    assert soft.rig.motion.omega == 0.0
+    assert soft.rig.state in (RigState.IDLE, RigState.SAFE, RigState.FAULT)
+    assert occasions.get("motion", math.inf) > occasions.get("arm", math.inf) or (
+        "motion" not in occasions
+    )
+    if cell.report is None:
+        assert cell.refusal
+        assert "\n" not in cell.refusal
+        assert "motion" not in occasions
+    if cell.report is not None and cell.report.loop is not None:
+        command = cell.rows.run().command
+        assert abs(command.omega).max() <= LIMITS.omega
+        assert command.vx is not None
+        assert abs(command.vx).max() <= LIMITS.vx
+    for change in soft.rig.changes:
+        assert change.silence <= WATCHDOG + TICK or change.state is not RigState.SAFE
+
+
+def require_outcome(cell: Cell, outcome: str) -> None:
+    """What the table says of this cell."""
+    report = cell.report
+    if outcome.startswith("refused"):
+        assert report is None
+        assert cell.soft.rig.held is (outcome == "refused")
+        return
+    assert report is not None, cell.refusal
+    if outcome.startswith("ends: "):
+        pattern, rested = ENDS[outcome.removeprefix("ends: ")]
+        assert not report.completed
+        assert re.search(pattern, report.reason), report.reason
+        assert rested is None or report.rested is rested
+        return
+    outcome, _, unseen = outcome.partition(", ")
+    assert report.completed, report.reason
+    assert report.rested is (unseen != "rest unseen")
+    flags = set() if outcome == "completes" else set(outcome.removeprefix("flags: ").split(" and "))
+    assert flags <= set(FLAGS)
+    assert {flag for flag, event in FLAGS.items() if event in cell.events} == flags
+
+
+def table() -> dict[str, list[str]]:
+    """Outcomes by fault, in the order of the phases."""
+    rows = {}
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        name, *outcomes = [each.strip() for each in line.strip().strip("|").split("|")]
+        if len(outcomes) == len(PHASES):
+            rows[name] = outcomes
+    return rows
+
+
+def require_row(name: str) -> None:
+    """A fault has its stated outcome in every phase."""
+    what, duration = FAULTS[name]
+    for phase, outcome in zip(PHASES, table()[name], strict=True):
+        made = cell(what, phase, duration)
+        try:
+            require_safety(made)
+            require_outcome(made, outcome)
+        except AssertionError as error:
+            reason = made.report.reason if made.report else made.refusal
+            raise AssertionError(f"{name} in {phase}: {outcome!r}, but {reason!r}") from error

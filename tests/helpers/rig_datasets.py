@@ -1,0 +1,54 @@
+"""A case for a diagnosis: three short runs of one virtual rig, two of one command."""
+
+from diagnose.dataset import Case
+from drftjax.runlog.record import RunLog
+from drftjax.setups.setup import read_setup
+from drftjax.simulation.statics import sinkage_under_load
+from tests.helpers.synthetic_runs import coarse, recorded, setup_of
+
+# Slow and fast, long enough that what grows with travel shows.
+PROFILES = (
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
+)
+
+
+# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions.
+CONDITIONS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 26.0, 0.752))
+
+
+def run_with(
+    effect: dict, speed: float, mass: float, zeta: float, seed: int, noise: float = 10e-6
+) -> RunLog:
+    """A run of a rig with an effect, whose wheel stands at first and slows down at last.
+
+    Args:
+        effect: As an entry of a set-up file.
+        speed: Of the wheel [rad/s].
+        mass: On it [kg].
+        zeta: Scaling factor [-].
+        seed: Of the noise.
+        noise: Standard deviation of x and z [m].
+    """
+    setup = setup_of(([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed]), zeta)
+    setup.rig.mass_z = mass
+    # The plates with which a run log is simulated again.
+    setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
+    setup.effects = [effect]
+    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
+    return recorded(setup, seed=seed, noise=noise)
+
+
+def case_with(*effects: dict, scale: float = 1.0) -> Case:
+    """Runs of a rig with these effects, as entries of a set-up file.
+
+    The wheel stands at rest where its sinkage reads `scale` times what it is.
+    """
+    found = []
+    for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
+        setup = setup_of(profile, zeta)
+        setup.effects = list(effects)
+        setup.start.sinkage *= scale
+        found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
+    return Case.of(found)

@@ -1,0 +1,75 @@
+"""Short runs made by simulation, for tests of what fits find in them."""
+
+import dataclasses
+
+import numpy as np
+
+from drftjax.recorded.prepared_run import FIT_METHOD, STEPS_A_ROW, Candidate, candidate
+from drftjax.runlog.record import Measured, RunLog, Setup
+from drftjax.setups.setup import CommandSetUp, SetUp
+from drftjax.setups.simulated_run import simulated_run
+from drftjax.simulation.statics import sinkage_under_load
+
+# Knots in time [s] and omega [rad/s]: the paper's wheel speed, and eight times as much.
+SLOW = ([0.0, 0.25, 1.0, 1.5], [0.0, 0.0, 0.5, 0.5])
+FAST = ([0.0, 0.25, 1.25, 2.25], [0.0, 0.0, 4.0, 4.0])
+# The longest steps at which the derivatives of these stay bounded [s]: no wheel slows down here.
+SLOW_STEP, FAST_STEP = 1e-3, 2.5e-4
+
+# Coarse plates, so that tests are quick; longer ones make the derivatives rough.
+PLATE = 0.010
+NOISE = 20e-6
+BELIEVED_ZETA = 0.7823
+
+
+def step_for(omega) -> float:
+    """The step that a virtual run of these speeds is made and fitted with [s]."""
+    return FAST_STEP if max(omega) > 1 else SLOW_STEP
+
+
+def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) -> SetUp:
+    """A true set-up, integrated as fits integrate."""
+    time, omega = profile
+    setup = SetUp(command=CommandSetUp(list(time), list(omega), vx), title="a virtual run")
+    setup.wheel.plate_size = PLATE
+    setup.terrain.zeta = zeta
+    setup.integrator.method = FIT_METHOD
+    setup.integrator.step = step_for(omega)
+    setup.rig.carriage = "free" if vx is None else "driven"
+    # The wheel has been let down gently and stands.
+    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
+    return setup
+
+
+def recorded(
+    setup: SetUp,
+    seed: int = 0,
+    rate: float = 50.0,
+    noise: float = NOISE,
+    channels: tuple[str, ...] = ("x", "z"),
+    force_noise: float = 0.0,
+) -> RunLog:
+    """A run of `setup` as a rig records it; its zeta is not written down."""
+    log = simulated_run(setup, 1 / rate)
+    random = np.random.default_rng(seed)
+    measured = {}
+    for name in channels:
+        values = getattr(log.measured, name)
+        scale = noise if name in ("x", "z") else force_noise
+        measured[name] = values + scale * random.standard_normal(len(values))
+    believed = Setup(**log.setup.known() | {"scaling_factor_initial": BELIEVED_ZETA})
+    return dataclasses.replace(
+        log, setup=believed, measured=Measured(time=log.measured.time, **measured)
+    )
+
+
+def coarse(name: str, run: RunLog, **options) -> Candidate:
+    """`candidate` with the virtual run's plates and step: a run log does not say them."""
+    options.setdefault("step", step_for(run.command.omega))
+    return recut(candidate(name, run, **options))
+
+
+def recut(each: Candidate, plate_size: float = PLATE) -> Candidate:
+    each.setup.wheel.plate_size = plate_size
+    trial = each.setup.trial(STEPS_A_ROW * each.setup.integrator.step)
+    return dataclasses.replace(each, trial=trial)

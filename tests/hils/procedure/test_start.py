@@ -1,0 +1,187 @@
+"""What comes before the first command: a wheel in the air, and a rig that stopped by itself."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+
+from drftjax.common.errors import InputError
+from drftjax.runlog.hdf5.api import survey_run, write_run
+from hils.clock import VirtualClock
+from hils.control.stop_request import StopRequest
+from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
+from hils.procedure.operator_prompts import LOOK, Unattended
+from hils.procedure.procedure import Procedure, run
+from hils.recording.sinks import KeptRows
+from hils.rig_sim.in_process import soft_rig
+from tests.helpers.hils_runs import START, Cue, LoggedLink, loop_setup
+from tests.helpers.protocol_variants import Buttons, OtherRig
+
+
+class InTheAir(OtherRig):
+    """Its wheel hangs so far over where it was zeroed [m]."""
+
+    over = 0.0
+    greeting = (0x44524654, 9, 7, 1e-5, 1e-4, 2.0, 0.1, 50, 0)
+
+    def measure(self, now, seq):
+        self.told, z = now, round(self.over / 1e-5) if now > START + 0.55 else 0
+        self.say(5, struct.pack("<IiifHH", seq, z, 0, self.omega, self.state, 0))
+
+
+@pytest.mark.parametrize("over", [0.0, 0.03])
+def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over, tmp_path):
+    told, clock, rows = [], VirtualClock(START), KeptRows()
+
+    class Listener(Unattended):
+        def tell(self, text):
+            told.append(text)
+
+        mention = tell
+
+    given = Procedure(loop=loop_setup(), countdown=0.3, free=True)
+    link = LoggedLink(InTheAir(over=over), clock)
+    report = run(given, link, clock, rows, Listener(quiet=True), StopRequest())
+    assert report.completed
+    assert report.rested
+    assert "At rest in the air; start in 0.3 s" in told
+    assert max(m.omega for _, m in link.said if isinstance(m, Drive)) == pytest.approx(
+        np.radians(30)
+    )
+    log = rows.run()
+    assert log.setup.scaling_factor_initial is None
+    assert log.setup.sinkage_static is None
+    write_run(tmp_path / "air.h5", log)
+    # A wheel that was zeroed on the sand and lifted is no run on sand, and a check says so.
+    found = survey_run(tmp_path / "air.h5")[1]
+    assert [each.where for each in found] == (["/measured/z"] if over else [])
+
+
+@pytest.mark.parametrize(
+    ("free", "over", "said"),
+    [
+        (False, 0.0, "-0.00 mm deep, must lie between 0.5"),
+        (True, 0.06, "-60.00 mm deep, must lie between -50"),
+    ],
+)
+def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, over, said):
+    clock, given = VirtualClock(START), Procedure(loop=loop_setup(), countdown=0.3, free=free)
+    link = LoggedLink(InTheAir(over=over), clock)
+    with pytest.raises(InputError, match=f"rests {said}"):
+        run(given, link, clock, KeptRows(), Unattended(quiet=True), StopRequest())
+    assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
+
+
+class Pressing(Unattended):
+    """An operator who presses the rig's own emergency stop while asked for something else."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
+        super().__init__(quiet=True)
+        self._rig, self._clock, self._question = rig, clock, question
+
+    def confirm(self, text, meanwhile=None):
+        if self._question in text:
+            self._rig.press(12, self._clock.now())
+            self._clock.sleep_until(self._clock.now() + 10.0)
+
+
+@pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down", "none: held"])
+def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(question):
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    Cue(clock, START + 0.2 if "none" in question else math.inf, lambda: rig.press(12, clock.now()))
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
+        run(given, link, clock, rows, Pressing(rig, clock, question), StopRequest())
+    assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
+    assert rig.protocol.state is RigState.SAFE
+    assert "emergency stop" in rows.end_reason
+
+
+class Resetting(Unattended):
+    """The rig is reset at one of the questions."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
+        super().__init__(quiet=True)
+        self._rig, self._clock, self._question = rig, clock, question
+
+    def confirm(self, text, meanwhile=None):
+        if self._question in text:
+            self._rig.reset(self._clock.now())
+            self._clock.sleep_until(self._clock.now() + 1.0)
+
+
+@pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down"])
+def test_rig_that_is_reset_at_a_question_is_refused_as_such(question):
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    said = "the rig on the virtual rig was reset before it was armed: start again$"
+    with pytest.raises(InputError, match=said):
+        run(given, link, clock, rows, Resetting(rig, clock, question), StopRequest())
+    assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
+    assert rig.protocol.state in (RigState.IDLE, RigState.SAFE)
+
+
+def test_a_file_that_cannot_be_recorded_any_more_after_the_questions_is_refused():
+    class Filling(KeptRows):
+        asked = 0
+
+        def require_room(self, head):
+            self.asked += 1
+            if self.asked > 1:
+                raise InputError("the disk is full")
+
+    soft = soft_rig()
+    with pytest.raises(InputError, match="the disk is full"):
+        run(
+            Procedure(loop=loop_setup(), countdown=0.3),
+            soft.link,
+            soft.clock,
+            Filling(),
+            Unattended(quiet=True),
+            StopRequest(),
+        )
+    assert "arm" not in soft.rig.occasions
+
+
+class Waiting(Unattended):
+    """An operator who never presses Enter, at a rig whose own emergency stop is pressed."""
+
+    def __init__(self, rig: Buttons, clock: VirtualClock):
+        super().__init__(quiet=True)
+        self._rig, self._clock = rig, clock
+
+    def confirm(self, text, meanwhile=None):
+        assert meanwhile is not None
+        self._rig.press(12, self._clock.now())
+        for _ in range(20):
+            self._clock.sleep_until(self._clock.now() + LOOK)
+            meanwhile()
+        raise AssertionError("nobody looked at the rig while the question was open")
+
+
+def test_rigs_own_emergency_stop_ends_an_open_question():
+    clock, rig = VirtualClock(START), Buttons()
+    link, rows = LoggedLink(rig, clock), KeptRows()
+    given = Procedure(loop=loop_setup(), countdown=0.3)
+    with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
+        run(given, link, clock, rows, Waiting(rig, clock), StopRequest())
+    assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
+
+
+def test_rig_that_is_safe_from_before_is_told_of_and_driven():
+    told = []
+
+    class Listener(Unattended):
+        def tell(self, text):
+            told.append(text)
+
+    soft, given = soft_rig(), Procedure(loop=loop_setup(), countdown=0.3)
+    soft.link.begin(7)
+    for message in (Hello(10_000, 50), EmergencyStop(1)):
+        soft.link.send(message)
+    run(given, soft.link, soft.clock, rows := KeptRows(), Listener(quiet=True), StopRequest())
+    assert rows.end_reason == "completed"
+    assert told[0] == "The rig was SAFE before this run; ARM lets it move again."

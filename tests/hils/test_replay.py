@@ -1,0 +1,253 @@
+"""A run made from its own readings again: the same zeta, whatever happened on the way."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from drftjax.common.errors import InputError
+from drftjax.runlog.hdf5.api import read_run, write_run
+from drftjax.runlog.record import RunLog
+from drftjax.setups.setup import CommandSetUp, SetUp
+from drftjax.tuning.registry import TunerSetUp
+from hils.clock import AbstractClock
+from hils.control.limits import CommandLimits
+from hils.control.loop_config import LoopSetUp
+from hils.control.stop_request import StopRequest, Wish
+from hils.events import Event, TickFlag
+from hils.procedure.operator_prompts import Unattended
+from hils.procedure.procedure import Procedure, run
+from hils.recording.recorder import Recorder
+from hils.replay import replay
+from hils.rig_sim.faults import Absurd, Fault, FaultScript, LostFrames, Window
+from hils.rig_sim.in_process import soft_rig
+
+# As the test's own process has it: what other tests set meanwhile may make other kernels.
+ENVIRONMENT = dict(os.environ)
+ROOT = Path(__file__).resolve().parents[2]
+
+PROFILE = ([0.0, 0.3, 1.3, 2.0, 2.5], [0.0, 0.0, 0.5, 0.5, 0.0])
+# Within the run, which starts some 6 s after the rig's power-up.
+BUSY_AT = (7.0, 7.5, 7.6)
+SCRIPT = FaultScript(
+    seed=3,
+    faults=(
+        Fault(LostFrames(rate=0.3), Window(after="motion", start=0.2, duration=0.5)),
+        Fault(Absurd(rate=0.3), Window(after="motion", start=0.8, duration=0.3)),
+    ),
+)
+
+
+class BusyClock(AbstractClock):
+    """A virtual clock on a computer that has something else to do at some moments.
+
+    Args:
+        clock: The virtual clock.
+        moments: When [s]; it wakes late by `late` [s].
+        each: Called at every waking.
+    """
+
+    def __init__(
+        self,
+        clock: AbstractClock,
+        moments: Sequence[float],
+        late: float,
+        each: Callable[[], None],
+    ):
+        self._clock, self._moments, self._late, self._each = clock, list(moments), late, each
+
+    def now(self) -> float:
+        return self._clock.now()
+
+    def sleep_until(self, deadline: float) -> None:
+        late = 0.0
+        if self._moments and deadline >= self._moments[0]:
+            late = self._late
+            del self._moments[0]
+        self._clock.sleep_until(deadline + late)
+        self._each()
+
+
+def recorded(
+    path: Path, tuner: str = "step", busy_at: Sequence[float] = (), stop_above: float = np.inf
+) -> RunLog:
+    """A short run on a virtual rig with faults, in virtual time, through the real recorder.
+
+    Args:
+        path: The run log.
+        tuner: By name.
+        busy_at: When the loop misses three ticks, from the rig's power-up [s].
+        stop_above: Angular velocity at which someone asks to stop [rad/s].
+    """
+    time, omega = PROFILE
+    loop = LoopSetUp(
+        setup=SetUp(command=CommandSetUp(time=time, omega=omega)),
+        commands=CommandLimits(2.0, 0.3),
+        tuner=TunerSetUp(tuner),
+        tuning_ticks=2,
+    )
+    rig, link, clock = soft_rig(script=SCRIPT, seed=1)
+    request = StopRequest()
+
+    def look() -> None:
+        if rig.motion.omega > stop_above and request.wish is None:
+            request.ask(Wish("asked to stop", Event.STOP_ASKED))
+
+    clock = BusyClock(clock, [clock.now() + each for each in busy_at], 0.034, look)
+    procedure, dialogue = Procedure(loop=loop, free=False), Unattended(quiet=True)
+    run(procedure, link, clock, Recorder(path), dialogue, request)
+    return read_run(path)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("replay") / "run.h5"
+
+
+@pytest.fixture(scope="module")
+def log(path) -> RunLog:
+    return recorded(path)
+
+
+def test_the_run_has_what_makes_a_replay_hard(log):
+    flags, online = log.online.flags, log.online
+    assert ((flags & TickFlag.FRESH) == 0).sum() > 5  # ticks without a reading
+    assert ((flags & TickFlag.REFUSED) > 0).sum() > 2
+    assert (np.diff(online.zeta) > 0).any()
+    assert (np.diff(online.zeta) < 0).any()
+    assert log.end_reason == "completed"
+
+
+def test_a_replay_gives_the_recorded_zeta_bit_for_bit(log):
+    made = replay(log)
+    assert made.zeta.tobytes() == log.online.zeta.tobytes()
+    assert made.exact
+    assert made.ticks == log.online.time.size
+    assert "bit for bit" in made.sentence()
+
+
+def test_another_process_gives_the_recorded_zeta_bit_for_bit(log, path):
+    code = (
+        "import sys; from drftjax.runlog.hdf5.api import read_run; from hils.replay import replay; "
+        "made = replay(read_run(sys.argv[1])); print(made.exact, made.zeta.tobytes().hex())"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code, str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=ENVIRONMENT,
+        cwd=ROOT,
+    ).stdout.split()
+    assert said == ["True", log.online.zeta.tobytes().hex()]
+
+
+@pytest.mark.parametrize("tuner", ["pi", "kalman"])
+def test_every_tuner_is_replayed_bit_for_bit(tmp_path, tuner):
+    assert replay(recorded(tmp_path / "run.h5", tuner)).exact
+
+
+def test_skipped_ticks_are_replayed_bit_for_bit(tmp_path):
+    log = recorded(tmp_path / "run.h5", busy_at=BUSY_AT)
+    numbers = np.round(log.online.time / log.online.tick)
+    assert (np.diff(numbers) > 1).sum() == 3
+    assert ((log.online.flags & TickFlag.SKIPPED) > 0).sum() == 3
+    assert replay(log).exact
+
+
+def test_a_run_ended_early_is_replayed_bit_for_bit(tmp_path):
+    log = recorded(tmp_path / "run.h5", stop_above=0.3)
+    assert log.end_reason == "asked to stop"
+    assert ((log.online.flags & TickFlag.RAMPING) > 0).any()
+    assert log.online.time[-1] < PROFILE[0][-1]
+    assert replay(log).exact
+
+
+def test_a_run_cut_off_is_replayed_as_far_as_it_goes(log):
+    rows = log.online.time.size // 2
+    columns = {
+        each.name: getattr(log.online, each.name)
+        for each in dataclasses.fields(log.online)
+        if isinstance(getattr(log.online, each.name), np.ndarray)
+    }
+    half = dataclasses.replace(log.online, **{name: each[:rows] for name, each in columns.items()})
+    made = replay(dataclasses.replace(log, online=half))
+    assert made.exact
+    assert made.ticks == rows
+
+
+def changed(log: RunLog, **columns) -> RunLog:
+    return dataclasses.replace(log, online=dataclasses.replace(log.online, **columns))
+
+
+def test_readings_that_were_others_are_noticed_from_their_first_tick_on(log):
+    z = log.measured.z.copy()
+    row = z.size // 3
+    z[row:] += 1e-3
+    made = replay(dataclasses.replace(log, measured=dataclasses.replace(log.measured, z=z)))
+    assert not made.exact
+    assert {each.name for each in made.differences} >= {"zeta", "z_sim"}
+    when = log.measured.time[row]
+    assert all(each.first >= when for each in made.differences)
+
+
+@pytest.mark.parametrize("name", ["zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "fz_sim"])
+def test_the_last_bit_of_one_recorded_number_is_noticed(log, name):
+    values = getattr(log.online, name).copy()
+    values[20] = np.nextafter(values[20], np.inf)
+    (found,) = replay(changed(log, **{name: values})).differences
+    assert (found.name, found.rows, found.first) == (name, 1, log.online.time[20])
+    assert found.largest == values[20] - getattr(log.online, name)[20]
+
+
+def test_a_run_recorded_without_fz_sim_is_replayed(log):
+    assert replay(changed(log, fz_sim=None)).exact
+
+
+def test_a_command_that_was_another_is_noticed(log):
+    vx = log.command.vx.copy()
+    vx[30] += 1e-3
+    made = replay(dataclasses.replace(log, command=dataclasses.replace(log.command, vx=vx)))
+    (found,) = made.differences
+    assert (found.name, found.rows) == ("vx", 1)
+    assert f"vx differs in 1 rows from {log.command.time[30]:g} s on" in made.sentence()
+
+
+def test_what_cannot_be_replayed_is_refused_with_its_reason(log):
+    with pytest.raises(InputError, match="was not made in the loop"):
+        replay(dataclasses.replace(log, online=None))
+    with pytest.raises(InputError, match="no attribute loop"):
+        replay(changed(log, loop=None))
+    with pytest.raises(InputError, match="record of its loop cannot be read"):
+        replay(changed(log, loop='{"loop": 1}'))
+    with pytest.raises(InputError, match=r"tick 0\.02 s, its loop has 0\.01 s"):
+        replay(changed(log, tick=0.02))
+    with pytest.raises(InputError, match="no whole number of ticks"):
+        replay(changed(log, time=log.online.time + 1e-6))
+    with pytest.raises(InputError, match="no row for the reading"):
+        replay(changed(log, flags=log.online.flags | TickFlag.FRESH))
+
+
+def test_the_command_says_how_every_run_came_out(drft, log, path, tmp_path):
+    good = drft("hils", "replay", path)
+    assert good.code == 0, good
+    assert good.out.startswith(f"{path}: {log.online.time.size} ticks: zeta, ")
+    zeta = log.online.zeta.copy()
+    zeta[-1] += 1e-9
+    other = tmp_path / "other.h5"
+    write_run(other, changed(log, zeta=zeta))
+    both = drft("hils", "replay", path, other)
+    assert both.code == 1
+    assert f"{other}: {log.online.time.size} ticks: zeta differs in 1 rows" in both.out
+    write_run(other, dataclasses.replace(log, online=None))
+    assert (
+        drft("hils", "replay", other).refusal
+        == f"{other}: the run has no /online: it was not made in the loop"
+    )
+    assert jax.config.values["jax_enable_x64"]
