@@ -7,20 +7,20 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.evaluation.evaluate import evaluated
+from diagnose.dataset import RigDataset
+from diagnose.evaluation.evaluate import evaluate_model
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.evaluation.result import Evaluation
 from diagnose.hypotheses.screening import Report
-from diagnose.model.augmented_model import Model
+from diagnose.model.augmented_model import AugmentedModel
 from diagnose.pipeline import diagnose as diagnose_case
 from diagnose.result import Diagnosis
-from diagnose.rig_runs import gather, of_one_rig, usable
+from diagnose.rig_runs import gather_runs, require_one_rig, usable_runs
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import OURS, catalogue, effect_class
-from drftjax.recorded.gather import Gathered
-from drftjax.recorded.prepared_run import Candidate, Run, made_ready, named_runs
+from drftjax.recorded.gather import GatheredRuns
+from drftjax.recorded.prepared_run import PreparedRun, Run, as_prepared, named_runs
 
 # An effect with strengths of zero leaves a run as it is but for the roundings of another program
 # [m, N, N m].
@@ -51,7 +51,7 @@ def diagnose(
     """
     chosen = effects_among(effects)
     with jax.enable_x64(True):
-        return diagnosed(gathered_from(runs), chosen, progress or (lambda stage: None))
+        return diagnose_gathered(gather_inputs(runs), chosen, progress or (lambda stage: None))
 
 
 def evaluate(
@@ -74,12 +74,12 @@ def evaluate(
             added = read_model_file(Path(model))
             effects, origin = added.effects, added.origin
         elif isinstance(model, Diagnosis):
-            effects, origin = model.added.effects, model.origin
+            effects, origin = model.selected.effects, model.origin
         else:
             effects = _numbered(model)
-        gathered = gathered_from(runs, origin)
-        caveats = [] if added is None else added.caveats(gathered.candidates)
-        return evaluated(Case.of(gathered.candidates), effects, gathered.left_out, caveats)
+        gathered = gather_inputs(runs, origin)
+        caveats = [] if added is None else added.caveats(gathered.runs)
+        return evaluate_model(RigDataset.of(gathered.runs), effects, gathered.skipped, caveats)
 
 
 def _numbered(given: object) -> tuple[AbstractEffect, ...]:
@@ -123,14 +123,14 @@ def effects_among(
     return tuple(dict.fromkeys(classes))
 
 
-def gathered_from(
+def gather_inputs(
     runs: Run | Sequence[Run] | Mapping[str, Run], origin: float | None = None
-) -> Gathered:
+) -> GatheredRuns:
     """Runs of one wheel, however they are given.
 
     Args:
         runs: As for `diagnose`.
-        origin: See `diagnose.rig_runs.from_one_start`.
+        origin: See `diagnose.rig_runs.with_common_origin`.
 
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
@@ -139,21 +139,23 @@ def gathered_from(
     if isinstance(several, Sequence):
         paths = [Path(each) for each in several if isinstance(each, str | Path)]
         if paths and len(paths) == len(several):
-            return gather(paths, origin=origin)
+            return gather_runs(paths, origin=origin)
     candidates, left_out = [], {}
     for name, run in named_runs(runs).items():
         try:
-            candidates.append(made_ready(name, run))
+            candidates.append(as_prepared(name, run))
         except RunError as problem:
             left_out[name] = str(problem)
     if left_out and not candidates:
         raise InputError("; ".join(left_out.values()))
-    told = usable(candidates)
-    kept = of_one_rig(told.candidates, origin)
-    return Gathered(kept.candidates, {**left_out, **told.left_out, **kept.left_out})
+    told = usable_runs(candidates)
+    kept = require_one_rig(told.runs, origin)
+    return GatheredRuns(kept.runs, {**left_out, **told.skipped, **kept.skipped})
 
 
-def _require_null(candidates: Sequence[Candidate], effects: Sequence[type[AbstractEffect]]) -> None:
+def _require_null(
+    candidates: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
+) -> None:
     """Refuse effects of other packages that act where their strengths are zero.
 
     Raises:
@@ -162,8 +164,8 @@ def _require_null(candidates: Sequence[Candidate], effects: Sequence[type[Abstra
     for effect in effects:
         if effect in OURS:
             continue
-        case, model = Case.of(candidates[:1]), Model((effect,))
-        without = case.predicted(Model(), 0, 0.0, np.zeros(0))
+        case, model = RigDataset.of(candidates[:1]), AugmentedModel((effect,))
+        without = case.predicted(AugmentedModel(), 0, 0.0, np.zeros(0))
         apart = np.abs(case.predicted(model, 0, 0.0, model.null()) - without).max()
         if np.isfinite(without).all() and not apart <= SAME:
             raise InputError(
@@ -173,8 +175,8 @@ def _require_null(candidates: Sequence[Candidate], effects: Sequence[type[Abstra
             )
 
 
-def diagnosed(
-    gathered: Gathered,
+def diagnose_gathered(
+    gathered: GatheredRuns,
     effects: Sequence[type[AbstractEffect]],
     report: Report,
     tell: Callable[[str], None] = lambda _: None,
@@ -190,11 +192,11 @@ def diagnosed(
     Raises:
         InputError: where no run can be followed.
     """
-    kept, notes = gathered.candidates, list(gathered.left_out.values())
+    kept, notes = gathered.runs, list(gathered.skipped.values())
     _require_null(kept, effects)
     while True:
         try:
-            found = diagnose_case(Case.of(kept), effects, report)
+            found = diagnose_case(RigDataset.of(kept), effects, report)
             break
         except RunError as problem:
             kept = [each for each in kept if each.name != problem.run]

@@ -13,14 +13,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.model.augmented_model import COVERED, Model, predict
-from diagnose.model.linearized_run import Trace, steadied, steps_in_a_node, trace
+from diagnose.model.augmented_model import COVERED, AugmentedModel, predict
+from diagnose.model.linearized_run import (
+    LinearizedRun,
+    linearize,
+    repair_outlier_maps,
+    steps_per_node,
+)
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
-from drftjax.recorded.batch import Batch, Observed, make_batch, roomy
+from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 
 Item = TypeVar("Item")
@@ -62,7 +67,7 @@ SINKAGE_PER_LOG_ZETA = 0.023
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class RigDataset:
     """Runs of one rig.
 
     Attributes:
@@ -70,21 +75,21 @@ class Case:
         batch: The same, padded to common sizes.
     """
 
-    candidates: Sequence[Candidate]
+    runs: Sequence[PreparedRun]
     batch: Batch
 
     @classmethod
-    def of(cls, candidates: Sequence[Candidate]) -> "Case":
+    def of(cls, candidates: Sequence[PreparedRun]) -> "RigDataset":
         """Runs made ready, with `FASTEST` samples a second at most.
 
         Raises:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
-        candidates = [thinned(each) for each in candidates]
+        candidates = [decimate(each) for each in candidates]
         batch = make_batch(
             [each.trial for each in candidates],
             [each.observation for each in candidates],
-            size=next_size,
+            size=padded_count,
         )
         return cls(candidates, batch)
 
@@ -112,48 +117,46 @@ class Case:
         return [self._of_run(self.batch.trials, run) for run in self._runs]
 
     @cached_property
-    def observed(self) -> list[Observed]:
+    def observed(self) -> list[PaddedObservations]:
         """Each run's recording, padded."""
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
-    def narrowed(self) -> "Case":
+    def with_fewer_plates(self) -> "RigDataset":
         """The same case without plates that stay above the sand: but for roundings no change.
 
         What sinks far deeper than was recorded has no numbers.
         """
-        if not all(
-            isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.candidates
-        ):
+        if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
             return self
         z = self.channels.index("z")
         deepest = max(float(np.nanmax(-self.recorded(run)[z], initial=0)) for run in self._runs)
-        wheel = self.candidates[0].setup.wheel
+        wheel = self.runs[0].setup.wheel
         for sectors in range(1, wheel.grouser_count // 2):
             reach = sectors * 2 * math.pi / wheel.grouser_count
             limit = float(wheel.build(reach).cut().sinkage_limit)
             if reach < DEFAULT_REACH and COVERED * limit > ROOM * deepest:
-                return Case.of([_carried_within(reach, each) for each in self.candidates])
+                return RigDataset.of([_sampled_within(reach, each) for each in self.runs])
         return self
 
     @property
     def _runs(self) -> range:
-        return range(len(self.candidates))
+        return range(len(self.runs))
 
     def _of_run(self, stacked, run: int):
         return jax.tree.map(lambda leaf: leaf[run], stacked)
 
-    def each_run(self, work: Callable[[int], Result]) -> list[Result]:
+    def map_runs(self, work: Callable[[int], Result]) -> list[Result]:
         """`work` done for every run, side by side."""
         return list(self.threads.map(work, self._runs))
 
-    def side_by_side(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    def map_items(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """`work` done for every item, side by side, where it goes over runs itself.
 
         Runs are of different lengths: one item alone leaves cores idle at the end of each pass.
         """
         return list(self.leaders.map(work, items))
 
-    def warm(self, program: Callable, models: Sequence[Model]) -> None:
+    def precompile(self, program: Callable, models: Sequence[AugmentedModel]) -> None:
         """Compile a program for some models side by side, rather than one by one as they come.
 
         Without this every thread that needs a program first would compile it for itself. All is of
@@ -164,7 +167,7 @@ class Case:
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
-        def of(model: Model) -> None:
+        def of(model: AugmentedModel) -> None:
             program(model, self.channels, self.trials[0], nothing, as_real(0.0), model.null())
 
         # One of each program, or threads would compile the same side by side.
@@ -172,11 +175,11 @@ class Case:
 
     def counts(self, run: int) -> np.ndarray:
         """Which of a run's recorded samples are compared."""
-        return self.candidates[run].observation.counts
+        return self.runs[run].observation.counts
 
     def time(self, run: int) -> np.ndarray:
         """Times of the samples compared [s]."""
-        return self.candidates[run].observation.time[self.counts(run)]
+        return self.runs[run].observation.time[self.counts(run)]
 
     def spacing(self, run: int) -> float:
         """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
@@ -185,14 +188,14 @@ class Case:
 
     def recorded(self, run: int) -> np.ndarray:
         """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
-        observation = self.candidates[run].observation
+        observation = self.runs[run].observation
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
         for name, row in zip(observation.channels, observation.values, strict=True):
             values[self.channels.index(name)] = row[self.counts(run)]
         return values
 
     def predicted(
-        self, model: Model, run: int, log_zeta: float, coordinates: np.ndarray
+        self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
     ) -> np.ndarray:
         """What a model gives then, like `recorded`."""
         found = predict(
@@ -205,7 +208,7 @@ class Case:
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 
-    def sound(self, residuals: Sequence[np.ndarray]) -> bool:
+    def all_finite(self, residuals: Sequence[np.ndarray]) -> bool:
         """Whether every run was simulated to its end: no number is missing where one was recorded.
 
         Args:
@@ -217,10 +220,10 @@ class Case:
         )
 
     @cached_property
-    def _traced(self) -> dict[int, tuple[float, Trace]]:
+    def _traced(self) -> dict[int, tuple[float, LinearizedRun]]:
         return {}
 
-    def trace(self, run: int, log_zeta: float) -> Trace:
+    def linearized(self, run: int, log_zeta: float) -> LinearizedRun:
         """A run of the reference model at this zeta, linearised; the last one of a run is kept."""
         at, found = self._traced.get(run, (np.nan, None))
         if found is None or at != log_zeta:
@@ -228,28 +231,28 @@ class Case:
             self._traced[run] = float(log_zeta), found
         return found
 
-    def _linearised(self, run: int, log_zeta: float) -> Trace:
+    def _linearised(self, run: int, log_zeta: float) -> LinearizedRun:
         trial = with_zeta(self.trials[run], log_zeta)
-        steps = [steps_in_a_node(each) for each in self.trials]
+        steps = [steps_per_node(each) for each in self.trials]
         rows = np.asarray(self.batch.observed.compared_rows)
         nodes = [int(r) * t.every // s for r, t, s in zip(rows, self.trials, steps, strict=False)]
-        size = max(SMALLEST_SIZE, roomy(max(nodes)))
-        found = trace(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
-        return steadied(found, pitch(trial))
+        size = max(SMALLEST_SIZE, padded_size(max(nodes)))
+        found = linearize(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
+        return repair_outlier_maps(found, pitch(trial))
 
-    def node(self, run: int) -> float:
+    def node_interval(self, run: int) -> float:
         """Length of a node of its trace [s]."""
         trial = self.trials[run]
-        return float(trial.step) * steps_in_a_node(trial)
+        return float(trial.step) * steps_per_node(trial)
 
 
-def _carried_within(reach: float, each: Candidate) -> Candidate:
+def _sampled_within(reach: float, each: PreparedRun) -> PreparedRun:
     """A run whose wheel carries only the plates within an angle from straight down [rad]."""
     wheel = each.setup.wheel.build(reach)
     return replace(each, trial=eqx.tree_at(lambda t: t.simulator.wheel, each.trial, wheel))
 
 
-def thinned(each: Candidate) -> Candidate:
+def decimate(each: PreparedRun) -> PreparedRun:
     """The run with every so many of its samples, where a logger took more than `FASTEST`."""
     seen = each.observation
     if len(seen.time) < 2:
@@ -278,7 +281,7 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
 
 
-def next_size(count: int) -> int:
+def padded_count(count: int) -> int:
     """The next power of two, but never small: cases of most rigs share their programs."""
     return max(SMALLEST_SIZE, 2 ** (count - 1).bit_length())
 
@@ -294,7 +297,7 @@ def pitch(trial: Trial) -> float:
     return float(getattr(trial.simulator.wheel.cut(), "pitch", np.inf))
 
 
-def baseline(case: Case) -> np.ndarray:
+def match_initial_zeta(case: RigDataset) -> np.ndarray:
     """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
 
     Secant steps on its mean. This is where all is linearised, not yet the best that zeta can do.
@@ -305,8 +308,8 @@ def baseline(case: Case) -> np.ndarray:
     if "z" not in case.channels:
         raise InputError("no run has a recorded sinkage (/measured/z), and nothing stands for it")
     z = case.channels.index("z")
-    plain = Model()
-    case.warm(predict, [plain])
+    plain = AugmentedModel()
+    case.precompile(predict, [plain])
 
     def of(run: int) -> float:
         wanted = case.recorded(run)[z]
@@ -326,20 +329,20 @@ def baseline(case: Case) -> np.ndarray:
             slope = (there - here) / (nxt - at)
             at, here = nxt, there
             if not np.isfinite(slope) or slope == 0:
-                name = case.candidates[run].name
+                name = case.runs[run].name
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
             nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
         return at
 
-    return np.array(case.each_run(of))
+    return np.array(case.map_runs(of))
 
 
-def _early(case: Case, run: int) -> np.ndarray:
+def _early(case: RigDataset, run: int) -> np.ndarray:
     """The samples compared early in the motion, past its start: before most effects have grown.
 
     All of them where none was taken then.
     """
-    each, time = case.candidates[run], case.time(run)
+    each, time = case.runs[run], case.time(run)
     omega, vx = (
         np.abs(np.interp(time, np.asarray(each.trial.time), np.asarray(speed)))
         for speed in (each.trial.omega, each.trial.vx)

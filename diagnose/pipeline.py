@@ -7,28 +7,34 @@ import numpy as np
 
 from diagnose.checks import outlier_runs as odd_runs
 from diagnose.checks.caveats import caveats
-from diagnose.dataset import Case
-from diagnose.gap.cross_validation import Unseen, at_mean_sinkage, predicted_unseen
-from diagnose.gap.discretization_error import own_errors
+from diagnose.dataset import RigDataset
+from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
+from diagnose.gap.discretization_error import discretization_errors
 from diagnose.gap.gap import gaps
 from diagnose.gap.noise_floor import noise_floors
-from diagnose.gap.repeatability import chance
-from diagnose.gap.selected_effects import Added, effects_of, most_helpful
-from diagnose.gap.stepwise import one_by_one
-from diagnose.gap.zeta_matching import REFERENCE, WITH, not_met, residuals_of
-from diagnose.hypotheses.hypothesis import Hypothesis, beliefs, foremost, left_of
-from diagnose.hypotheses.screening import Found, Report, search
+from diagnose.gap.repeatability import repeat_variance
+from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
+from diagnose.gap.stepwise import stepwise_gap
+from diagnose.gap.zeta_matching import REFERENCE, WITH, residuals_of, unmatched
+from diagnose.hypotheses.hypothesis import Hypothesis, priors, residual_of, top_ranked
+from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linear_fit import FLOOR
-from diagnose.linear.regressors import Bench
-from diagnose.localization.localization import where
+from diagnose.linear.regressors import Regressors
+from diagnose.localization.localization import localize
 from diagnose.next_runs.discrimination import next_run
-from diagnose.result import Diagnosis, Number
-from diagnose.selection.model_weights import NONE, UNKNOWN, Judged, weights
-from diagnose.selection.verdict import by_name, in_another_form, rivals_of, stands_for, verdict_of
-from diagnose.unknown.correction_fit import unwritten
-from diagnose.unknown.disturbances import by_stage, stages
+from diagnose.result import Diagnosis, ParameterEstimate
+from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
+from diagnose.selection.verdict import (
+    by_name,
+    competing_hypotheses,
+    decide,
+    hypothesis_behind,
+    reassign_unknown,
+)
+from diagnose.unknown.correction_fit import fit_unknown_effect
+from diagnose.unknown.disturbances import by_stage, estimate_disturbances
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers, spoken, spoken_of
+from drftjax.effects.catalogue import field_metadata, reported_name, reported_names
 
 if TYPE_CHECKING:
     pass
@@ -38,7 +44,7 @@ JUDGED_SINGLES, JUDGED_PAIRS = 4, 4
 
 
 def diagnose(
-    case: Case,
+    case: RigDataset,
     effects: Sequence[type[AbstractEffect]],
     report: Report = lambda stage: None,
 ) -> Diagnosis:
@@ -52,68 +58,72 @@ def diagnose(
     Raises:
         InputError: where the runs cannot be simulated.
     """
-    found = search(case, effects, report)
+    found = screen_effects(case, effects, report)
     report("predicting the runs left out")
-    leading = [*foremost(found.singles, JUDGED_SINGLES), *foremost(found.pairs, JUDGED_PAIRS)]
-    of_each = case.side_by_side(lambda each: predicted_unseen(found.bench, each), leading)
+    leading = [*top_ranked(found.singles, JUDGED_SINGLES), *top_ranked(found.pairs, JUDGED_PAIRS)]
+    of_each = case.map_items(lambda each: predict_held_out(found.bench, each), leading)
     # With numbers at which a run left out cannot be simulated an effect explains nothing.
-    unseen = {each.hypothesis.names: each for each in of_each if case.sound(each.residual)}
+    unseen = {each.hypothesis.names: each for each in of_each if case.all_finite(each.residual)}
     leading = [each for each in leading if each.names in unseen]
     share = _weights(found, leading, unseen)
-    verdict, groups = verdict_of(share)
-    chosen = stands_for(found, leading, share, verdict)
-    alone = at_mean_sinkage(found.bench, predicted_unseen(found.bench, found.none))
+    verdict, groups = decide(share)
+    chosen = hypothesis_behind(found, leading, share, verdict)
+    alone = at_mean_sinkage(found.bench, predict_held_out(found.bench, found.none))
     met = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else alone
     before, after = residuals_of(alone), residuals_of(met)
-    own = own_errors(case, found.none.log_zeta)
+    own = discretization_errors(case, found.none.log_zeta)
     floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
-    known = Added(effects_of(chosen), chosen.log_zeta, met, gaps(case, before, after, floors))
-    rivals = rivals_of(found, leading, share, verdict)
+    known = SelectedEffects(
+        effects_of(chosen), chosen.log_zeta, met, gaps(case, before, after, floors)
+    )
+    rivals = competing_hypotheses(found, leading, share, verdict)
     report("where the gap lies")
-    places = list(where(case, before, dict(floors)))
+    places = list(localize(case, before, dict(floors)))
     notes = [
         how,
         *caveats(case),
-        *odd_runs.of_repeats(case, [before, after], own, found.none.by_zeta),
-        *odd_runs.by_zeta(found.bench, chosen),
+        *odd_runs.outliers_among_repeats(case, [before, after], own, found.none.by_zeta),
+        *odd_runs.outliers_by_zeta(found.bench, chosen),
     ]
     signal, added, lies = None, known, []
     if verdict != (NONE,):
-        lies = stages(case, found.none.log_zeta)
+        lies = estimate_disturbances(case, found.none.log_zeta)
         places += by_stage(lies)
     if verdict == (UNKNOWN,):
         if lies:
             report("what an effect that explains it would look like")
-            signal = unwritten(case, lies, found.none, before, floors, places)
+            signal = fit_unknown_effect(case, lies, found.none, before, floors, places)
         curve = None if signal is None or signal.tried is None else signal.tried.added
-        reference = Added((), found.none.log_zeta, alone, gaps(case, before, before, floors))
-        added = most_helpful([known] if curve is None else [known, curve], reference)
+        reference = SelectedEffects(
+            (), found.none.log_zeta, alone, gaps(case, before, before, floors)
+        )
+        added = best_selection([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
-        notes += odd_runs.alone_in_the_gap(case, places, before, floors)
+        notes += odd_runs.gap_carried_by_one_run(case, places, before, floors)
         meant = signal.tried.means if added is curve and signal and signal.tried else None
-        if meant in {spoken_of(each.about.name) for each in effects}:
-            share = in_another_form(share, meant)
+        if meant in {reported_name(each.about.name) for each in effects}:
+            share = reassign_unknown(share, meant)
             verdict, groups = (meant,), [[meant]]
-    notes += not_met(case, alone, REFERENCE)
-    notes += not_met(case, added.met, WITH) if added.effects else []
+    notes += unmatched(case, alone, REFERENCE)
+    notes += unmatched(case, added.matches, WITH) if added.effects else []
     report("what to run next")
     advice = next_run(case, chosen, rivals, floors) if rivals else {}
     return Diagnosis(
-        verdict=spoken(verdict),
+        verdict=reported_names(verdict),
         weights=by_name(share),
-        groups=[spoken(group) for group in groups],
-        added=added,
+        groups=[reported_names(group) for group in groups],
+        selected=added,
         parameters=_parameters(found.bench, chosen) if chosen.names and added is known else {},
         notes=notes,
         next_run=advice,
-        found=found,
+        screening=found,
         chosen=chosen,
         before=before,
         floors=floors,
-        where=places,
-        unwritten=signal,
+        localization=places,
+        unknown_effect=signal,
         steps=(
-            one_by_one(found, chosen, unseen, before, floors, known.gap)
+            stepwise_gap(found, chosen, unseen, before, floors, known.gap)
             if verdict == chosen.names and added is known
             else []
         ),
@@ -121,26 +131,28 @@ def diagnose(
 
 
 def _weights(
-    found: Found,
+    found: ScreeningResult,
     leading: Sequence[Hypothesis],
-    unseen: Mapping[tuple[str, ...], Unseen],
+    unseen: Mapping[tuple[str, ...], HeldOutPrediction],
 ) -> dict[tuple[str, ...], float]:
     products = found.bench.products
     none = found.none.line
-    judged = [Judged((), none.left, none.left, none.scatter, 0)]
+    judged = [ScoredHypothesis((), none.left, none.left, none.scatter, 0)]
     for each in leading:
-        left, _ = left_of(found.bench, unseen[each.names].residual)
+        left, _ = residual_of(found.bench, unseen[each.names].residual)
         line = each.line
-        judged.append(Judged(each.names, left, line.left, line.scatter, len(each.coordinates)))
+        judged.append(
+            ScoredHypothesis(each.names, left, line.left, line.scatter, len(each.coordinates))
+        )
     total = products.number.sum(axis=0)
     runs = len(products.log_zeta)
     noise = found.bench.noise
     residuals = [each.residual for each in (found.none, *leading)]
-    differ = chance(found.bench.case, residuals, found.none.by_zeta)
+    differ = repeat_variance(found.bench.case, residuals, found.none.by_zeta)
     return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 
-def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]]:
+def _parameters(bench: Regressors, chosen: Hypothesis) -> dict[str, dict[str, ParameterEstimate]]:
     """The chosen effects' numbers with standard errors, by their own columns.
 
     What is believed of a number before any run bounds the error of one that the runs do not tell.
@@ -150,18 +162,18 @@ def _parameters(bench: Bench, chosen: Hypothesis) -> dict[str, dict[str, Number]
     floor = np.array([FLOOR[block] for block in products.blocks]) ** 2
     weight = worth / (chosen.line.left + floor)
     gram = np.einsum("b,rbij->rij", weight, products.gram[:, :, :-1, :-1])
-    width, _ = beliefs(chosen.model)
+    width, _ = priors(chosen.model)
     information = np.diag(1 / width**2)
     for run in gram:
         own = max(run[0, 0], 1e-300)
         information += run[1:, 1:] - np.outer(run[1:, 0], run[0, 1:]) / own
     error = np.sqrt(np.diag(np.linalg.inv(information)))
-    found: dict[str, dict[str, Number]] = {}
+    found: dict[str, dict[str, ParameterEstimate]] = {}
     for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
         effect = chosen.model.effects[free.index]
         value = float(free.value(at))
         scale = free.scale if free.scale is not None else value
-        fields = found.setdefault(spoken_of(effect.about.name), {})
-        unit = numbers(effect)[free.field]["unit"]
-        fields[free.field] = Number(value, float(scale * spread), unit)
+        fields = found.setdefault(reported_name(effect.about.name), {})
+        unit = field_metadata(effect)[free.field]["unit"]
+        fields[free.field] = ParameterEstimate(value, float(scale * spread), unit)
     return found

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.gap.gap import Gap
-from diagnose.gap.selected_effects import Added
-from diagnose.gap.stepwise import Step
+from diagnose.gap.selected_effects import SelectedEffects
+from diagnose.gap.stepwise import NestedModel
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.screening import Found
-from diagnose.localization.shares import Share
-from diagnose.unknown.correction_fit import Correction, Unwritten
+from diagnose.hypotheses.screening import ScreeningResult
+from diagnose.localization.shares import GapShare
+from diagnose.unknown.correction_fit import Correction, UnknownEffect
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.effects.catalogue import effect_class
 
@@ -26,7 +26,7 @@ SCHEMA = "drft-diagnosis"
 
 
 @dataclass(frozen=True)
-class Number:
+class ParameterEstimate:
     """A fitted number of an effect.
 
     Attributes:
@@ -67,41 +67,41 @@ class Diagnosis:
     verdict: tuple[str, ...]
     weights: Mapping[str, float]
     groups: Sequence[Sequence[str]]
-    added: Added
-    parameters: Mapping[str, Mapping[str, Number]]
+    selected: SelectedEffects
+    parameters: Mapping[str, Mapping[str, ParameterEstimate]]
     notes: Sequence[str]
     next_run: Mapping[str, object]
-    found: Found
+    screening: ScreeningResult
     chosen: Hypothesis
     before: list[np.ndarray]
     floors: Mapping[str, float]
-    where: Sequence[Share] = field(default_factory=list)
-    unwritten: Unwritten | None = None
-    steps: Sequence[Step] = field(default_factory=list)
+    localization: Sequence[GapShare] = field(default_factory=list)
+    unknown_effect: UnknownEffect | None = None
+    steps: Sequence[NestedModel] = field(default_factory=list)
 
     @property
-    def case(self) -> Case:
-        return self.found.bench.case
+    def case(self) -> RigDataset:
+        return self.screening.bench.case
 
     @property
     def origin(self) -> float | None:
         """Recorded x that the effects' x = 0 stands for [m]; None where x is as recorded."""
-        return self.case.candidates[0].setup.start.origin
+        return self.case.runs[0].setup.start.origin
 
     @property
     def gap(self) -> Mapping[str, Gap]:
         """Before, and after with what is added, on runs left out, by channel."""
-        return self.added.gap
+        return self.selected.gap
 
     @property
     def correction(self) -> Correction | None:
         """The curve that is added in the place of an effect that nobody has written."""
-        tried = None if self.unwritten is None else self.unwritten.tried
-        return tried if tried is not None and tried.added is self.added else None
+        tried = None if self.unknown_effect is None else self.unknown_effect.tried
+        return tried if tried is not None and tried.added is self.selected else None
 
     def meaning(self, name: str) -> str:
         """What an effect of the verdict does; it may be of the user's own and in no catalogue."""
-        given = {each.effect.about.name: each.effect for each in self.found.bench.variants}
+        given = {each.effect.about.name: each.effect for each in self.screening.bench.variants}
         return (given.get(name) or effect_class(name)).about.meaning
 
     def summary(self, width: int = 110) -> str:
@@ -111,7 +111,7 @@ class Diagnosis:
         return summary_text(in_words(self), width)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {len(self.case.candidates)} runs: {', '.join(self.verdict)}>"
+        return f"<Diagnosis of {len(self.case.runs)} runs: {', '.join(self.verdict)}>"
 
     def _repr_html_(self) -> str:
         from diagnose.report.text import in_words
@@ -152,7 +152,7 @@ class Diagnosis:
                     "share": each.share,
                     "interval": list(each.interval),
                 }
-                for each in self.where
+                for each in self.localization
             ],
             "parameters": {
                 name: {

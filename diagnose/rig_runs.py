@@ -9,9 +9,8 @@ from zlib import crc32
 import numpy as np
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.gather import Gathered
-from drftjax.recorded.gather import gather as gather_runs
-from drftjax.recorded.prepared_run import STEPS_A_ROW, Candidate
+from drftjax.recorded.gather import GatheredRuns, gather
+from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
 from drftjax.setups.setup import SetUp, ZetaKnots
 
 # Wheels are the same where their lengths agree to so many places of a millimetre.
@@ -22,11 +21,11 @@ PLACES = 3
 AT_ZERO = 0.01
 
 
-def gather(
+def gather_runs(
     given: Sequence[Path],
     tell: Callable[[str], None] = lambda _: None,
     origin: float | None = None,
-) -> Gathered:
+) -> GatheredRuns:
     """Runs of one wheel from files and folders; what cannot be used is left out, and says why.
 
     Args:
@@ -37,14 +36,14 @@ def gather(
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
-    gathered = gather_runs(given, sinkage=True, tell=tell)
-    kept = of_one_rig(gathered.candidates, origin)
-    for why in kept.left_out.values():
+    gathered = gather(given, sinkage=True, tell=tell)
+    kept = require_one_rig(gathered.runs, origin)
+    for why in kept.skipped.values():
         tell(f"left out: {why}")
-    return Gathered(kept.candidates, gathered.left_out | kept.left_out)
+    return GatheredRuns(kept.runs, gathered.skipped | kept.skipped)
 
 
-def of_one_rig(candidates: Sequence[Candidate], origin: float | None = None) -> Gathered:
+def require_one_rig(candidates: Sequence[PreparedRun], origin: float | None = None) -> GatheredRuns:
     """The runs of one wheel, each once, from one start, and why the others are left out.
 
     Args:
@@ -54,12 +53,12 @@ def of_one_rig(candidates: Sequence[Candidate], origin: float | None = None) -> 
     Raises:
         InputError: where the runs are of several wheels and none prevails.
     """
-    kept = of_one_wheel(candidates)
-    once = each_reading_once(kept.candidates)
-    return Gathered(from_one_start(once.candidates, origin), kept.left_out | once.left_out)
+    kept = require_one_wheel(candidates)
+    once = without_repeated_readings(kept.runs)
+    return GatheredRuns(with_common_origin(once.runs, origin), kept.skipped | once.skipped)
 
 
-def usable(candidates: Sequence[Candidate]) -> Gathered:
+def usable_runs(candidates: Sequence[PreparedRun]) -> GatheredRuns:
     """The runs that a gap can be told of, and why the others are left out.
 
     Raises:
@@ -79,15 +78,15 @@ def usable(candidates: Sequence[Candidate]) -> Gathered:
     if not kept:
         why = next(iter(left_out.values()), "there is no run: give files, folders or run logs")
         raise InputError(why)
-    return Gathered(kept, left_out)
+    return GatheredRuns(kept, left_out)
 
 
-def each_reading_once(candidates: Sequence[Candidate]) -> Gathered:
+def without_repeated_readings(candidates: Sequence[PreparedRun]) -> GatheredRuns:
     """The runs without copies of others, which would pass for repeats that agree to the last digit.
 
     A file that was saved anew, or given another title, holds the very readings of the first.
     """
-    kept: list[Candidate] = []
+    kept: list[PreparedRun] = []
     left_out = {}
     for each in candidates:
         first = next((other for other in kept if _same_readings(each, other)), None)
@@ -95,10 +94,10 @@ def each_reading_once(candidates: Sequence[Candidate]) -> Gathered:
             kept.append(each)
         else:
             left_out[each.name] = f"{each.name}: has the very readings of {first.name}"
-    return Gathered(kept, left_out)
+    return GatheredRuns(kept, left_out)
 
 
-def _same_readings(one: Candidate, other: Candidate) -> bool:
+def _same_readings(one: PreparedRun, other: PreparedRun) -> bool:
     ours, theirs = one.observation, other.observation
     return (
         ours.channels == theirs.channels
@@ -107,13 +106,13 @@ def _same_readings(one: Candidate, other: Candidate) -> bool:
     )
 
 
-def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
+def require_one_wheel(candidates: Sequence[PreparedRun]) -> GatheredRuns:
     """The runs of the wheel and carriage that most have, and why the others are left out.
 
     Raises:
         InputError: where two kinds have as many runs each.
     """
-    kinds: dict[str, list[Candidate]] = {}
+    kinds: dict[str, list[PreparedRun]] = {}
     for each in candidates:
         kinds.setdefault(kind_of(each.setup), []).append(each)
     ranked = sorted(kinds.items(), key=lambda kind: -len(kind[1]))
@@ -128,10 +127,12 @@ def of_one_wheel(candidates: Sequence[Candidate]) -> Gathered:
         for other, runs in ranked[1:]
         for each in runs
     }
-    return Gathered(kept, others)
+    return GatheredRuns(kept, others)
 
 
-def from_one_start(candidates: Sequence[Candidate], origin: float | None = None) -> list[Candidate]:
+def with_common_origin(
+    candidates: Sequence[PreparedRun], origin: float | None = None
+) -> list[PreparedRun]:
     """Runs whose x counts from one place, which their set-ups then tell.
 
     All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
@@ -153,7 +154,7 @@ def from_one_start(candidates: Sequence[Candidate], origin: float | None = None)
     return [_counted_from(each, origin) for each in candidates]
 
 
-def _counted_from(each: Candidate, origin: float) -> Candidate:
+def _counted_from(each: PreparedRun, origin: float) -> PreparedRun:
     setup, observation = copy.deepcopy(each.setup), each.observation
     setup.start.origin = origin
     if origin == 0.0 or not _has_x(each):
@@ -170,7 +171,7 @@ def _counted_from(each: Candidate, origin: float) -> Candidate:
     )
 
 
-def _has_x(each: Candidate) -> bool:
+def _has_x(each: PreparedRun) -> bool:
     """Whether its x was recorded; that of a driven carriage is not compared."""
     return "x" in (*each.observation.channels, *each.observation.unused)
 

@@ -19,9 +19,9 @@ import drftjax
 from drftjax.common.errors import InputError
 from drftjax.effects.serialization import Entry
 from drftjax.runlog.record import Online, RunLog
-from hils.control.limits import REST, Demand, Reading
+from hils.control.limits import REST, Reading, RigCommand
 from hils.control.loop_config import LoopPhysics, LoopRecord, shared_physics
-from hils.control.tick import Given, LoopState, Reaction, begin, react
+from hils.control.tick import LoopState, TickInput, TickOutput, begin, step_tick
 from hils.events import TickFlag
 from hils.procedure.initial_state import zeta_by_sinkage
 
@@ -82,7 +82,7 @@ class Replay(NamedTuple):
         return f"{self.ticks} ticks: {'; '.join(parts)}{other}"
 
 
-class Retuned(NamedTuple):
+class ReplayedTuning(NamedTuple):
     """What the tuner of a run's own loop makes of its readings with another simulation.
 
     Attributes:
@@ -128,7 +128,7 @@ def replay(run: RunLog) -> Replay:
     return Replay(len(said), zeta, tuple(differences), run.software_version)
 
 
-def retuned(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> Retuned:
+def replay_tuning(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> ReplayedTuning:
     """Feed a run's readings to its loop, had that known these effects and no others.
 
     zeta(0) changes by as much as statics says that it must for the wheel to rest as deep as it
@@ -161,7 +161,7 @@ def retuned(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> Retuned:
     packed = physics.step.begin(start.sinkage, zeta, x, setup.start.angle)
     state = begin(physics, start)._replace(packed=packed)
     said = _fed(run, online, physics, state)
-    return Retuned(
+    return ReplayedTuning(
         online.time,
         np.array([each.after.zeta for each in said]),
         np.array([each.after.error for each in said]),
@@ -183,19 +183,19 @@ def _made_in(run: RunLog) -> tuple[Online, LoopRecord]:
     return online, record
 
 
-def _fed(run: RunLog, online: Online, physics: LoopPhysics, state: LoopState) -> list[Reaction]:
+def _fed(run: RunLog, online: Online, physics: LoopPhysics, state: LoopState) -> list[TickOutput]:
     """What a loop says on every row, fed with what was given then."""
-    said = list[Reaction]()
+    said = list[TickOutput]()
     for number, given in _given(run, online):
         skipped = number - state.number
         if skipped < 0:
             raise InputError(f"/online/time has two rows for the tick {number}")
-        state, reaction = react(physics, state, given._replace(skipped=skipped))
+        state, reaction = step_tick(physics, state, given._replace(skipped=skipped))
         said.append(reaction)
     return said
 
 
-def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:
+def _given(run: RunLog, online: Online) -> Iterator[tuple[int, TickInput]]:
     """Each recorded tick's number, and what the loop was given on it but for skipped ticks."""
     measured = run.measured
     if measured.z is None:
@@ -215,7 +215,7 @@ def _given(run: RunLog, online: Online) -> Iterator[tuple[int, Given]]:
             # The rig's own omega is not recorded; it decides nothing but a flag.
             reading = Reading(*row, omega=math.nan)
         ramping, old = bool(flags & TickFlag.RAMPING), bool(flags & TickFlag.OLD)
-        yield number, Given(reading, ramping=ramping, old=old)
+        yield number, TickInput(reading, ramping=ramping, old=old)
 
 
 def _differences(
@@ -229,7 +229,7 @@ def _differences(
             yield Difference(name, rows.size, float(time[rows[0]]), largest)
 
 
-def _command_differences(run: RunLog, said: list[Reaction], tick: float) -> Iterator[Difference]:
+def _command_differences(run: RunLog, said: list[TickOutput], tick: float) -> Iterator[Difference]:
     command = run.command
     demands = list(_demands(said, tick))
     if command.vx is None or command.time.size < len(demands):
@@ -239,7 +239,7 @@ def _command_differences(run: RunLog, said: list[Reaction], tick: float) -> Iter
     yield from _differences(command.time, recorded, found)
 
 
-def _demands(said: list[Reaction], tick: float) -> Iterator[Demand]:
+def _demands(said: list[TickOutput], tick: float) -> Iterator[RigCommand]:
     """The rows of /command: at rest at first, and what was held where ticks were skipped."""
     next_number = 0
     yield REST

@@ -15,13 +15,13 @@ from drftjax.common.output_files import require_folder
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.recording_lock import part_path, require_free
 from hils.clock import MonotonicClock
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.port_link import PortLink
 from hils.link.ports import open_port
-from hils.monitor.observer import unwatched, watched
-from hils.procedure.active_runs import UnderWay, announced
-from hils.procedure.operator_prompts import AbstractDialogue
+from hils.monitor.observer import observed_run, unobserved_run
+from hils.procedure.active_runs import ActiveRun, registered
+from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.realtime import timely
 from hils.recording.recorder import Recorder
@@ -79,7 +79,7 @@ def file_names(output: Path, runs: int) -> list[Path]:
     return names
 
 
-def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue) -> int:
+def make_series(procedure: Procedure, series: Series, dialogue: AbstractPrompts) -> int:
     """Make the runs, one after the other; the first that does not complete, or after which the rig
     is not seen to rest, ends them, and so does whoever asks for an end, between two runs as well.
 
@@ -90,7 +90,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
         InputError: a run could not be begun, or its file not be finished.
     """
     stop = StopRequest()
-    with announced(series.port, series.files) as under_way, stop.on_signals():
+    with registered(series.port, series.files) as under_way, stop.on_signals():
         try:
             for number, path in enumerate(series.files):
                 if number:
@@ -98,7 +98,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
                 if len(series.files) > 1:
                     dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
                 report = one_run(procedure, series, path, dialogue, stop, under_way)
-                for line in told(report, path):
+                for line in outcome_sentence(report, path):
                     dialogue.tell(line)
                 if series.plot and _is_there(path):
                     dialogue.tell(_drawn(path))
@@ -120,7 +120,7 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractDialogue
     return 0
 
 
-def _code(wish: Wish) -> int:
+def _code(wish: StopReason) -> int:
     interrupted = wish.event is Event.INTERRUPTED and wish.arg == signal.SIGINT
     return INTERRUPTED if interrupted else ENDED_EARLY
 
@@ -129,9 +129,9 @@ def one_run(
     procedure: Procedure,
     series: Series,
     path: Path,
-    dialogue: AbstractDialogue,
+    dialogue: AbstractPrompts,
     stop: StopRequest,
-    under_way: UnderWay,
+    under_way: ActiveRun,
 ) -> RunReport:
     """Open the port, make a run, close everything."""
     with ExitStack() as opened:
@@ -141,10 +141,10 @@ def one_run(
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
-        seen = unwatched(recorder, dialogue)
+        seen = unobserved_run(recorder, dialogue)
         if series.view:
             seen = opened.enter_context(
-                watched(under_way, path, procedure, link, clock, recorder, dialogue, stop)
+                observed_run(under_way, path, procedure, link, clock, recorder, dialogue, stop)
             )
 
         def before_motion() -> None:
@@ -155,7 +155,7 @@ def one_run(
         return run(procedure, link, clock, seen.rows, seen.dialogue, stop, before_motion)
 
 
-def _prepare(series: Series, number: int, dialogue: AbstractDialogue, stop: StopRequest) -> None:
+def _prepare(series: Series, number: int, dialogue: AbstractPrompts, stop: StopRequest) -> None:
     if series.between is None:
         dialogue.confirm("Prepare the sand and bring the wheel back to its start")
         return
@@ -226,7 +226,7 @@ def _drawn(path: Path) -> str:
     return f"Picture: {picture}"
 
 
-def told(report: RunReport, path: Path) -> list[str]:
+def outcome_sentence(report: RunReport, path: Path) -> list[str]:
     """A run's report in a few lines."""
     lines = ["Completed." if report.completed else f"Ended early: {report.reason}."]
     if report.completed and report.wish is not None:

@@ -6,10 +6,10 @@ import jax
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.observation import require_channels
-from drftjax.recorded.prepared_run import Run, candidates_of
+from drftjax.recorded.prepared_run import Run, prepare_runs
 from drftjax.runlog.record import CHANNELS
 from drftjax.setups.setup import SetUp
-from identify.design.required_speed import with_reach
+from identify.design.required_speed import add_required_speeds
 from identify.fit_constant import WHITE, Progress
 from identify.fit_constant import fit as fit_candidates
 from identify.fit_path import fit_paths
@@ -87,7 +87,7 @@ def fit(
     if zeta == "path" and "z" not in channels:
         raise InputError("zeta='path' follows the sinkage, so compare must name z")
     with jax.enable_x64(True):
-        candidates = candidates_of(
+        candidates = prepare_runs(
             runs,
             model,
             fitted=[each.quantity.name for each in wanted],
@@ -99,7 +99,7 @@ def fit(
         if zeta == "phases":
             wanted = zeta_phases(candidates, wanted)
         result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
-        return with_reach(result)
+        return add_required_speeds(result)
 
 
 def _by_name(name: str) -> Parameter:

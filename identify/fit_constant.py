@@ -11,24 +11,24 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.batch import device_mesh, make_batch
-from drftjax.recorded.compatible import of_one_kind
+from drftjax.recorded.compatible import largest_compatible_set
 from drftjax.recorded.observation import white_noise
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from identify.parameters.bijector import Interval
 from identify.parameters.parameter import Parameter
 from identify.parameters.phase_zeta import PhaseZeta, by_phase, with_phases
 from identify.results.findings import findings
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
-from identify.solver.batched_levenberg_marquardt import Descent
-from identify.solver.initial_zeta import met_sinkage
+from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
+from identify.solver.initial_zeta import zeta_from_mean_sinkage
 from identify.solver.levenberg_marquardt import LEAST_GAIN, NEGLIGIBLE, Solution, solve
 from identify.solver.multistart import best_start, require_starts
-from identify.solver.problem import Coordinates, Problem, predicted
-from identify.uncertainty.covariance import unseen
-from identify.uncertainty.estimate import Optimum
+from identify.solver.problem import Coordinates, Problem, predict
+from identify.uncertainty.covariance import null_directions
+from identify.uncertainty.estimate import Estimate
 from identify.uncertainty.noise_model import AbstractNoise, White
-from identify.uncertainty.priors import contradicted, weighed
+from identify.uncertainty.priors import apply_priors, prior_conflicts
 
 # Fits with the weights that the last fit's residuals give; two change the values no further than
 # a small part of their errors.
@@ -66,7 +66,7 @@ Progress = Callable[[str, int, float], None]
 
 
 def fit(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PreparedRun],
     parameters: Sequence[Parameter],
     progress: Progress | None = None,
     noise: AbstractNoise = WHITE,
@@ -93,7 +93,7 @@ def fit(
     candidates = with_phases(candidates, parameters) if by_phase(parameters) else list(candidates)
     problem, before, failures = _problem(candidates, tuple(parameters))
     kept = [each for each in candidates if each.name not in failures]
-    coordinates, tried = met_sinkage(problem, problem.start()), None
+    coordinates, tried = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
     require_starts(starts)
     if starts > 1:
@@ -108,7 +108,7 @@ def fit(
         solution = _in_short_steps(problem, len(kept), coordinates, solution, thrown, report)
     for turn in range(REWEIGHTINGS):
         active, start = solution.active, solution.coordinates
-        problem = _reweighted(problem, predicted(problem, start), noise, active)
+        problem = _reweighted(problem, predict(problem, start), noise, active)
         stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
         solution = solve(
             problem,
@@ -120,9 +120,9 @@ def fit(
         thrown = _thrown(problem, start, solution.coordinates)
         if any(thrown):
             solution = _in_short_steps(problem, len(kept), start, solution, thrown, report)
-    optimum = Optimum.of(problem, solution, tuple(kept), model_error)
+    optimum = Estimate.of(problem, solution, tuple(kept), model_error)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
-        optimum = weighed(optimum, lambda s, size: report("fit with its priors", s, np.nan))
+        optimum = apply_priors(optimum, lambda s, size: report("fit with its priors", s, np.nan))
     return replace(_result(optimum, before, failures), starts=tried)
 
 
@@ -146,7 +146,7 @@ def _in_short_steps(
         thrown: Which numbers were thrown, by `_thrown`.
         report: Called with the stage, the step and the sum of squares.
     """
-    descent = Descent(problem, runs, None, solution.active)
+    descent = BatchedLevenbergMarquardt(problem, runs, None, solution.active)
     point = descent.flat(start if any(thrown) else solution.coordinates)[None]
 
     def said(step: int, _: int) -> None:
@@ -181,7 +181,7 @@ def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool
 
 
 def _problem(
-    candidates: list[Candidate], parameters: tuple[Parameter, ...]
+    candidates: list[PreparedRun], parameters: tuple[Parameter, ...]
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
     candidates, failures = _to_start_from(candidates, parameters)
@@ -196,7 +196,7 @@ def _problem(
         )
         white = jnp.zeros(len(batch.channels))
         problem = Problem(batch, parameters, white, device_mesh())
-        before = predicted(problem, problem.start())
+        before = predict(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
         if all(fine):
             return problem, before, failures
@@ -207,8 +207,8 @@ def _problem(
 
 
 def _to_start_from(
-    candidates: list[Candidate], parameters: tuple[Parameter, ...]
-) -> tuple[list[Candidate], dict[str, str]]:
+    candidates: list[PreparedRun], parameters: tuple[Parameter, ...]
+) -> tuple[list[PreparedRun], dict[str, str]]:
     """The largest set of runs that one program fits, and why the others are left out."""
     failures: dict[str, str] = {}
     for each in candidates:
@@ -217,7 +217,9 @@ def _to_start_from(
                 parameter.require_start(each.trial)
         except InputError as problem:
             failures[each.name] = str(problem)
-    kept, others = of_one_kind([each for each in candidates if each.name not in failures])
+    kept, others = largest_compatible_set(
+        [each for each in candidates if each.name not in failures]
+    )
     return kept, failures | others
 
 
@@ -268,14 +270,14 @@ def _lower_median(values: np.ndarray) -> float:
     return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
 
 
-def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> FitResult:
+def _result(optimum: Estimate, before: np.ndarray, failures: dict[str, str]) -> FitResult:
     problem, solution, candidates = optimum.problem, optimum.solution, optimum.candidates
     error = np.sqrt(np.diag(optimum.covariance))
     shared_coordinates, own_coordinates = solution.coordinates
     own_error = error[optimum.shared :].reshape(own_coordinates.shape)
     own_error = np.where(solution.active[:, None], own_error, np.inf)
     shared = values_of(problem.shared, shared_coordinates, error[: optimum.shared])
-    after = predicted(problem, solution.coordinates)
+    after = predict(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
     states = run_states(optimum)
     runs = []
@@ -288,7 +290,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         for parameter in problem.parameters:
             name = parameter.quantity.name
             parameter.quantity.record(setup, (shared | own)[name].value)
-        placed = problem.placed(each.trial, shared_coordinates, own_coordinates[index])
+        placed = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
         if isinstance(zeta := placed.simulator.terrain.zeta, PhaseZeta):
             setup.terrain.zeta = zeta.knots()
         length = len(each.observation.time)
@@ -311,7 +313,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         )
     size = len(optimum.ordered)
     spread = optimum.covariance[:size, :size]
-    hidden = unseen(solution.blocks, optimum.shared, solution.belief_slope)[:size]
+    hidden = null_directions(solution.blocks, optimum.shared, solution.belief_slope)[:size]
     alone = np.sqrt(optimum.scatter) * np.abs(optimum.slopes[: optimum.shared])
     scatter = {
         each.quantity.name: float(size) for each, size in zip(problem.shared, alone, strict=True)
@@ -324,7 +326,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
         failures=failures,
         findings=[
             *findings(problem.parameters, shared, runs, spread, hidden, scatter),
-            *contradicted(optimum),
+            *prior_conflicts(optimum),
         ],
         labels=optimum.labels,
         covariance=optimum.covariance_of_values,
@@ -332,7 +334,7 @@ def _result(optimum: Optimum, before: np.ndarray, failures: dict[str, str]) -> F
     )
 
 
-def run_states(optimum: Optimum) -> list[str]:
+def run_states(optimum: Estimate) -> list[str]:
     """How the solver left each run: "converged", "stalled" or "diverged".
 
     A run has stalled where a straight line still promises to lower its own sum of squares by a

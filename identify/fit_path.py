@@ -6,10 +6,10 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 
-from drftjax.recorded.compatible import of_usable
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.compatible import retry_without_failures
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
-from identify.fit_path_jointly import Progress, paths_beside
+from identify.fit_path_jointly import Progress, fit_jointly
 from identify.parameters.parameter import Parameter
 from identify.results.findings import at_bounds, unidentified
 from identify.results.result import FitResult
@@ -19,7 +19,7 @@ from identify.zeta_path.smoother import KNOT_SPACING
 
 
 def fit_paths(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PreparedRun],
     knot_spacing: float = KNOT_SPACING,
     parameters: Sequence[Parameter] = (),
     progress: Progress | None = None,
@@ -36,18 +36,16 @@ def fit_paths(
     Raises:
         InputError: where no run is left, or a parameter is one of the path itself.
     """
-    make = partial(
-        paths_beside, parameters=parameters, knot_spacing=knot_spacing, progress=progress
-    )
-    kept, beside, left_out = of_usable(list(candidates), make)
+    make = partial(fit_jointly, parameters=parameters, knot_spacing=knot_spacing, progress=progress)
+    kept, beside, left_out = retry_without_failures(list(candidates), make)
     paths = [each.path() for each in beside.steps]
     shared, own = beside.values
     runs = [_run(*each) for each in zip(kept, paths, own, strict=True)]
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
-        f"{int(path.told.sum())} of {len(path.told)} knots that the run tells"
+        f"{int(path.identified.sum())} of {len(path.identified)} knots that the run tells"
         for path in paths
-        if len(inside := path.value[path.told])
+        if len(inside := path.value[path.identified])
     ]
     findings += [said for path in paths if (said := path.contradiction())]
     findings += unidentified(shared, runs)
@@ -64,7 +62,7 @@ def fit_paths(
     )
 
 
-def _run(each: Candidate, path: ZetaPath, values: dict[str, Value]) -> RunFit:
+def _run(each: PreparedRun, path: ZetaPath, values: dict[str, Value]) -> RunFit:
     observation = each.observation
     status = "converged" if path.converged else "stalled"
     if any(value.at_bound for value in values.values()):
@@ -90,7 +88,7 @@ def _simulated(trial: Trial):
     return trial.run()
 
 
-def _at(trial: Trial, each: Candidate) -> np.ndarray:
+def _at(trial: Trial, each: PreparedRun) -> np.ndarray:
     """Simulated channels at the recorded times, shape (channels, samples)."""
     output = _simulated(trial)
     time = np.asarray(output.time)

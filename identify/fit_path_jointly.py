@@ -23,15 +23,15 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError, RunError
-from drftjax.recorded.batch import Batch, Observed, device_mesh, over_runs
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.batch import Batch, PaddedObservations, device_mesh, map_over_runs
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 from identify.results.values import Value, values_of
 from identify.solver.problem import coordinates_of
-from identify.zeta_path.gauss_newton import PathSteps
-from identify.zeta_path.simulate import predicted
-from identify.zeta_path.smoother import path_steps
+from identify.zeta_path.gauss_newton import ZetaPathSolver
+from identify.zeta_path.simulate import predict_path
+from identify.zeta_path.smoother import path_solvers
 
 # What every path finds for itself.
 OF_THE_PATH = ("start.x", "start.sinkage")
@@ -69,7 +69,7 @@ Progress = Callable[[str, int, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class JointFit:
     """Paths with numbers beside them.
 
     Attributes:
@@ -85,8 +85,8 @@ class Beside:
 
     parameters: tuple[Parameter, ...]
     places: list[np.ndarray]
-    steps: list[PathSteps]
-    candidates: list[Candidate]
+    steps: list[ZetaPathSolver]
+    candidates: list[PreparedRun]
     coordinates: np.ndarray
     covariance: np.ndarray
     turns: int
@@ -124,7 +124,7 @@ class Beside:
         return slope[:, None] * self.covariance * slope
 
 
-def require_beside(parameters: Sequence[Parameter]) -> None:
+def require_joint_parameters(parameters: Sequence[Parameter]) -> None:
     """Refuse what a path finds itself.
 
     Raises:
@@ -140,12 +140,12 @@ def require_beside(parameters: Sequence[Parameter]) -> None:
             raise InputError(f"each path finds its own {each.quantity.name}; leave it out")
 
 
-def paths_beside(
-    candidates: Sequence[Candidate],
+def fit_jointly(
+    candidates: Sequence[PreparedRun],
     parameters: Sequence[Parameter],
     knot_spacing: float,
     progress: Progress | None = None,
-) -> Beside:
+) -> JointFit:
     """zeta(t) of each run and the parameters, by what all runs say together.
 
     Args:
@@ -159,13 +159,15 @@ def paths_beside(
         InputError: where a parameter is of the path itself.
     """
     if not parameters:
-        steps = path_steps(candidates, knot_spacing)
+        steps = path_solvers(candidates, knot_spacing)
         settled = all(each.converged for each in steps)
         nowhere = [np.zeros(0, int)] * len(steps)
-        return Beside((), nowhere, steps, [*candidates], np.zeros(0), np.zeros((0, 0)), 0, settled)
-    require_beside(parameters)
+        return JointFit(
+            (), nowhere, steps, [*candidates], np.zeros(0), np.zeros((0, 0)), 0, settled
+        )
+    require_joint_parameters(parameters)
     report = progress or (lambda stage, turn, evidence: None)
-    fit = _Beside(candidates, parameters)
+    fit = _JointProblem(candidates, parameters)
     now = fit.start()
     best = fit.at(now, knot_spacing, None)
     turns = refused = 0
@@ -198,13 +200,13 @@ def paths_beside(
     converged = converged and all(each.converged for each in best)
     places = [fit.of(run) for run in range(len(best))]
     placed = fit.placed(now)
-    return Beside(fit.parameters, places, best, placed, now, covariance, turns, converged)
+    return JointFit(fit.parameters, places, best, placed, now, covariance, turns, converged)
 
 
-class _Beside:
+class _JointProblem:
     """Runs and parameters, and what one linearisation of all says of the parameters."""
 
-    def __init__(self, candidates: Sequence[Candidate], parameters: Sequence[Parameter]):
+    def __init__(self, candidates: Sequence[PreparedRun], parameters: Sequence[Parameter]):
         self.candidates = list(candidates)
         shared = [each for each in parameters if each.shared]
         self.parameters = (*shared, *(each for each in parameters if not each.shared))
@@ -227,7 +229,7 @@ class _Beside:
         """Places of a run's coordinates, in the parameters' order."""
         return coordinates_of(run, len(self.parameters), self.shared)
 
-    def placed(self, coordinates: np.ndarray) -> list[Candidate]:
+    def placed(self, coordinates: np.ndarray) -> list[PreparedRun]:
         """The runs with these values in trial and set-up."""
         found = []
         for run, each in enumerate(self.candidates):
@@ -239,12 +241,12 @@ class _Beside:
         return found
 
     def at(
-        self, coordinates: np.ndarray, spacing: float, begun: list[PathSteps] | None
-    ) -> list[PathSteps]:
+        self, coordinates: np.ndarray, spacing: float, begun: list[ZetaPathSolver] | None
+    ) -> list[ZetaPathSolver]:
         """The paths at these values."""
-        return path_steps(self.placed(coordinates), spacing, begun)
+        return path_solvers(self.placed(coordinates), spacing, begun)
 
-    def evidence(self, coordinates: np.ndarray, steps: Sequence[PathSteps]) -> float:
+    def evidence(self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]) -> float:
         """Log probability of all runs, and of what was believed."""
         belief, _ = self._beliefs(coordinates)
         return sum(each.posterior.evidence for each in steps) - 0.5 * float(belief @ belief)
@@ -259,7 +261,9 @@ class _Beside:
                 residual[place], slope[place] = map(float, found)
         return residual, slope
 
-    def linearised(self, coordinates: np.ndarray, steps: Sequence[PathSteps]) -> list["_Linear"]:
+    def linearised(
+        self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]
+    ) -> list["_Linear"]:
         """Second derivatives and slope of half the misfit of each run, where its path ended."""
         slopes: dict[int, np.ndarray] = {}
         for batch in {id(each.batch): each.batch for each in steps}.values():
@@ -295,7 +299,7 @@ class _Beside:
         return information, slope
 
     def widen(
-        self, steps: Sequence[PathSteps], linear: Sequence["_Linear"], covariance: np.ndarray
+        self, steps: Sequence[ZetaPathSolver], linear: Sequence["_Linear"], covariance: np.ndarray
     ) -> None:
         """Count the values' uncertainty in that of the paths."""
         for run, (each, here) in enumerate(zip(steps, linear, strict=True)):
@@ -358,14 +362,16 @@ def _slopes(
     the derivative says how the jump multiplies, up to a thousandfold, not how the run goes on.
     """
 
-    def one(trial: Trial, observed: Observed, _, own: tuple[Array, Array, Array]) -> Array:
+    def one(
+        trial: Trial, observed: PaddedObservations, _, own: tuple[Array, Array, Array]
+    ) -> Array:
         curve, path, here = own
 
         def simulated(at: Array) -> Array:
-            return predicted(_with(trial, parameters, at), observed, batch.channels, curve, path)
+            return predict_path(_with(trial, parameters, at), observed, batch.channels, curve, path)
 
         found = jax.vmap(jax.jacfwd(simulated))(here + CLOSE_BY[:, None])
         size = jnp.linalg.norm(jnp.nan_to_num(found, nan=jnp.inf), axis=(1, 2))
         return jnp.take_along_axis(found, jnp.argmin(size, axis=0)[None, None, None], axis=0)[0]
 
-    return over_runs(batch, mesh, one, (), (curves, paths, coordinates))
+    return map_over_runs(batch, mesh, one, (), (curves, paths, coordinates))

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.gap.repeatability import Response, apart, repeats
+from diagnose.dataset import RigDataset
+from diagnose.gap.repeatability import Response, repeat_difference, repeats
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.linear.regressors import Bench
-from diagnose.localization.shares import Share
+from diagnose.linear.regressors import Regressors
+from diagnose.localization.shares import GapShare
 from drftjax.recorded.observation import SHOWN
 
 # Repeats disagree where they differ by so many times what instruments and plates make, and by more
@@ -34,8 +34,8 @@ FEWEST = 4
 MOST, TIMES = 0.5, 3.0
 
 
-def of_repeats(
-    case: Case,
+def outliers_among_repeats(
+    case: RigDataset,
     residuals: Sequence[list[np.ndarray]],
     own: Mapping[str, float],
     response: Response,
@@ -48,12 +48,14 @@ def of_repeats(
             smallest difference counts.
         own: The simulation's own error in each channel [m, N, N m].
         response: Change of a run's channels by its log zeta; see
-        `diagnose.gap.repeatability.apart`.
+        `diagnose.gap.repeatability.repeat_difference`.
     """
     told: dict[tuple[int, int], list[str]] = {}
     for index, channel in enumerate(case.channels):
         for pair in repeats(case, channel):
-            differ = min(_rms(apart(case, pair, each, response)[index]) for each in residuals)
+            differ = min(
+                _rms(repeat_difference(case, pair, each, response)[index]) for each in residuals
+            )
             whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
             alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
             if differ > max(DISAGREE * alone, OF_GAP * whole):
@@ -63,14 +65,14 @@ def of_repeats(
                     "instruments and plates make"
                 )
     return [
-        f"{' and '.join(case.candidates[run].name for run in pair)} {REPEATS_DIFFER} "
+        f"{' and '.join(case.runs[run].name for run in pair)} {REPEATS_DIFFER} "
         f"{'; by '.join(by)}: no effect of command, load or state does that. Was the sand "
         "prepared alike, and z zeroed alike?"
         for pair, by in told.items()
     ]
 
 
-def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
+def outliers_by_zeta(bench: Regressors, chosen: Hypothesis) -> list[str]:
     """The run whose zeta is far from all others', if there is one.
 
     Args:
@@ -90,16 +92,16 @@ def by_zeta(bench: Bench, chosen: Hypothesis) -> list[str]:
     unit, scale = SHOWN["z"]
     sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
     return [
-        f"The zeta of {bench.case.candidates[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
+        f"The zeta of {bench.case.runs[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
         f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, its z zeroed "
         f"elsewhere (by about {sinkage:.2g} {unit}), or an effect bears on it as on no other, as "
         "may be where it alone has its load, speed or length."
     ]
 
 
-def alone_in_the_gap(
-    case: Case,
-    places: Sequence[Share],
+def gap_carried_by_one_run(
+    case: RigDataset,
+    places: Sequence[GapShare],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
 ) -> list[str]:
@@ -115,7 +117,7 @@ def alone_in_the_gap(
     most = max(runs, key=lambda each: each.share, default=None)
     if most is None or len(runs) <= FEWEST or most.share < max(MOST, TIMES * most.time):
         return []
-    named = zip(case.candidates, before, strict=True)
+    named = zip(case.runs, before, strict=True)
     others = [each for candidate, each in named if candidate.name != most.label]
     left = {
         channel: _rms(np.concatenate([each[index] for each in others])) / floors[channel]
@@ -128,8 +130,8 @@ def alone_in_the_gap(
     ]
 
 
-def _noise(case: Case, run: int, channel: str) -> float:
-    return case.candidates[run].observation.by_channel().get(channel, ((), 0.0))[1]
+def _noise(case: RigDataset, run: int, channel: str) -> float:
+    return case.runs[run].observation.by_channel().get(channel, ((), 0.0))[1]
 
 
 def _rms(values: np.ndarray) -> float:

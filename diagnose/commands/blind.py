@@ -62,10 +62,10 @@ def make(
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.blind.generation.generate import Order
+    from diagnose.blind.generation.generate import GenerationRequest
     from diagnose.blind.generation.generate import make as made
 
-    order = Order(folder, sets, seed, protocol, faintest, strongest, wrong)
+    order = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong)
     with Progress(transient=True) as bar:
         task = bar.add_task("making sets", total=sets)
         for _ in made(order, jobs):
@@ -150,7 +150,7 @@ def score(
 
     from rich.console import Console
 
-    from diagnose.blind.scoring.score import opened
+    from diagnose.blind.scoring.score import open_and_score
     from diagnose.blind.scoring.score import score as scored
     from diagnose.blind.scoring.table import tables
     from drftjax.common.output_files import replace_file, require_places
@@ -158,7 +158,7 @@ def score(
 
     if output is not None:
         require_places([output], answers)
-    found = scored(*opened(folders, answers))
+    found = scored(*open_and_score(folders, answers))
     console = Console()
     for table in tables(found):
         console.print(table)

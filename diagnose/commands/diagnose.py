@@ -46,10 +46,10 @@ def diagnose(
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.api import diagnosed, effects_among
+    from diagnose.api import diagnose_gathered, effects_among
     from diagnose.report.model_writer import MARK
     from diagnose.report.text import gap_table, paragraphs, verdict, write
-    from diagnose.rig_runs import gather
+    from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import require_places
     from drftjax.common.text import printable
     from drftjax.setups.generated_files import require_own_setup
@@ -67,12 +67,14 @@ def diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs, lambda left_out: say(left_out, "yellow"))
+        gathered = gather_runs(runs, lambda left_out: say(left_out, "yellow"))
 
         def report(stage: str) -> None:
             bar.update(task, description=stage)
 
-        found = diagnosed(gathered, chosen, report, lambda left_out: say(left_out, "yellow"))
+        found = diagnose_gathered(
+            gathered, chosen, report, lambda left_out: say(left_out, "yellow")
+        )
 
     say(verdict(found), "bold")
     if not quiet:

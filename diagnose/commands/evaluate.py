@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from diagnose.evaluation.result import Evaluation
-    from diagnose.evaluation.tuner_activity import Moves
+    from diagnose.evaluation.tuner_activity import TunerActivity
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -70,12 +70,12 @@ def evaluate(
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.dataset import Case
-    from diagnose.evaluation.evaluate import evaluated
+    from diagnose.dataset import RigDataset
+    from diagnose.evaluation.evaluate import evaluate_model
     from diagnose.evaluation.model_reader import read_model_file
     from diagnose.evaluation.result import gap_table, sentences
-    from diagnose.evaluation.tuner_activity import moves
-    from diagnose.rig_runs import gather
+    from diagnose.evaluation.tuner_activity import tuner_activity
+    from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import replace_file, require_places
     from drftjax.common.structured_files import as_json
     from drftjax.common.text import printable
@@ -94,16 +94,18 @@ def evaluate(
         console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    moved: list[tuple[Moves, Moves]] = []
+    moved: list[tuple[TunerActivity, TunerActivity]] = []
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
-        gathered = gather(runs, origin=added.origin)
-        bar.update(task, description=f"simulating {len(gathered.candidates)} runs with both models")
-        caveats = added.caveats(gathered.candidates)
-        found = evaluated(Case.of(gathered.candidates), added.effects, gathered.left_out, caveats)
+        gathered = gather_runs(runs, origin=added.origin)
+        bar.update(task, description=f"simulating {len(gathered.runs)} runs with both models")
+        caveats = added.caveats(gathered.runs)
+        found = evaluate_model(
+            RigDataset.of(gathered.runs), added.effects, gathered.skipped, caveats
+        )
         if tuner:
             bar.update(task, description="replaying the tuner")
-            moved = moves(found.case, found.effects, found.zeta, setting)
+            moved = tuner_activity(found.case, found.effects, found.zeta, setting)
 
     console.print(gap_table(found))
     if moved:
@@ -118,7 +120,7 @@ def evaluate(
         say(f"written: {output}")
 
 
-def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Table":
+def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> "Table":
     """How much the tuner moves zeta, before and after."""
     from rich.markup import escape
     from rich.table import Table
@@ -126,7 +128,7 @@ def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Tab
     table = Table(title="online tuner", title_justify="left")
     for name in ("run", "sum of |dzeta|", "range of zeta", "sinkage left \\[mm]"):
         table.add_column(name, justify="left" if name == "run" else "right")
-    for each, (before, after) in zip(found.case.candidates, moved, strict=True):
+    for each, (before, after) in zip(found.case.runs, moved, strict=True):
         table.add_row(
             escape(each.name),
             f"{before.moved:.3f} → {after.moved:.3f}",
@@ -141,13 +143,13 @@ def moves_table(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> "Tab
     return table
 
 
-def _replayed(found: "Evaluation", moved: "list[tuple[Moves, Moves]]") -> list[str]:
+def _replayed(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> list[str]:
     """Which runs were replayed in their own loop."""
-    pairs = zip(found.case.candidates, moved, strict=False)
+    pairs = zip(found.case.runs, moved, strict=False)
     names = [each.name for each, (before, _) in pairs if before.in_its_loop]
     never = [
         f"{each.name}: no reading could be tuned by while the wheel moved, so zeta was held."
-        for each, (before, _) in zip(found.case.candidates, moved, strict=False)
+        for each, (before, _) in zip(found.case.runs, moved, strict=False)
         if math.isnan(before.sinkage)
     ]
     if not names:
@@ -162,7 +164,9 @@ def _less(before: float, after: float) -> str:
     return f"{abs(1 - after / before):.0%} {'less' if after <= before else 'more'} to move"
 
 
-def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", setting) -> dict:
+def moves_document(
+    found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]", setting
+) -> dict:
     """The tuner's moves as plain values."""
     return {
         "tick": float(setting.tick),
@@ -175,12 +179,12 @@ def moves_document(found: "Evaluation", moved: "list[tuple[Moves, Moves]]", sett
                 "before": _numbers(before),
                 "after": _numbers(after),
             }
-            for each, (before, after) in zip(found.case.candidates, moved, strict=True)
+            for each, (before, after) in zip(found.case.runs, moved, strict=True)
         ],
     }
 
 
-def _numbers(each: "Moves") -> dict[str, float]:
+def _numbers(each: "TunerActivity") -> dict[str, float]:
     return {"moved": each.moved, "range": each.range, "sinkage_mm": 1e3 * each.sinkage}
 
 

@@ -56,7 +56,7 @@ def protocol(
     from rich.markup import escape
     from rich.table import Column, Table
 
-    from diagnose.next_runs.recommended_runs import telling_runs
+    from diagnose.next_runs.recommended_runs import recommended_runs
     from drftjax.common.jax_config import configure_jax
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.setups.setup_toml import setup_toml
@@ -65,7 +65,7 @@ def protocol(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError(f"{output} is not an empty folder; name a new one")
     rig = _rig(setup, like)
-    runs = list(telling_runs(rig, max_speed, max_travel))
+    runs = list(recommended_runs(rig, max_speed, max_travel))
     make_folder(output)
     fast = {}
     # Names are copied from here, and stay whole.

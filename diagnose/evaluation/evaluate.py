@@ -7,26 +7,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diagnose.checks import outlier_runs as odd_runs
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.evaluation.result import Evaluation
-from diagnose.gap.discretization_error import APART, own_errors
+from diagnose.gap.discretization_error import APART, discretization_errors
 from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.selected_effects import as_model
-from diagnose.gap.zeta_matching import REFERENCE, WITH, Followed, followed, residuals_of
-from diagnose.model.augmented_model import Model
+from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, match_runs, residuals_of
+from diagnose.model.augmented_model import AugmentedModel
 from diagnose.result import Diagnosis
-from diagnose.rig_runs import from_one_start
+from diagnose.rig_runs import with_common_origin
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
-from drftjax.recorded.prepared_run import candidates_of
+from drftjax.recorded.prepared_run import prepare_runs
 
 if TYPE_CHECKING:
     pass
 
 
-def evaluated(
-    case: Case,
+def evaluate_model(
+    case: RigDataset,
     effects: Sequence[AbstractEffect],
     left_out: Mapping[str, str] | None = None,
     caveats: Sequence[str] = (),
@@ -45,35 +45,37 @@ def evaluated(
         InputError: where no run is left.
     """
     model, coordinates = as_model(effects)
-    before = followed(case, Model(), np.zeros(0))
-    after = followed(case, model, coordinates) if effects else before
-    if lost := _not_covered(case, after, WITH) | _not_covered(case, before, REFERENCE):
-        kept = [each for run, each in enumerate(case.candidates) if run not in lost]
+    before = match_runs(case, AugmentedModel(), np.zeros(0))
+    after = match_runs(case, model, coordinates) if effects else before
+    if lost := _uncovered(case, after, WITH) | _uncovered(case, before, REFERENCE):
+        kept = [each for run, each in enumerate(case.runs) if run not in lost]
         if not kept:
             raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
-        why = {case.candidates[run].name: each for run, each in lost.items()}
-        return evaluated(Case.of(kept), effects, {**(left_out or {}), **why}, caveats)
+        why = {case.runs[run].name: each for run, each in lost.items()}
+        return evaluate_model(RigDataset.of(kept), effects, {**(left_out or {}), **why}, caveats)
     residuals = residuals_of(before), residuals_of(after)
-    own = own_errors(case, np.array([each.log_zeta for each in before]))
+    own = discretization_errors(case, np.array([each.log_zeta for each in before]))
 
     def by_zeta(run: int) -> np.ndarray:
         """Along a straight line over one per cent."""
         at, nothing = before[run].log_zeta, np.zeros(0)
-        here, there = (case.predicted(Model(), run, each, nothing) for each in (at, at + APART))
+        here, there = (
+            case.predicted(AugmentedModel(), run, each, nothing) for each in (at, at + APART)
+        )
         return (there - here) / APART
 
     floors, how = noise_floors(case, *residuals, own, by_zeta)
     gap = gaps(case, *residuals, floors)
-    doubts = [*caveats, *odd_runs.of_repeats(case, residuals, own, by_zeta)]
+    doubts = [*caveats, *odd_runs.outliers_among_repeats(case, residuals, own, by_zeta)]
     return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
 
 
-def _not_covered(case: Case, runs: Sequence[Followed], model: str) -> dict[int, str]:
+def _uncovered(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
     """Runs whose wheel takes off, or sinks deeper than its plates cover, by number, and why."""
     z, found = case.channels.index("z"), {}
     for run, each in enumerate(runs):
-        name = case.candidates[run].name
-        limit = float(case.candidates[run].trial.simulator.wheel.cut().sinkage_limit)
+        name = case.runs[run].name
+        limit = float(case.runs[run].trial.simulator.wheel.cut().sinkage_limit)
         farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
         if not np.isfinite(farthest):
             found[run] = f"{name}: its simulation by {model} diverges"
@@ -85,16 +87,16 @@ def _not_covered(case: Case, runs: Sequence[Followed], model: str) -> dict[int, 
     return found
 
 
-def measured_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
+def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
     """The gap before and after on other runs of the same rig, by channel.
 
     Args:
         diagnosis: Whose effects or correction are added, with their numbers as they are.
         paths: The other runs.
     """
-    case = Case.of(from_one_start(candidates_of(list(paths)), diagnosis.origin))
-    before = followed(case, Model(), np.zeros(0))
-    after = followed(case, *as_model(diagnosis.added.effects))
+    case = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
+    before = match_runs(case, AugmentedModel(), np.zeros(0))
+    after = match_runs(case, *as_model(diagnosis.selected.effects))
     return gaps(
         case,
         [each.residual for each in before],

@@ -9,8 +9,8 @@ from diagnose.rig_runs import kind_of
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import read_document
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.serialization import built
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.effects.serialization import build_effects
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.setup import read_setup
 
 
@@ -28,7 +28,7 @@ class ModelFile:
     origin: float | None
     kind: str
 
-    def caveats(self, candidates: Sequence[Candidate]) -> list[str]:
+    def caveats(self, candidates: Sequence[PreparedRun]) -> list[str]:
         """What these runs' rig has otherwise than the model, in sentences."""
         kind = kind_of(candidates[0].setup)
         if kind == self.kind or not self.effects:
@@ -48,5 +48,7 @@ def read_model_file(path: Path) -> ModelFile:
     if path.suffix.lower() == ".json" and read_document(path).get("schema") == SCHEMA:
         raise InputError(f"{path}: is a diagnosis; give its model.toml")
     setup = read_setup(path)
-    effects = tuple(built(entry, place) for place, entry in enumerate(setup.effects, start=1))
+    effects = tuple(
+        build_effects(entry, place) for place, entry in enumerate(setup.effects, start=1)
+    )
     return ModelFile(effects, setup.start.origin, kind_of(setup))

@@ -9,16 +9,16 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.gap.gap import Gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, Followed, not_met
+from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, unmatched
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.observation import SHOWN
 from drftjax.tuning.step_tuner import StepTuner
 
 if TYPE_CHECKING:
-    from diagnose.evaluation.tuner_activity import Moves
+    from diagnose.evaluation.tuner_activity import TunerActivity
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,10 +36,10 @@ class Evaluation:
         left_out: Why other runs are not among them, by name.
     """
 
-    case: Case
+    case: RigDataset
     effects: tuple[AbstractEffect, ...]
-    before: list[Followed]
-    after: list[Followed]
+    before: list[MatchedRun]
+    after: list[MatchedRun]
     gap: Mapping[str, Gap]
     floors: Mapping[str, float]
     how: str
@@ -49,11 +49,11 @@ class Evaluation:
     @property
     def notes(self) -> list[str]:
         """What else must be known, in sentences."""
-        with_them = not_met(self.case, self.after, WITH) if self.effects else []
+        with_them = unmatched(self.case, self.after, WITH) if self.effects else []
         return [
             self.how,
             *self.doubts,
-            *not_met(self.case, self.before, REFERENCE),
+            *unmatched(self.case, self.before, REFERENCE),
             *with_them,
             *(f"Left out: {why}" for why in self.left_out.values()),
         ]
@@ -64,14 +64,14 @@ class Evaluation:
 
     def __repr__(self) -> str:
         names = ", ".join(each.about.name for each in self.effects) or "no effect"
-        return f"<Evaluation of {len(self.case.candidates)} runs: {names}>"
+        return f"<Evaluation of {len(self.case.runs)} runs: {names}>"
 
     def _repr_html_(self) -> str:
         return summary_html([gap_table(self), *sentences(self)])
 
     def tuned(
         self, tick: float = 0.01, zeta_step: float = 1e-3, tolerance: float = 1e-4
-    ) -> "list[tuple[Moves, Moves]]":
+    ) -> "list[tuple[TunerActivity, TunerActivity]]":
         """How the online tuner of eq. 7 moves zeta in each run, before and after.
 
         Args:
@@ -83,10 +83,12 @@ class Evaluation:
             InputError: where a number cannot be, a replay diverges, or no tick falls where a wheel
                 moves.
         """
-        from diagnose.evaluation.tuner_activity import moves
+        from diagnose.evaluation.tuner_activity import tuner_activity
 
         with jax.enable_x64(True):
-            return moves(self.case, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance))
+            return tuner_activity(
+                self.case, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance)
+            )
 
     def rmse(self, run: int) -> dict[str, tuple[float, float]]:
         """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""
@@ -101,7 +103,7 @@ class Evaluation:
 
     def zeta(self, run: int) -> tuple[float, float]:
         """zeta of one run by the reference model, and with the effects."""
-        own = float(self.case.candidates[run].setup.terrain.zeta)  # pyright: ignore
+        own = float(self.case.runs[run].setup.terrain.zeta)  # pyright: ignore
         first, last = (float(np.exp(f[run].log_zeta)) for f in (self.before, self.after))
         return own * first, own * last
 
@@ -126,7 +128,7 @@ class Evaluation:
                         for channel, (before, after) in self.rmse(run).items()
                     },
                 }
-                for run, each in enumerate(self.case.candidates)
+                for run, each in enumerate(self.case.runs)
             ],
             "notes": self.notes,
         }
@@ -162,7 +164,7 @@ def gap_table(found: Evaluation) -> Table:
     channels = found.case.channels
     for channel in channels:
         table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
-    for run, each in enumerate(found.case.candidates):
+    for run, each in enumerate(found.case.runs):
         cells = found.rmse(run)
         first, last = found.zeta(run)
         table.add_row(

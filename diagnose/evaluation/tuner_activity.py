@@ -19,21 +19,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import with_effects
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.serialization import entry_of
 from drftjax.physics.command import Command
-from drftjax.recorded.commanded_motion import asked_to_move
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.commanded_motion import is_commanded_to_move
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
-from drftjax.tuning.step_tuner import Loop, StepTuner, known_sinkage, replay, tick_commands, tunable
-from hils.replay import retuned
+from drftjax.tuning.step_tuner import (
+    Loop,
+    StepTuner,
+    known_sinkage,
+    replay,
+    tick_commands,
+    with_zeta_per_step,
+)
+from hils.replay import replay_tuning
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class TunerActivity:
     """How one replay moved zeta while the wheel was asked to move.
 
     Attributes:
@@ -54,12 +61,12 @@ class Moves:
     in_its_loop: bool = False
 
 
-def moves(
-    case: Case,
+def tuner_activity(
+    case: RigDataset,
     effects: Sequence[AbstractEffect],
     zeta: Callable[[int], tuple[float, float]],
     tuner: StepTuner,
-) -> list[tuple[Moves, Moves]]:
+) -> list[tuple[TunerActivity, TunerActivity]]:
     """By run, the tuner's moves by the reference model and with the effects.
 
     Args:
@@ -73,46 +80,46 @@ def moves(
     """
     effects = tuple(effects)
     tick = float(tuner.tick)
-    longest = max(float(each.trial.time[-1]) for each in case.candidates)
+    longest = max(float(each.trial.time[-1]) for each in case.runs)
     ticks = max(1, math.ceil(longest / tick - 1e-9))
-    finest = min(float(each.trial.step) for each in case.candidates)
+    finest = min(float(each.trial.step) for each in case.runs)
     substeps = max(1, math.ceil(tick / finest - 1e-9))
     starts = tick * np.arange(ticks)
 
-    def of(run: int) -> tuple[Moves, Moves]:
-        if _has_its_loop(case.candidates[run]):
+    def of(run: int) -> tuple[TunerActivity, TunerActivity]:
+        if _has_its_loop(case.runs[run]):
             return _in_its_loop(case, run, ()), _in_its_loop(case, run, effects)
         recorded = jnp.asarray(_known(case, run, starts))
 
-        def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> Moves:
+        def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> TunerActivity:
             arrays = jax.tree.map(jnp.asarray, effects)
             start = jnp.asarray(zeta)
             found = _replay(case.trials[run], arrays, start, recorded, tuner, substeps)
-            return _moves(case, run, starts, *map(np.asarray, found))
+            return _activity(case, run, starts, *map(np.asarray, found))
 
         before, after = zeta(run)
         return moved((), before), moved(effects, after)
 
-    return case.each_run(of)
+    return case.map_runs(of)
 
 
-def _has_its_loop(each: Candidate) -> bool:
+def _has_its_loop(each: PreparedRun) -> bool:
     made = each.made_in_loop
     return made is not None and made.online is not None and made.online.loop is not None
 
 
-def _in_its_loop(case: Case, run: int, effects: tuple[AbstractEffect, ...]) -> Moves:
-    each = case.candidates[run]
+def _in_its_loop(case: RigDataset, run: int, effects: tuple[AbstractEffect, ...]) -> TunerActivity:
+    each = case.runs[run]
     assert each.made_in_loop is not None
     try:
-        told = retuned(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
+        told = replay_tuning(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
     except InputError as problem:
         raise RunError(each.name, str(problem)) from None
-    return replace(_moves(case, run, told.time, told.zeta, told.error), in_its_loop=True)
+    return replace(_activity(case, run, told.time, told.zeta, told.error), in_its_loop=True)
 
 
-def _known(case: Case, run: int, starts: np.ndarray) -> np.ndarray:
-    observation = case.candidates[run].observation
+def _known(case: RigDataset, run: int, starts: np.ndarray) -> np.ndarray:
+    observation = case.runs[run].observation
     z = observation.values[observation.channels.index("z")]
     return known_sinkage(starts, observation.time, -z)
 
@@ -131,15 +138,17 @@ def _replay(
     simulator = with_effects(trial, effects).simulator
     commands = tick_commands(ticks, substeps, tuner.tick, trial.time, trial.omega, trial.vx)
     first = Command(trial.omega[0], trial.vx[0], zeta)
-    state = tunable(simulator).remembered(trial.start, first)
+    state = with_zeta_per_step(simulator).remembered(trial.start, first)
     _, found = replay(simulator, Loop(state, zeta), commands, recorded, tuner)
     return jnp.where(jnp.isfinite(found.output.z), found.zeta, jnp.nan), found.error
 
 
-def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np.ndarray) -> Moves:
-    each = case.candidates[run]
+def _activity(
+    case: RigDataset, run: int, starts: np.ndarray, zeta: np.ndarray, error: np.ndarray
+) -> TunerActivity:
+    each = case.runs[run]
     knots = np.asarray(each.trial.time)
-    moving = np.flatnonzero(asked_to_move(each.trial, starts) & (starts < knots[-1]))
+    moving = np.flatnonzero(is_commanded_to_move(each.trial, starts) & (starts < knots[-1]))
     if not moving.size:
         raise InputError(f"{each.name}: no tick falls where the wheel moves; give a shorter tick")
     ticks = slice(moving[0], moving[-1] + 1)
@@ -149,7 +158,7 @@ def _moves(case: Case, run: int, starts: np.ndarray, zeta: np.ndarray, error: np
             f"{each.name}: a replay of the tuner diverges; give a shorter tick or a smaller step"
         )
     known = error[ticks][np.isfinite(error[ticks])]
-    return Moves(
+    return TunerActivity(
         moved=float(np.abs(np.diff(counted)).sum()),
         range=float(np.ptp(counted)),
         sinkage=float(np.sqrt(np.mean(known**2))) if known.size else math.nan,

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.gap.zeta_matching import MET, Followed, met_from
-from diagnose.hypotheses.hypothesis import Hypothesis, changes
-from diagnose.linear.linear_fit import Products, fit_line
-from diagnose.linear.regressors import Bench
-from drftjax.recorded.repeats import conditions
+from diagnose.gap.zeta_matching import MET, MatchedRun, match_zeta
+from diagnose.hypotheses.hypothesis import Hypothesis, gauss_newton_step
+from diagnose.linear.linear_fit import GramMatrices, fit_linear
+from diagnose.linear.regressors import Regressors
+from drftjax.recorded.repeats import group_by_condition
 
 
 @dataclass(frozen=True, eq=False)
-class Unseen:
+class HeldOutPrediction:
     """Runs predicted from numbers fitted without their condition.
 
     Attributes:
@@ -35,20 +35,20 @@ class Unseen:
     residual: list[np.ndarray]
 
 
-def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
+def predict_held_out(bench: Regressors, hypothesis: Hypothesis) -> HeldOutPrediction:
     """Each run simulated with numbers fitted without its condition."""
     log_zeta = np.array(hypothesis.log_zeta)
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
     if len(hypothesis.coordinates) == 0:
-        return Unseen(hypothesis, log_zeta, coordinates, hypothesis.residual)
+        return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = bench.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
     left_out: set[int] = set()
     case = bench.case
-    for group in conditions(case.candidates):
+    for group in group_by_condition(case.runs):
         kept = np.setdiff1d(np.arange(len(log_zeta)), group)
         if kept.size == 0:
             continue
-        _, move = changes(hypothesis, _of_runs(products, kept))
+        _, move = gauss_newton_step(hypothesis, _of_runs(products, kept))
         for run in group:
             log_zeta[run] += _own_zeta(products, run, move)
             coordinates[run] += move
@@ -60,36 +60,36 @@ def predicted_unseen(bench: Bench, hypothesis: Hypothesis) -> Unseen:
         model, at = hypothesis.model, coordinates[run]
         return case.predicted(model, run, log_zeta[run], at) - case.recorded(run)
 
-    return Unseen(hypothesis, log_zeta, coordinates, case.each_run(of))
+    return HeldOutPrediction(hypothesis, log_zeta, coordinates, case.map_runs(of))
 
 
-def at_mean_sinkage(bench: Bench, unseen: Unseen) -> list[Followed]:
+def at_mean_sinkage(bench: Regressors, unseen: HeldOutPrediction) -> list[MatchedRun]:
     """Every run where its own zeta meets its mean sinkage.
 
     A run whose mean sinkage no step of zeta leads to stays as it is.
     """
     here, z = unseen.hypothesis, bench.case.channels.index("z")
 
-    def of(run: int) -> Followed:
+    def of(run: int) -> MatchedRun:
         residual = unseen.residual[run]
         near = abs(float(residual[z].mean())) < MET
-        start = Followed(residual, unseen.log_zeta[run], met=near)
+        start = MatchedRun(residual, unseen.log_zeta[run], matched=near)
         slope = here.by_zeta(run)[z].mean()
         if not slope > 0:
             return start
-        found = met_from(bench.case, here.model, run, unseen.coordinates[run], start, slope)
-        return found if found.met else start
+        found = match_zeta(bench.case, here.model, run, unseen.coordinates[run], start, slope)
+        return found if found.matched else start
 
-    return bench.case.each_run(of)
+    return bench.case.map_runs(of)
 
 
-def _of_runs(products: Products, runs: np.ndarray) -> Products:
-    return Products(
+def _of_runs(products: GramMatrices, runs: np.ndarray) -> GramMatrices:
+    return GramMatrices(
         products.blocks, products.gram[runs], products.number[runs], products.log_zeta[runs]
     )
 
 
-def _own_zeta(products: Products, run: int, move: np.ndarray) -> float:
+def _own_zeta(products: GramMatrices, run: int, move: np.ndarray) -> float:
     """Change of one run's log zeta that suits these numbers best."""
     gram = products.gram[run]
     moved = gram[:, :, -1] + gram[:, :, 1:-1] @ move
@@ -97,10 +97,10 @@ def _own_zeta(products: Products, run: int, move: np.ndarray) -> float:
     fixed[:, 0, 0] = gram[:, 0, 0]
     fixed[:, 0, 1] = fixed[:, 1, 0] = moved[:, 0]
     fixed[:, 1, 1] = moved[:, -1] + moved[:, 1:-1] @ move
-    alone = Products(
+    alone = GramMatrices(
         products.blocks,
         fixed[None],
         products.number[run][None],
         products.log_zeta[run][None],
     )
-    return float(fit_line(alone, []).zeta[0])
+    return float(fit_linear(alone, []).zeta[0])

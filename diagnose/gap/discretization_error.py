@@ -10,9 +10,9 @@ import equinox as eqx
 import msgspec
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.model.augmented_model import Model, predict
-from drftjax.recorded.prepared_run import Candidate
+from diagnose.dataset import RigDataset
+from diagnose.model.augmented_model import AugmentedModel, predict
+from drftjax.recorded.prepared_run import PreparedRun
 
 FINER = 2
 
@@ -22,16 +22,16 @@ FINER = 2
 APART = 0.01
 
 
-def own_errors(case: Case, log_zeta: np.ndarray) -> dict[str, float]:
+def discretization_errors(case: RigDataset, log_zeta: np.ndarray) -> dict[str, float]:
     """RMS of what finer plates change in each channel [m, N, N m], at the same mean sinkage.
 
     Args:
         case: The runs.
         log_zeta: Each run's log zeta over its set-up's, shape (runs,).
     """
-    fine = Case.of([on_finer_plates(each) for each in case.candidates])
-    plain, nothing = Model(), np.zeros(0)
-    fine.warm(predict, [plain])
+    fine = RigDataset.of([residuals_on_finer_plates(each) for each in case.runs])
+    plain, nothing = AugmentedModel(), np.zeros(0)
+    fine.precompile(predict, [plain])
     z = case.channels.index("z")
 
     def of(run: int) -> np.ndarray:
@@ -44,12 +44,12 @@ def own_errors(case: Case, log_zeta: np.ndarray) -> dict[str, float]:
         return here + share * (there - here) - coarse
 
     # A run that finer plates throw off the sand tells nothing of those it was simulated by.
-    kept = [each for each in case.each_run(of) if np.isfinite(each).all()]
+    kept = [each for each in case.map_runs(of) if np.isfinite(each).all()]
     changes = np.concatenate(kept or [np.zeros((len(case.channels), 1))], axis=1)
     return dict(zip(case.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
 
 
-def on_finer_plates(candidate: Candidate) -> Candidate:
+def residuals_on_finer_plates(candidate: PreparedRun) -> PreparedRun:
     """A run whose wheel is cut into plates half as long."""
     wheel = candidate.setup.wheel
     wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_size / FINER)

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import Case
-from drftjax.recorded.repeats import conditions
+from diagnose.dataset import RigDataset
+from drftjax.recorded.repeats import group_by_condition
 
 # A gap that exceeds its floor by less than this share of it cannot be said to shrink.
 LEAST_REACHABLE = 0.5
 
 
-def can_shrink(before: float, floor: float) -> bool:
+def is_reducible(before: float, floor: float) -> bool:
     """Whether a gap lies far enough above its floor, both in one unit."""
     return before - floor > LEAST_REACHABLE * floor
 
 
-def gone(before: float, after: float, floor: float) -> float:
+def share_removed(before: float, after: float, floor: float) -> float:
     """Share of a gap above its floor that is gone [-], -1 at least; zero where none is above it."""
     reachable = before - floor
     if reachable <= 0:
@@ -58,9 +58,9 @@ class Gap:
     interval: tuple[float, float] | None
 
     @property
-    def can_shrink(self) -> bool:
+    def is_reducible(self) -> bool:
         """Whether it lies far enough above the floor to say by how much it shrinks."""
-        return can_shrink(self.before, self.floor)
+        return is_reducible(self.before, self.floor)
 
     def document(self) -> dict:
         """Plain values; lengths in mm."""
@@ -75,11 +75,11 @@ class Gap:
 
 def shrinkage(before: float, after: float, floor: float) -> float:
     """Share of the RMSE above the floor that is gone; zero where none could go."""
-    return gone(before, after, floor) if can_shrink(before, floor) else 0.0
+    return share_removed(before, after, floor) if is_reducible(before, floor) else 0.0
 
 
 def gaps(
-    case: Case,
+    case: RigDataset,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     floors: Mapping[str, float],
@@ -93,7 +93,7 @@ def gaps(
         before, after: Residuals of each run, shape (channels, samples); `after` of runs left out.
         floors: Noise floor of each channel.
     """
-    groups = conditions(case.candidates)
+    groups = group_by_condition(case.runs)
     generator = np.random.default_rng(0)
     draws = generator.integers(0, len(groups), (DRAWS, FRESH))
     found = {}
@@ -123,9 +123,9 @@ def gaps(
         # What is left below the floor is chance, and elsewhere will be as large as the floor.
         chance = max(1.0, floor / last) if last > 0 else 1.0
         drawn = [
-            gone(was, chance * left, floor)
+            share_removed(was, chance * left, floor)
             for was, left in map(of, power[draws])
-            if can_shrink(was, floor)
+            if is_reducible(was, floor)
         ]
         # The reference model leaves what it leaves, wherever.
         drawn = drawn if last != first else []

@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.gap.repeatability import Response, apart, averaged_away, repeats
+from diagnose.dataset import RigDataset
+from diagnose.gap.repeatability import Response, interpolation_loss, repeat_difference, repeats
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 
 
 def noise_floors(
-    case: Case,
+    case: RigDataset,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     own: Mapping[str, float],
@@ -28,14 +28,17 @@ def noise_floors(
         own: The simulation's own error in each channel [m, N, N m], which no repeat shows, as both
             share it.
         response: Change of a run's channels by its log zeta; see
-        `diagnose.gap.repeatability.apart`.
+        `diagnose.gap.repeatability.repeat_difference`.
     """
     pairs = {each: repeats(case, each, from_one_start=False) for each in case.channels}
     floors: dict[str, float] = {}
     for index, channel in enumerate(case.channels):
         powers = [
-            averaged_away(case, pair, channel) / 2
-            + min(_power(apart(case, pair, each, response)[index]) for each in (before, after))
+            interpolation_loss(case, pair, channel) / 2
+            + min(
+                _power(repeat_difference(case, pair, each, response)[index])
+                for each in (before, after)
+            )
             for pair in pairs[channel]
         ]
         power = np.mean(powers) if powers else _noise_power(case, channel, (before, after))
@@ -48,7 +51,7 @@ def _power(differ: np.ndarray) -> float:
     return float(np.mean(differ**2)) / 2
 
 
-def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:
+def _in_words(case: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:
     """How floors were found, by the repeats of each channel."""
     if not any(pairs.values()):
         return (
@@ -62,7 +65,7 @@ def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str
             chains.append([first, second])
         elif second not in chain:
             chain.append(second)
-    names = "; ".join(" and ".join(case.candidates[r].name for r in chain) for chain in chains)
+    names = "; ".join(" and ".join(case.runs[r].name for r in chain) for chain in chains)
     told = f"The noise floor is from repeats: {names}, and from what plates half as long would "
     lacking = [channel for channel, each in pairs.items() if not each]
     if not lacking:
@@ -70,14 +73,16 @@ def _in_words(case: Case, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str
     return f"{told}change; that of {', '.join(lacking)}, which no repeats have, from fast scatter."
 
 
-def _noise_power(case: Case, channel: str, residuals: Sequence[Sequence[np.ndarray]]) -> float:
+def _noise_power(
+    case: RigDataset, channel: str, residuals: Sequence[Sequence[np.ndarray]]
+) -> float:
     """Mean square of the instrument's white noise, over the runs that have the channel.
 
     Read seldom, a wheel's own motion passes for noise in readings, and less in what a model leaves.
     """
     index = case.channels.index(channel)
     found = []
-    for run, each in enumerate(case.candidates):
+    for run, each in enumerate(case.runs):
         known = each.observation.by_channel()
         if channel in known:
             left = (white_noise(residual[run][index]) for residual in residuals)

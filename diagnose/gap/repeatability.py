@@ -5,9 +5,14 @@ from itertools import combinations
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.linear.residual_blocks import KINDS, Splitter
-from drftjax.recorded.repeats import LEAST_SHARED, conditions, noise_kept, recorded_at
+from diagnose.dataset import RigDataset
+from diagnose.linear.residual_blocks import KINDS, SlowFastSplit
+from drftjax.recorded.repeats import (
+    LEAST_SHARED,
+    group_by_condition,
+    interpolate_recorded,
+    noise_after_interpolation,
+)
 
 # Repeats begin at the same place [m] and wheel angle [rad] within this; where an effect lies along
 # the bed or goes with the wheel's angle, others differ by it.
@@ -18,7 +23,9 @@ SAME_PLACE, SAME_ANGLE = 5e-3, np.deg2rad(1.0)
 Response = Callable[[int], np.ndarray]
 
 
-def chance(case: Case, residuals: Sequence[list[np.ndarray]], response: Response) -> np.ndarray:
+def repeat_variance(
+    case: RigDataset, residuals: Sequence[list[np.ndarray]], response: Response
+) -> np.ndarray:
     """Mean square, in each block, of what repeats differ by: half that of their difference.
 
     Every run has its own zeta. Of several models the one counts by which repeats differ least, as
@@ -40,7 +47,7 @@ def chance(case: Case, residuals: Sequence[list[np.ndarray]], response: Response
     return np.array(found)
 
 
-def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple[int, int]]:
+def repeats(case: RigDataset, channel: str, from_one_start: bool = True) -> list[tuple[int, int]]:
     """Runs that have a channel and repeat each other, by number: all pairs of a kind.
 
     Args:
@@ -49,10 +56,10 @@ def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple
         from_one_start: Whether they must begin at the same place and wheel angle too.
     """
     kinds: list[list[int]] = []
-    for condition in conditions(case.candidates):
+    for condition in group_by_condition(case.runs):
         of_condition: list[list[int]] = []
         for run in condition:
-            if channel not in case.candidates[run].observation.channels:
+            if channel not in case.runs[run].observation.channels:
                 continue
             for kind in of_condition:
                 begin = not from_one_start or _begin_alike(case, kind[0], run)
@@ -65,8 +72,8 @@ def repeats(case: Case, channel: str, from_one_start: bool = True) -> list[tuple
     return [pair for kind in kinds for pair in combinations(kind, 2)]
 
 
-def apart(
-    case: Case, pair: tuple[int, int], residual: Sequence[np.ndarray], response: Response
+def repeat_difference(
+    case: RigDataset, pair: tuple[int, int], residual: Sequence[np.ndarray], response: Response
 ) -> np.ndarray:
     """What the residuals of two runs differ by, where both were recorded.
 
@@ -85,7 +92,7 @@ def apart(
     """
     one, other = pair
     time, there = case.time(one), case.time(other)
-    both = recorded_at(there, time)
+    both = interpolate_recorded(there, time)
     at_same_times = [np.interp(time[both], there, row) for row in residual[other]]
     differ = residual[one][:, both] - at_same_times
     if min(_shared(case, pair)) == 1:
@@ -95,32 +102,34 @@ def apart(
     return differ - differ[z].mean() / slope * by_zeta if slope > 0 else differ
 
 
-def averaged_away(case: Case, pair: tuple[int, int], channel: str) -> float:
+def interpolation_loss(case: RigDataset, pair: tuple[int, int], channel: str) -> float:
     """Power of the second run's white noise that `apart` loses where it reads between samples.
 
     Nothing where both clocks agree [m, N, N m, squared].
     """
     one, other = pair
     time, there = case.time(one), case.time(other)
-    lost = 1 - noise_kept(there, time[recorded_at(there, time)])
-    _, noise = case.candidates[other].observation.by_channel()[channel]
+    lost = 1 - noise_after_interpolation(there, time[interpolate_recorded(there, time)])
+    _, noise = case.runs[other].observation.by_channel()[channel]
     return lost * float(noise) ** 2
 
 
-def _begin_alike(case: Case, one: int, other: int) -> bool:
-    a, b = (case.candidates[run].setup.start for run in (one, other))
+def _begin_alike(case: RigDataset, one: int, other: int) -> bool:
+    a, b = (case.runs[run].setup.start for run in (one, other))
     turned = np.angle(np.exp(1j * (a.angle - b.angle)))
     return abs(a.x - b.x) <= SAME_PLACE and bool(abs(turned) <= SAME_ANGLE)
 
 
-def _shared(case: Case, pair: tuple[int, int]) -> tuple[float, float]:
+def _shared(case: RigDataset, pair: tuple[int, int]) -> tuple[float, float]:
     """Share of each run's samples at which the other was recorded too."""
     one, other = (case.time(run) for run in pair)
-    return float(recorded_at(other, one).mean()), float(recorded_at(one, other).mean())
+    return float(interpolate_recorded(other, one).mean()), float(
+        interpolate_recorded(one, other).mean()
+    )
 
 
 def _of_channel(
-    case: Case,
+    case: RigDataset,
     index: int,
     pairs: Sequence[tuple[int, int]],
     residuals: Sequence[list[np.ndarray]],
@@ -137,14 +146,14 @@ def _of_channel(
 
 
 def _by_block(
-    case: Case,
+    case: RigDataset,
     index: int,
     pair: tuple[int, int],
     residual: Sequence[np.ndarray],
     response: Response,
 ) -> list[float]:
     time = case.time(pair[0])
-    splitter = Splitter.of(time[recorded_at(case.time(pair[1]), time)])
-    differ = apart(case, pair, residual, response)[index]
+    splitter = SlowFastSplit.of(time[interpolate_recorded(case.time(pair[1]), time)])
+    differ = repeat_difference(case, pair, residual, response)[index]
     parts = splitter.split(case.channels[index], differ[:, None]).values()
     return [float(np.mean(part**2)) / 2 if part.size else 0.0 for part in parts]

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from diagnose.gap.gap import Gap
-from diagnose.gap.zeta_matching import Followed, residuals_of
+from diagnose.gap.zeta_matching import MatchedRun, residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.model.augmented_model import Model
+from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.base import AbstractEffect
 
 # What is added helps where the gap over all channels falls by this share at least, and in none of
@@ -19,7 +19,7 @@ HELPS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class SelectedEffects:
     """Effects with their numbers, and what is left of the gap with them.
 
     Attributes:
@@ -31,13 +31,13 @@ class Added:
 
     effects: tuple[AbstractEffect, ...]
     log_zeta: np.ndarray
-    met: Sequence[Followed]
+    matches: Sequence[MatchedRun]
     gap: Mapping[str, Gap]
 
     @property
     def after(self) -> list[np.ndarray]:
         """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
-        return residuals_of(self.met)
+        return residuals_of(self.matches)
 
     @property
     def before(self) -> float:
@@ -58,7 +58,7 @@ class Added:
         return spared and self.left < (1 - HELPS) * self.before
 
 
-def most_helpful(tried: Sequence[Added], reference: Added) -> Added:
+def best_selection(tried: Sequence[SelectedEffects], reference: SelectedEffects) -> SelectedEffects:
     """What leaves least of the gap, of all that helps; the reference model where nothing does."""
     helpful = [each for each in tried if each.helps]
     return min(helpful, key=lambda each: each.left, default=reference)
@@ -73,9 +73,9 @@ def effects_of(hypothesis: Hypothesis) -> tuple[AbstractEffect, ...]:
     return jax.tree.map(np.asarray, built)
 
 
-def as_model(effects: Sequence[AbstractEffect]) -> tuple[Model, np.ndarray]:
+def as_model(effects: Sequence[AbstractEffect]) -> tuple[AugmentedModel, np.ndarray]:
     """Effects with numbers as a model and its coordinates."""
-    model = Model(tuple(type(each) for each in effects))
+    model = AugmentedModel(tuple(type(each) for each in effects))
     values = [
         free.coordinate(float(getattr(effects[free.index], free.field))) for free in model.free
     ]

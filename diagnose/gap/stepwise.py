@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.gap.cross_validation import Unseen, at_mean_sinkage, predicted_unseen
+from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.screening import Found
-from drftjax.effects.catalogue import spoken
+from diagnose.hypotheses.screening import ScreeningResult
+from drftjax.effects.catalogue import reported_names
 
 
 @dataclass(frozen=True)
-class Step:
+class NestedModel:
     """The gap with some of an explanation's effects.
 
     Attributes:
@@ -32,14 +32,14 @@ class Step:
         }
 
 
-def one_by_one(
-    found: Found,
+def stepwise_gap(
+    found: ScreeningResult,
     chosen: Hypothesis,
-    unseen: Mapping[tuple[str, ...], Unseen],
+    unseen: Mapping[tuple[str, ...], HeldOutPrediction],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
-) -> list[Step]:
+) -> list[NestedModel]:
     """A pair's gap with the one effect that does most alone, refitted, and with both.
 
     Args:
@@ -58,7 +58,7 @@ def one_by_one(
     bench, case = found.bench, found.bench.case
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
-        given = unseen.get(alone.names) or predicted_unseen(bench, alone)
+        given = unseen.get(alone.names) or predict_held_out(bench, alone)
         return residuals_of(at_mean_sinkage(bench, given))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
@@ -66,13 +66,13 @@ def one_by_one(
     scale = np.array([floors[channel] for channel in case.channels])[:, None]
 
     def misfit(after: Sequence[np.ndarray]) -> float:
-        if not case.sound(after):
+        if not case.all_finite(after):
             return np.inf
         return sum(float(np.nansum(np.square(each / scale))) for each in after)
 
     first, after = min(tried, key=lambda each: misfit(each[1]))
     second = tuple(name for name in chosen.names if name not in first)
     return [
-        Step(spoken(first), gaps(case, before, after, floors)),
-        Step(spoken(first + second), whole),
+        NestedModel(reported_names(first), gaps(case, before, after, floors)),
+        NestedModel(reported_names(first + second), whole),
     ]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import LONGEST_MOVE, SINKAGE_PER_LOG_ZETA, Case
-from diagnose.model.augmented_model import Model
+from diagnose.dataset import LONGEST_MOVE, SINKAGE_PER_LOG_ZETA, RigDataset
+from diagnose.model.augmented_model import AugmentedModel
 
 # It is found by so many secant steps.
 MOST_TURNS = 8
@@ -28,7 +28,7 @@ REFERENCE, WITH = "the reference model", "the model with the effects"
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class MatchedRun:
     """A run simulated with its own zeta.
 
     Attributes:
@@ -39,10 +39,12 @@ class Followed:
 
     residual: np.ndarray
     log_zeta: float
-    met: bool
+    matched: bool
 
 
-def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed]:
+def match_runs(
+    case: RigDataset, model: AugmentedModel, coordinates: np.ndarray
+) -> list[MatchedRun]:
     """Every run simulated with a model's effects, zeta fitted to each.
 
     Args:
@@ -52,36 +54,36 @@ def followed(case: Case, model: Model, coordinates: np.ndarray) -> list[Followed
     """
     at = np.asarray(coordinates)
 
-    def of(run: int) -> Followed:
+    def of(run: int) -> MatchedRun:
         first = case.predicted(model, run, 0.0, at) - case.recorded(run)
-        return met_from(case, model, run, at, Followed(first, 0.0, met=False))
+        return match_zeta(case, model, run, at, MatchedRun(first, 0.0, matched=False))
 
-    return case.each_run(of)
+    return case.map_runs(of)
 
 
-def residuals_of(runs: Sequence[Followed]) -> list[np.ndarray]:
+def residuals_of(runs: Sequence[MatchedRun]) -> list[np.ndarray]:
     """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
     return [each.residual for each in runs]
 
 
-def not_met(case: Case, runs: Sequence[Followed], model: str) -> list[str]:
+def unmatched(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> list[str]:
     """The runs whose mean sinkage no zeta was found to meet, in sentences."""
     return [
-        f"{case.candidates[run].name}: no zeta was found at which {model} meets its mean sinkage; "
+        f"{case.runs[run].name}: no zeta was found at which {model} meets its mean sinkage; "
         "what is told of it is at another zeta."
         for run, each in enumerate(runs)
-        if not each.met
+        if not each.matched
     ]
 
 
-def met_from(
-    case: Case,
-    model: Model,
+def match_zeta(
+    case: RigDataset,
+    model: AugmentedModel,
     run: int,
     coordinates: np.ndarray,
-    start: Followed,
+    start: MatchedRun,
     slope: float = SINKAGE_PER_LOG_ZETA,
-) -> Followed:
+) -> MatchedRun:
     """A run at the zeta that meets its mean sinkage.
 
     Args:
@@ -109,4 +111,4 @@ def met_from(
         if abs(move) < CLOSE_ENOUGH:
             break
     close = abs(here[z].mean()) < MET or abs(move) < CLOSE_ENOUGH
-    return Followed(here, at, met=bool(close))
+    return MatchedRun(here, at, matched=bool(close))

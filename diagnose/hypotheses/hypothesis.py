@@ -10,12 +10,19 @@ from typing import Literal
 
 import numpy as np
 
-from diagnose.linear.linear_fit import LINES_ERR, Line, Products, coarseness, fit_line, worth_of
-from diagnose.linear.regressors import Bench, Variant
-from diagnose.model.augmented_model import Model, respond
+from diagnose.linear.linear_fit import (
+    LINES_ERR,
+    GramMatrices,
+    LinearFit,
+    fit_linear,
+    floor_inflation,
+    log_score,
+)
+from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.model.augmented_model import AugmentedModel, predict_with_jacobian
 from drftjax.common.arrays import as_real
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers, spoken, strengths
+from drftjax.effects.catalogue import field_metadata, reported_names, strengths
 
 # Width of the belief about a strength, in typical sizes, and about a shape's logarithm.
 STRENGTH_BELIEF = 5.0
@@ -64,13 +71,13 @@ class Hypothesis:
         ahead: Change of log zeta and of the coordinates that straight lines propose.
     """
 
-    model: Model
+    model: AugmentedModel
     log_zeta: np.ndarray
     coordinates: np.ndarray
-    line: Line
+    line: LinearFit
     columns: list[np.ndarray]
     residual: list[np.ndarray]
-    simulated: bool
+    is_simulated: bool
     ahead: tuple[np.ndarray, np.ndarray] | None = None
 
     def by_zeta(self, run: int) -> np.ndarray:
@@ -86,9 +93,12 @@ class Hypothesis:
         return self.model.names
 
 
-def on_lines(
-    bench: Bench, variants: Sequence[Variant], coarse: float = 1.0, trust: float = LINES_ERR
-) -> Line:
+def linear_fit_of(
+    bench: Regressors,
+    variants: Sequence[ShapeVariant],
+    coarse: float = 1.0,
+    trust: float = LINES_ERR,
+) -> LinearFit:
     """What some effects would explain, were all responses straight lines.
 
     Args:
@@ -98,16 +108,20 @@ def on_lines(
     """
     columns = [column for variant in variants for column in variant.columns]
     belief = np.full(len(columns), STRENGTH_BELIEF)
-    least = np.array([bound for variant in variants for bound in leasts(variant.effect)])
-    return fit_line(bench.products, columns, prior=belief, least=least, trust=trust, coarse=coarse)
+    least = np.array([bound for variant in variants for bound in lower_bounds(variant.effect)])
+    return fit_linear(
+        bench.products, columns, prior=belief, least=least, trust=trust, coarse=coarse
+    )
 
 
-def leasts(effect: type[AbstractEffect]) -> list[float]:
+def lower_bounds(effect: type[AbstractEffect]) -> list[float]:
     """Least value of each strength [typical sizes]: zero where only one sign makes sense."""
     return [_bound(effect, name, "least") for name in strengths(effect)]
 
 
-def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None) -> Hypothesis:
+def linear_start(
+    bench: Regressors, variants: Sequence[ShapeVariant], line: LinearFit | None = None
+) -> Hypothesis:
     """A hypothesis as straight lines give it: at the null, with the way ahead of it.
 
     Args:
@@ -115,8 +129,8 @@ def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None
         variants: The effects.
         line: What straight lines say of them; found here where it is not given.
     """
-    line = on_lines(bench, variants) if line is None else line
-    model = Model(tuple(variant.effect for variant in variants))
+    line = linear_fit_of(bench, variants) if line is None else line
+    model = AugmentedModel(tuple(variant.effect for variant in variants))
     coordinates: list[float] = []
     weights: list[list[tuple[int, float]]] = []
     used = 0
@@ -143,13 +157,13 @@ def proposed(bench: Bench, variants: Sequence[Variant], line: Line | None = None
         line,
         columns,
         bench.residual,
-        simulated=False,
+        is_simulated=False,
         ahead=(line.zeta, np.array(coordinates) - null),
     )
 
 
 def _by_shape(
-    bench: Bench, variant: Variant, axis: int, strength: np.ndarray
+    bench: Regressors, variant: ShapeVariant, axis: int, strength: np.ndarray
 ) -> list[tuple[int, float]]:
     """A shape's column as a mix of the neighbouring variants', at these strengths."""
     before, after = (bench.variants[number] for number in variant.near[axis])
@@ -167,7 +181,7 @@ def _mixed(columns: np.ndarray, mix: list[tuple[int, float]]) -> np.ndarray:
     return found
 
 
-def beliefs(model: Model) -> tuple[np.ndarray, np.ndarray]:
+def priors(model: AugmentedModel) -> tuple[np.ndarray, np.ndarray]:
     """Width of the belief about each coordinate, and where it is centred."""
     width, centre = [], []
     for free in model.free:
@@ -175,18 +189,18 @@ def beliefs(model: Model) -> tuple[np.ndarray, np.ndarray]:
             width.append(STRENGTH_BELIEF)
             centre.append(0.0)
             continue
-        starts = np.log(numbers(model.effects[free.index])[free.field]["starts"])
+        starts = np.log(field_metadata(model.effects[free.index])[free.field]["starts"])
         width.append(max(SHAPE_BELIEF, float(np.ptp(starts)) / 2))
         centre.append(float(starts.mean()))
     return np.array(width), np.array(centre)
 
 
-def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
+def refine(bench: Regressors, start: Hypothesis, turns: int) -> Hypothesis:
     """The hypothesis after some simulations, each followed by a fit; the best of them.
 
     A hypothesis whose first simulations fail stays as it was proposed.
     """
-    here, best = start, start if start.simulated else None
+    here, best = start, start if start.is_simulated else None
     if start.ahead is None:
         zeta, coordinates = _step(bench, start, 0.0)
     else:
@@ -194,7 +208,7 @@ def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
     reach = 1.0
     for turn in range(turns):
         moved = _simulated(bench, here, zeta, np.minimum(coordinates, _bounds(here, "most")))
-        leading = not start.simulated and turn < len(SHARES)
+        leading = not start.is_simulated and turn < len(SHARES)
         share = SHARES[turn] if leading else 0.0
         before = -np.inf if best is None else best.score
         if moved is not None and moved.score > before:
@@ -217,12 +231,12 @@ def settled(bench: Bench, start: Hypothesis, turns: int) -> Hypothesis:
     return start if best is None else best
 
 
-def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
+def relinearize(bench: Regressors, here: Hypothesis) -> Hypothesis:
     """The hypothesis with its columns by the simulator's own derivative where it stands."""
     case = bench.case
 
     def of(run: int) -> np.ndarray:
-        _, slope = respond(
+        _, slope = predict_with_jacobian(
             here.model,
             case.channels,
             case.trials[run],
@@ -233,17 +247,17 @@ def refreshed(bench: Bench, here: Hypothesis) -> Hypothesis:
         counts = case.counts(run)
         return slope[:, : len(counts)][:, counts]
 
-    return replace(here, columns=case.each_run(of))
+    return replace(here, columns=case.map_runs(of))
 
 
-def foremost(ranked: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+def top_ranked(ranked: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
     """The first ones, best first, until so many explanations are among them.
 
     Two forms of one effect are one explanation, and take no other's place.
     """
     found: list[Hypothesis] = []
     for each in ranked:
-        if len({frozenset(spoken(known.names)) for known in found}) >= count:
+        if len({frozenset(reported_names(known.names)) for known in found}) >= count:
             break
         found.append(each)
     return found
@@ -267,12 +281,12 @@ def _bounds(here: Hypothesis, side: Literal["least", "most"]) -> np.ndarray:
 
 def _bound(effect: type[AbstractEffect], strength: str, side: str) -> float:
     """Bound of a strength, in typical sizes."""
-    about = numbers(effect)[strength]
+    about = field_metadata(effect)[strength]
     return about[side] / about["typical"]
 
 
-def changes(
-    here: Hypothesis, products: Products, coarse: float = 1.0
+def gauss_newton_step(
+    here: Hypothesis, products: GramMatrices, coarse: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Change of the runs' log zeta and of the coordinates that straight lines from here propose.
 
@@ -289,34 +303,34 @@ def changes(
     return part * line.zeta, part * line.strengths
 
 
-def promised(bench: Bench, here: Hypothesis) -> float:
+def predicted_score(bench: Regressors, here: Hypothesis) -> float:
     """The score that straight lines from here promise, or that it has where they promise less."""
     products = bench.products_of(here.columns, here.residual, here.log_zeta)
     return max(here.score, _from_here(here, products, 1.0).score)
 
 
-def _from_here(here: Hypothesis, products: Products, coarse: float) -> Line:
-    width, centre = beliefs(here.model)
-    return fit_line(
+def _from_here(here: Hypothesis, products: GramMatrices, coarse: float) -> LinearFit:
+    width, centre = priors(here.model)
+    return fit_linear(
         products,
         range(len(here.coordinates)),
         prior=width,
         at=here.coordinates - centre,
         least=least_changes(here),
-        trust=CORRECTED_ERR if here.simulated else LINES_ERR,
+        trust=CORRECTED_ERR if here.is_simulated else LINES_ERR,
         coarse=coarse,
     )
 
 
-def _step(bench: Bench, here: Hypothesis, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _step(bench: Regressors, here: Hypothesis, share: float) -> tuple[np.ndarray, np.ndarray]:
     products = bench.products_of(here.columns, here.residual, here.log_zeta)
-    coarse = coarseness(bench.products.blocks, here.line.left, share)
-    zeta, change = changes(here, products, coarse)
+    coarse = floor_inflation(bench.products.blocks, here.line.left, share)
+    zeta, change = gauss_newton_step(here, products, coarse)
     return here.log_zeta + zeta, here.coordinates + change
 
 
 def _simulated(
-    bench: Bench, before: Hypothesis, log_zeta: np.ndarray, coordinates: np.ndarray
+    bench: Regressors, before: Hypothesis, log_zeta: np.ndarray, coordinates: np.ndarray
 ) -> Hypothesis | None:
     """The hypothesis simulated elsewhere, with columns corrected by how it came out."""
     case = bench.case
@@ -335,19 +349,21 @@ def _simulated(
             scaled = scaled + surprise[:, :, None] * step / size
         return scaled / np.concatenate([[ZETA_UNIT], units]), residual
 
-    both = case.each_run(of)
+    both = case.map_runs(of)
     columns, residual = [c for c, _ in both], [r for _, r in both]
-    if not case.sound(residual):
+    if not case.all_finite(residual):
         return None
     moved = log_zeta + bench.reference
-    left, number = left_of(bench, residual)
+    left, number = residual_of(bench, residual)
     scatter = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
-    score = worth_of(bench.products.blocks, number, left, scatter, len(moved))
-    line = Line(score, coordinates, log_zeta - before.log_zeta, left, scatter)
-    return Hypothesis(before.model, log_zeta, coordinates, line, columns, residual, simulated=True)
+    score = log_score(bench.products.blocks, number, left, scatter, len(moved))
+    line = LinearFit(score, coordinates, log_zeta - before.log_zeta, left, scatter)
+    return Hypothesis(
+        before.model, log_zeta, coordinates, line, columns, residual, is_simulated=True
+    )
 
 
-def left_of(bench: Bench, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def residual_of(bench: Regressors, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Mean square of residuals in each block, and how many values each has."""
     nothing = [np.zeros((*each.shape, 0)) for each in residual]
     products = bench.products_of(nothing, residual, np.zeros(len(residual)))

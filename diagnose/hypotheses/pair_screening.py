@@ -16,16 +16,16 @@ from diagnose.hypotheses.hypothesis import (
     CORRECTED_ERR,
     STRENGTH_BELIEF,
     Hypothesis,
-    foremost,
     least_changes,
-    leasts,
-    proposed,
-    settled,
+    linear_start,
+    lower_bounds,
+    refine,
+    top_ranked,
 )
-from diagnose.linear.linear_fit import ORDERS, Line, coarseness, fit_line
-from diagnose.linear.regressors import Bench, Variant
-from diagnose.model.augmented_model import Model, predict
-from drftjax.effects.catalogue import spoken
+from diagnose.linear.linear_fit import ORDERS, LinearFit, fit_linear, floor_inflation
+from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.model.augmented_model import AugmentedModel, predict
+from drftjax.effects.catalogue import reported_names
 
 # Singles that pairs begin with, pairs simulated, and how often each is at most.
 BEGINNINGS, PAIRS, TURNS = 3, 8, 4
@@ -49,7 +49,7 @@ SETTLED_ORDERS = (0.3, 0.0)
 
 
 @dataclass(frozen=True)
-class Proposal:
+class PairCandidate:
     """A pair as straight lines give it.
 
     Attributes:
@@ -65,40 +65,40 @@ class Proposal:
     build: Callable[[], Hypothesis]
 
 
-def simulated_pairs(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+def simulated_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The leading pairs, each settled by some simulations.
 
     Args:
         bench: The case.
         singles: Effects simulated alone, best first.
     """
-    starts: dict[frozenset[str], dict[bool, Proposal]] = {}
-    for each in proposals(bench, singles):
+    starts: dict[frozenset[str], dict[bool, PairCandidate]] = {}
+    for each in pair_candidates(bench, singles):
         # Two forms of one effect are no pair: the verdict would name one, with two sets of numbers.
-        if len(spoken(each.names)) == 1:
+        if len(reported_names(each.names)) == 1:
             continue
         starts.setdefault(each.names, {}).setdefault(each.from_null, each)
     ways = list(starts.values())
     found: list[Hypothesis] = []
     for first in range(0, PAIRS * ROUNDS, PAIRS):
         begun = [next(iter(kinds.values())).build() for kinds in ways[first : first + PAIRS]]
-        bench.case.warm(predict, [each.model for each in begun])
-        found += bench.case.side_by_side(lambda each: settled(bench, each, TURNS), begun)
+        bench.case.precompile(predict, [each.model for each in begun])
+        found += bench.case.map_items(lambda each: refine(bench, each, TURNS), begun)
         found.sort(key=lambda each: -each.score)
         # Far from the null straight lines may rank the pair that explains the runs low.
-        if not found or coarseness(bench.products.blocks, found[0].line.left, 1.0) <= FAR:
+        if not found or floor_inflation(bench.products.blocks, found[0].line.left, 1.0) <= FAR:
             break
     # Far from the null neither start is sure to lead to the best.
 
     def better(known: Hypothesis) -> Hypothesis:
         others = list(starts[frozenset(known.names)].values())[1:]
-        again = [settled(bench, other.build(), TURNS) for other in others]
+        again = [refine(bench, other.build(), TURNS) for other in others]
         return max([known, *again], key=lambda each: each.score)
 
-    return [*bench.case.side_by_side(better, found[:TWICE]), *found[TWICE:]]
+    return [*bench.case.map_items(better, found[:TWICE]), *found[TWICE:]]
 
 
-def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]:
+def pair_candidates(bench: Regressors, singles: Sequence[Hypothesis]) -> Iterator[PairCandidate]:
     """Pairs as straight lines give them, the orders taking turns; one may come more than once.
 
     Arguments as for `simulated_pairs`.
@@ -106,8 +106,8 @@ def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]
     orders = []
     # Another form of an effect begins nothing that the better one does not.
     beginnings: dict[tuple[str, ...], Hypothesis] = {}
-    for each in foremost(singles, BEGINNINGS):
-        beginnings.setdefault(spoken(each.names), each)
+    for each in top_ranked(singles, BEGINNINGS):
+        beginnings.setdefault(reported_names(each.names), each)
     for propose in (_with_settled, _with_any):
         of_each = [propose(bench, each, singles) for each in beginnings.values()]
         for every in zip(*of_each, strict=True):
@@ -118,10 +118,10 @@ def proposals(bench: Bench, singles: Sequence[Hypothesis]) -> Iterator[Proposal]
 
 
 def _with_settled(
-    bench: Bench, first: Hypothesis, singles: Sequence[Hypothesis]
-) -> list[list[Proposal]]:
+    bench: Regressors, first: Hypothesis, singles: Sequence[Hypothesis]
+) -> list[list[PairCandidate]]:
     """A single with each of the others, as much of it as is wanted of what that did alone."""
-    others = [each for each in singles if each.simulated and each is not first]
+    others = [each for each in singles if each.is_simulated and each is not first]
     columns = [
         np.concatenate([first.columns[run], *(_did(bench, each, run) for each in others)], axis=2)
         for run in range(len(first.residual))
@@ -130,11 +130,13 @@ def _with_settled(
     count = len(first.coordinates)
     found = []
     for share in SETTLED_ORDERS:
-        coarse = coarseness(bench.products.blocks, singles[0].line.left, share)
+        coarse = floor_inflation(bench.products.blocks, singles[0].line.left, share)
         order = []
         for place, other in enumerate(others):
-            one_sign = any(least == 0 for each in other.model.effects for least in leasts(each))
-            line = fit_line(
+            one_sign = any(
+                least == 0 for each in other.model.effects for least in lower_bounds(each)
+            )
+            line = fit_linear(
                 products,
                 [*range(count), count + place],
                 prior=np.r_[np.full(count, STRENGTH_BELIEF), SHARE_BELIEF],
@@ -144,7 +146,7 @@ def _with_settled(
             )
             names = frozenset((*first.names, *other.names))
             order.append(
-                Proposal(
+                PairCandidate(
                     names, False, line.score, partial(_both_settled, bench, first, other, line)
                 )
             )
@@ -152,12 +154,14 @@ def _with_settled(
     return found
 
 
-def _did(bench: Bench, single: Hypothesis, run: int) -> np.ndarray:
+def _did(bench: Regressors, single: Hypothesis, run: int) -> np.ndarray:
     """What a settled single, its own zeta with it, changed of a run; one column."""
     return (single.residual[run] - bench.residual[run])[:, :, None]
 
 
-def _both_settled(bench: Bench, first: Hypothesis, other: Hypothesis, line: Line) -> Hypothesis:
+def _both_settled(
+    bench: Regressors, first: Hypothesis, other: Hypothesis, line: LinearFit
+) -> Hypothesis:
     share = line.strengths[-1]
     shape = np.array([free.scale is None for free in other.model.free])
     null = np.where(shape, other.coordinates, 0.0)
@@ -167,8 +171,8 @@ def _both_settled(bench: Bench, first: Hypothesis, other: Hypothesis, line: Line
 
 
 def _with_any(
-    bench: Bench, first: Hypothesis, singles: Sequence[Hypothesis]
-) -> list[list[Proposal]]:
+    bench: Regressors, first: Hypothesis, singles: Sequence[Hypothesis]
+) -> list[list[PairCandidate]]:
     """A single with any other effect from its null, by each of the orders."""
     columns = [
         np.concatenate([mine, theirs[:, :, 1:]], axis=2)
@@ -178,18 +182,18 @@ def _with_any(
     count = len(first.coordinates)
     found = []
     for share, trust in ORDERS:
-        coarse = coarseness(bench.products.blocks, singles[0].line.left, share)
-        best: dict[str, tuple[Variant, Line]] = {}
+        coarse = floor_inflation(bench.products.blocks, singles[0].line.left, share)
+        best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
         for variant in bench.variants:
             name = variant.effect.about.name
             if name in first.names:
                 continue
             taken = [*range(count), *(count + column for column in variant.columns)]
-            line = fit_line(
+            line = fit_linear(
                 products,
                 taken,
                 prior=np.full(len(taken), STRENGTH_BELIEF),
-                least=np.r_[least_changes(first), leasts(variant.effect)],
+                least=np.r_[least_changes(first), lower_bounds(variant.effect)],
                 trust=trust,
                 coarse=coarse,
             )
@@ -197,7 +201,7 @@ def _with_any(
                 best[name] = variant, line
         found.append(
             [
-                Proposal(
+                PairCandidate(
                     frozenset((*first.names, name)),
                     True,
                     line.score,
@@ -209,10 +213,12 @@ def _with_any(
     return found
 
 
-def _from_null(bench: Bench, first: Hypothesis, variant: Variant, line: Line) -> Hypothesis:
+def _from_null(
+    bench: Regressors, first: Hypothesis, variant: ShapeVariant, line: LinearFit
+) -> Hypothesis:
     count = len(first.coordinates)
-    own = Line(line.score, line.strengths[count:], line.zeta, line.left, line.scatter)
-    added = proposed(bench, [variant], own)
+    own = LinearFit(line.score, line.strengths[count:], line.zeta, line.left, line.scatter)
+    added = linear_start(bench, [variant], own)
     assert added.ahead is not None
     change = np.r_[line.strengths[:count], added.ahead[1]]
     ahead = line.zeta, change
@@ -221,10 +227,10 @@ def _from_null(bench: Bench, first: Hypothesis, variant: Variant, line: Line) ->
 
 def _joined(
     first: Hypothesis,
-    model: Model,
+    model: AugmentedModel,
     coordinates: np.ndarray,
     columns: Sequence[np.ndarray],
-    line: Line,
+    line: LinearFit,
     ahead: tuple[np.ndarray, np.ndarray],
 ) -> Hypothesis:
     """A settled single with another effect at its null, and the way ahead of both."""
@@ -233,12 +239,12 @@ def _joined(
         for mine, more in zip(first.columns, columns, strict=True)
     ]
     return Hypothesis(
-        Model(first.model.effects + model.effects),
+        AugmentedModel(first.model.effects + model.effects),
         first.log_zeta,
         np.r_[first.coordinates, coordinates],
         line,
         both,
         first.residual,
-        simulated=False,
+        is_simulated=False,
         ahead=ahead,
     )

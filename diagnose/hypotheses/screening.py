@@ -5,21 +5,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.dataset import Case, baseline
+from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
-    on_lines,
-    promised,
-    proposed,
-    refreshed,
-    settled,
+    linear_fit_of,
+    linear_start,
+    predicted_score,
+    refine,
+    relinearize,
 )
 from diagnose.hypotheses.pair_screening import simulated_pairs
-from diagnose.linear.linear_fit import FLOOR, ORDERS, Line, coarseness
-from diagnose.linear.regressors import Bench, Variant
-from diagnose.model.augmented_model import Model, predict, respond
+from diagnose.linear.linear_fit import FLOOR, ORDERS, LinearFit, floor_inflation
+from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.model.augmented_model import AugmentedModel, predict, predict_with_jacobian
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers, strengths
+from drftjax.effects.catalogue import field_metadata, strengths
 
 # Effects that straight lines put first are simulated; straight lines may order them, not decide.
 # So many are even where no line gains anything worth saying, and so many at most.
@@ -64,7 +64,7 @@ Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ScreeningResult:
     """What a search found.
 
     Attributes:
@@ -74,15 +74,15 @@ class Found:
         pairs: Pairs simulated, best first.
     """
 
-    bench: Bench
+    bench: Regressors
     none: Hypothesis
     singles: tuple[Hypothesis, ...]
     pairs: tuple[Hypothesis, ...]
 
 
-def search(
-    case: Case, effects: Sequence[type[AbstractEffect]], report: Report = lambda stage: None
-) -> Found:
+def screen_effects(
+    case: RigDataset, effects: Sequence[type[AbstractEffect]], report: Report = lambda stage: None
+) -> ScreeningResult:
     """Screen every effect, simulate the leading ones, then pairs of them with all.
 
     Args:
@@ -91,60 +91,60 @@ def search(
         report: Called with what is done next.
     """
     report("baseline: zeta of each run")
-    log_zeta = baseline(case)
-    case = case.narrowed()
-    report(f"linearising {len(case.candidates)} runs, and {len(effects)} effects along them")
-    bench = Bench.of(case, log_zeta, effects)
-    none = settled(bench, proposed(bench, []), 3)
+    log_zeta = match_initial_zeta(case)
+    case = case.with_fewer_plates()
+    report(f"linearising {len(case.runs)} runs, and {len(effects)} effects along them")
+    bench = Regressors.of(case, log_zeta, effects)
+    none = refine(bench, linear_start(bench, []), 3)
     report("screening")
     ranked = _ranked(bench)
     report(f"simulating the leading {len(ranked)} effects")
-    starts = [proposed(bench, [variant], line) for variant, line in ranked]
-    case.warm(predict, [each.model for each in starts])
-    singles = case.side_by_side(lambda each: settled(bench, each, TURNS), starts)
-    if coarseness(bench.products.blocks, none.line.left, 1.0) > FAR:
+    starts = [linear_start(bench, [variant], line) for variant, line in ranked]
+    case.precompile(predict, [each.model for each in starts])
+    singles = case.map_items(lambda each: refine(bench, each, TURNS), starts)
+    if floor_inflation(bench.products.blocks, none.line.left, 1.0) > FAR:
         singles = _with_far(bench, singles)
     singles = _finished(bench, singles)
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
         pairs = _finished(bench, simulated_pairs(bench, singles))
-    return Found(bench, none, tuple(singles), tuple(pairs))
+    return ScreeningResult(bench, none, tuple(singles), tuple(pairs))
 
 
-def _with_far(bench: Bench, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _with_far(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Singles, and in their place those that do better from a strength far from zero."""
     afar = [
         (variant, coordinate, values)
         for variant in bench.variants
         for coordinate, values in _far(variant.effect).items()
     ]
-    models = [*dict.fromkeys(Model((variant.effect,)) for variant, _, _ in afar)]
-    bench.case.warm(predict, models)
-    bench.case.warm(respond, models)
+    models = [*dict.fromkeys(AugmentedModel((variant.effect,)) for variant, _, _ in afar)]
+    bench.case.precompile(predict, models)
+    bench.case.precompile(predict_with_jacobian, models)
 
-    def tried(far: tuple[Variant, int, list[float]]) -> Hypothesis:
+    def tried(far: tuple[ShapeVariant, int, list[float]]) -> Hypothesis:
         variant, coordinate, values = far
-        start = proposed(bench, [variant])
+        start = linear_start(bench, [variant])
         ways = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
-        found = [settled(bench, each, 1) for each in ways]
-        best = max(found, key=lambda each: each.score if each.simulated else -np.inf)
-        if not best.simulated:
+        found = [refine(bench, each, 1) for each in ways]
+        best = max(found, key=lambda each: each.score if each.is_simulated else -np.inf)
+        if not best.is_simulated:
             return best
         # The way there was long: what it tells of the columns holds for no small step.
-        return settled(bench, refreshed(bench, best), MORE_TURNS)
+        return refine(bench, relinearize(bench, best), MORE_TURNS)
 
     found = {each.names: each for each in singles}
-    for best in bench.case.side_by_side(tried, afar):
+    for best in bench.case.map_items(tried, afar):
         better = best.names not in found or best.score > found[best.names].score
-        if best.simulated and better:
+        if best.is_simulated and better:
             found[best.names] = best
     return list(found.values())
 
 
 def _far(effect: type[AbstractEffect]) -> dict[int, list[float]]:
     """The values far from zero to try [typical sizes], by the strength's place; few have any."""
-    about = [numbers(effect)[name] for name in strengths(effect)]
+    about = [field_metadata(effect)[name] for name in strengths(effect)]
     return {
         place: [value / each["typical"] for value in each["far"]]
         for place, each in enumerate(about)
@@ -161,23 +161,23 @@ def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, n
     return np.zeros_like(zeta), there
 
 
-def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+def _finished(bench: Regressors, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses settled to their end, all of them best first."""
-    side_by_side = bench.case.side_by_side
-    worth = side_by_side(lambda each: promised(bench, each), hypotheses)
+    side_by_side = bench.case.map_items
+    worth = side_by_side(lambda each: predicted_score(bench, each), hypotheses)
     ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
     hypotheses = [each for _, each in ranked]
     done: list[Hypothesis] = []
     hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
-    bench.case.warm(respond, [each.model for each in hopeful])
-    leading = side_by_side(lambda each: settled(bench, each, MORE_TURNS), hypotheses[:FINISHED])
+    bench.case.precompile(predict_with_jacobian, [each.model for each in hopeful])
+    leading = side_by_side(lambda each: refine(bench, each, MORE_TURNS), hypotheses[:FINISHED])
     for place, each in enumerate(leading):
         for _ in range(ROUNDS):
-            if place >= REFRESHED or not each.simulated or not _leaves_much(bench, each):
+            if place >= REFRESHED or not each.is_simulated or not _leaves_much(bench, each):
                 break
             if done and each.score < done[0].score - HOPELESS:
                 break
-            further = settled(bench, refreshed(bench, each), MORE_TURNS)
+            further = refine(bench, relinearize(bench, each), MORE_TURNS)
             gained = further.score - each.score
             each = further
             if gained < WORTH_A_ROUND:
@@ -186,27 +186,27 @@ def _finished(bench: Bench, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     return sorted(done + hypotheses[FINISHED:], key=lambda each: -each.score)
 
 
-def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
+def _ranked(bench: Regressors) -> list[tuple[ShapeVariant, LinearFit]]:
     """The leading effects' best variants by straight lines, judged coarsely and finely.
 
     Where the gap is large a straight line's own error hides what an effect explains; so the
     orders take turns.
     """
-    start = on_lines(bench, [])
+    start = linear_fit_of(bench, [])
     orders = []
     telling: set[str] = set()
     for share, trust in ORDERS:
-        coarse = coarseness(bench.products.blocks, start.left, share)
-        nothing = on_lines(bench, [], coarse, trust).score
-        best: dict[str, tuple[Variant, Line]] = {}
+        coarse = floor_inflation(bench.products.blocks, start.left, share)
+        nothing = linear_fit_of(bench, [], coarse, trust).score
+        best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
         for variant in bench.variants:
-            line = on_lines(bench, [variant], coarse, trust)
+            line = linear_fit_of(bench, [variant], coarse, trust)
             name = variant.effect.about.name
             if name not in best or line.score > best[name][1].score:
                 best[name] = variant, line
         orders.append(sorted(best.values(), key=lambda each: -each[1].score))
         telling |= {n for n, (_, line) in best.items() if line.score > nothing + WORTH_SAYING}
-    found: dict[str, tuple[Variant, Line]] = {}
+    found: dict[str, tuple[ShapeVariant, LinearFit]] = {}
     for pair in zip(*orders, strict=True):
         for variant, line in pair:
             found.setdefault(variant.effect.about.name, (variant, line))
@@ -218,7 +218,7 @@ def _ranked(bench: Bench) -> list[tuple[Variant, Line]]:
     return leading[:SINGLES]
 
 
-def _leaves_much(bench: Bench, best: Hypothesis) -> bool:
+def _leaves_much(bench: Regressors, best: Hypothesis) -> bool:
     """Whether a hypothesis leaves more than a model's own error in the slow part of a channel."""
     blocks = bench.products.blocks
     return any(

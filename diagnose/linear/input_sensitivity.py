@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from diagnose.model.linearized_run import (
     FORCES,
     MOTION,
-    Trace,
+    LinearizedRun,
     command_at_time,
     motion_of,
     state_of,
@@ -35,16 +35,16 @@ from drftjax.effects.base import (
     AbstractStressFactor,
     AbstractSurface,
     AbstractZetaFactor,
-    Moment,
+    StepContext,
 )
-from drftjax.effects.catalogue import numbers, shapes, strengths
+from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.physics.state import Output
 from drftjax.simulation.trial import Trial
 
 Variants = dict[str, Float[Array, " variants"]]
 
 
-class Kick(eqx.Module):
+class InputSensitivity(eqx.Module):
     """Derivatives along a run by strengths and variants of shape, columns last.
 
     Attributes:
@@ -66,14 +66,14 @@ READINGS = ("x", "z", "fx", "fz", "torque")
 
 
 @eqx.filter_jit
-def kick(
+def effect_sensitivity(
     effect: type[AbstractEffect],
     trial: Trial,
-    path: Trace,
+    path: LinearizedRun,
     node: Float[Array, ""],
     variants: Variants,
     held: Held,
-) -> Kick:
+) -> InputSensitivity:
     """Derivatives along one run by an effect's strengths, for every variant of its shapes.
 
     Args:
@@ -105,7 +105,9 @@ def kick(
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found)
 
 
-def _along(effect: AbstractEffect, trial: Trial, path: Trace, node: Float[Array, ""]) -> Kick:
+def _along(
+    effect: AbstractEffect, trial: Trial, path: LinearizedRun, node: Float[Array, ""]
+) -> InputSensitivity:
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
@@ -119,7 +121,9 @@ def _along(effect: AbstractEffect, trial: Trial, path: Trace, node: Float[Array,
     return kick
 
 
-def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Trace, node) -> Kick:
+def _of_its_inputs(
+    effect: AbstractEffect, trial: Trial, path: LinearizedRun, node
+) -> InputSensitivity:
     series: dict[str, Array] = {}
     read = jnp.zeros((path.middle_time.shape[0], len(FORCES)))
     if isinstance(effect, AbstractZetaFactor):
@@ -136,10 +140,10 @@ def _of_its_inputs(effect: AbstractEffect, trial: Trial, path: Trace, node) -> K
     return replace(_of_inputs(path, **series), forces=read)
 
 
-def _of_inputs(path: Trace, **series: Float[Array, " nodes"]) -> Kick:
+def _of_inputs(path: LinearizedRun, **series: Float[Array, " nodes"]) -> InputSensitivity:
     nothing = jnp.zeros_like(path.middle_time)
     nodes = nothing.shape[0]
-    return Kick(
+    return InputSensitivity(
         jnp.stack([series.get(name, nothing) for name in INPUTS], axis=1),
         jnp.zeros((nodes, MOTION)),
         jnp.zeros((nodes, len(FORCES))),
@@ -148,11 +152,11 @@ def _of_inputs(path: Trace, **series: Float[Array, " nodes"]) -> Kick:
     )
 
 
-def _moments(trial: Trial, path: Trace, node: Float[Array, ""]) -> Moment:
+def _moments(trial: Trial, path: LinearizedRun, node: Float[Array, ""]) -> StepContext:
     """What an effect may know in the middle of each node, nodes leading."""
     commanded = jax.vmap(lambda time: command_at_time(trial, time).omega)(path.middle_time)
     alike = jnp.ones_like(path.middle_time)
-    return Moment(
+    return StepContext(
         path.middle_time,
         node * alike,
         path.middle[:, :2],
@@ -164,8 +168,10 @@ def _moments(trial: Trial, path: Trace, node: Float[Array, ""]) -> Moment:
     )
 
 
-def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Trace, node) -> Float[Array, " nodes"]:
-    def one(memory, moment: Moment):
+def _zeta(
+    effect: AbstractZetaFactor, trial: Trial, path: LinearizedRun, node
+) -> Float[Array, " nodes"]:
+    def one(memory, moment: StepContext):
         half = replace(moment, dt=moment.dt / 2)
         memory = effect.advance(memory, half)
         return effect.advance(memory, half), jnp.log(effect.factor(moment, memory))
@@ -173,8 +179,8 @@ def _zeta(effect: AbstractZetaFactor, trial: Trial, path: Trace, node) -> Float[
     return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
 
 
-def _plane(effect: AbstractPlane, trial: Trial, path: Trace, node) -> tuple[Array, Array]:
-    def one(memory, moment: Moment):
+def _plane(effect: AbstractPlane, trial: Trial, path: LinearizedRun, node) -> tuple[Array, Array]:
+    def one(memory, moment: StepContext):
         half = replace(moment, dt=moment.dt / 2)
         memory = effect.advance(memory, half)
         return effect.advance(memory, half), effect.plane(moment.position[0], memory)
@@ -182,18 +188,22 @@ def _plane(effect: AbstractPlane, trial: Trial, path: Trace, node) -> tuple[Arra
     return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
 
 
-def _force(effect: AbstractLoad, trial: Trial, path: Trace, node) -> Float[Array, "nodes 2"]:
-    def one(memory, moment: Moment):
+def _force(
+    effect: AbstractLoad, trial: Trial, path: LinearizedRun, node
+) -> Float[Array, "nodes 2"]:
+    def one(memory, moment: StepContext):
         force = effect.load(moment.position, moment.velocity, moment, memory)
         return effect.advance(memory, moment), force
 
     return jax.lax.scan(one, effect.begin(path.motion[0, :2]), _moments(trial, path, node))[1]
 
 
-def _speed(effect: AbstractDrive, trial: Trial, path: Trace, node) -> Float[Array, " nodes"]:
+def _speed(
+    effect: AbstractDrive, trial: Trial, path: LinearizedRun, node
+) -> Float[Array, " nodes"]:
     moments = _moments(trial, path, node)
 
-    def one(memory, moment: Moment):
+    def one(memory, moment: StepContext):
         before = moment.angle - node * moment.commanded
         omega, memory = effect.turn(moment.commanded, before, node, memory)
         return memory, omega
@@ -201,7 +211,7 @@ def _speed(effect: AbstractDrive, trial: Trial, path: Trace, node) -> Float[Arra
     return jax.lax.scan(one, effect.begin(path.omega[0], path.motion[0, 4]), moments)[1]
 
 
-def _readings(effect: AbstractSensor, path: Trace, node) -> Float[Array, "nodes 5"]:
+def _readings(effect: AbstractSensor, path: LinearizedRun, node) -> Float[Array, "nodes 5"]:
     def output(time, motion, omega, forces) -> Output:
         x, z, vx, vz, angle = motion
         fx, fz, torque = forces
@@ -218,7 +228,7 @@ def _readings(effect: AbstractSensor, path: Trace, node) -> Float[Array, "nodes 
     return jax.lax.scan(one, effect.begin(first), ends)[1]
 
 
-def _of_a_step(effect: AbstractEffect, trial: Trial, path: Trace, node) -> Kick:
+def _of_a_step(effect: AbstractEffect, trial: Trial, path: LinearizedRun, node) -> InputSensitivity:
     """What a step in the middle of each node ends at with the effect."""
     plain = trial.simulator
     simulator = replace(plain, effects=(*plain.effects, effect)).prepared()
@@ -238,26 +248,28 @@ def _of_a_step(effect: AbstractEffect, trial: Trial, path: Trace, node) -> Kick:
 
 
 @eqx.filter_jit
-def respond_to(path: Trace, kick: Kick) -> Float[Array, "all 5 columns"]:
+def propagate(path: LinearizedRun, kick: InputSensitivity) -> Float[Array, "all 5 columns"]:
     """What a run's readings (x, z, fx, fz, torque) become at its nodes, per unit of each column."""
-    driven = jnp.einsum("nij,njc->nic", path.enter, kick.inputs) + kick.motion
-    driven = jnp.einsum("nij,njc->nic", path.gather, driven)
+    driven = jnp.einsum("nij,njc->nic", path.input_matrix, kick.inputs) + kick.motion
+    driven = jnp.einsum("nij,njc->nic", path.substep_sum, driven)
 
     def one(motion, row):
         carry, drive, see, forces, ripple = row
         place = motion[:2] + ripple[:, None] * motion[4]
         return carry @ motion + drive, (place, see @ motion + forces)
 
-    seen = jnp.einsum("nij,njc->nic", path.forces_enter, kick.inputs) + kick.forces
+    seen = jnp.einsum("nij,njc->nic", path.force_by_input, kick.inputs) + kick.forces
     last, (place, forces) = jax.lax.scan(
-        one, kick.start[0], (path.carry, driven, path.forces_carry, seen, path.ripple[:-1])
+        one,
+        kick.start[0],
+        (path.state_transition, driven, path.force_by_state, seen, path.ripple[:-1]),
     )
     place = jnp.concatenate([place[1:], last[None, :2]])
     readings = jnp.concatenate([place, forces], axis=1) + kick.readings
     return jnp.concatenate([jnp.zeros_like(readings[:1]), readings])
 
 
-def zeta_kick(path: Trace) -> Kick:
+def zeta_sensitivity(path: LinearizedRun) -> InputSensitivity:
     """The run's own log zeta as the only column."""
     alike = jnp.ones_like(path.middle_time)
     return jax.tree.map(lambda leaf: leaf[..., None], _of_inputs(path, zeta=alike))
@@ -265,7 +277,7 @@ def zeta_kick(path: Trace) -> Kick:
 
 def grid(effect: type[AbstractEffect]) -> Variants:
     """Values of an effect's shapes that together cover what a rig may show."""
-    about = numbers(effect)
+    about = field_metadata(effect)
     starts = [np.asarray(about[name]["starts"], float) for name in shapes(effect)]
     if not starts:
         return {}

@@ -51,7 +51,7 @@ ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class Products:
+class GramMatrices:
     """Products of columns, by run and block.
 
     Attributes:
@@ -68,7 +68,7 @@ class Products:
 
 
 @dataclass(frozen=True)
-class Line:
+class LinearFit:
     """A fit on straight lines.
 
     Attributes:
@@ -86,8 +86,8 @@ class Line:
     scatter: float
 
 
-def fit_line(
-    products: Products,
+def fit_linear(
+    products: GramMatrices,
     columns: Sequence[int],
     runs: np.ndarray | None = None,
     prior: np.ndarray | None = None,
@@ -95,7 +95,7 @@ def fit_line(
     least: np.ndarray | None = None,
     trust: float = LINES_ERR,
     coarse: float = 1.0,
-) -> Line:
+) -> LinearFit:
     """The best fit of some columns, every block weighed by what it leaves.
 
     Args:
@@ -163,17 +163,17 @@ def fit_line(
         wrong = trust**2 * np.maximum(wrong, 0)
         moved = u0 + solution[p:]
         scatter = float(moved @ centre @ moved) / max(r - 1, 1)
-    score = worth_of(products.blocks, total, left + wrong, scatter, r, coarse)
-    return Line(score, solution[:p], solution[p:], left, scatter)
+    score = log_score(products.blocks, total, left + wrong, scatter, r, coarse)
+    return LinearFit(score, solution[:p], solution[p:], left, scatter)
 
 
-def coarseness(blocks: Sequence[tuple[str, str]], left: np.ndarray, share: float) -> float:
+def floor_inflation(blocks: Sequence[tuple[str, str]], left: np.ndarray, share: float) -> float:
     """A share of how many floors the worst block is missed by; one at least."""
     floor = np.array([FLOOR[block] for block in blocks])
     return max(1.0, share * float((np.sqrt(left) / floor).max()))
 
 
-def worth_of(
+def log_score(
     blocks: Sequence[tuple[str, str]],
     number: np.ndarray,
     left: np.ndarray,

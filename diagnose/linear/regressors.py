@@ -8,20 +8,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from diagnose.dataset import Case, with_zeta
-from diagnose.linear.input_sensitivity import READINGS, Kick, grid, kick, respond_to, zeta_kick
-from diagnose.linear.linear_fit import Products, block_names
-from diagnose.linear.residual_blocks import Splitter
-from diagnose.model.augmented_model import Model
-from diagnose.model.linearized_run import Trace
+from diagnose.dataset import RigDataset, with_zeta
+from diagnose.linear.input_sensitivity import (
+    READINGS,
+    InputSensitivity,
+    effect_sensitivity,
+    grid,
+    propagate,
+    zeta_sensitivity,
+)
+from diagnose.linear.linear_fit import GramMatrices, block_names
+from diagnose.linear.residual_blocks import SlowFastSplit
+from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.linearized_run import LinearizedRun
 from diagnose.model.shared_programs import program_of
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers, shapes, strengths
+from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.simulation.trial import Trial
 
 
 @dataclass(frozen=True)
-class Variant:
+class ShapeVariant:
     """An effect with shapes from its grid.
 
     Attributes:
@@ -38,7 +45,7 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class Regressors:
     """Columns of a case.
 
     Attributes:
@@ -51,43 +58,47 @@ class Bench:
         splitters: By run.
     """
 
-    case: Case
+    case: RigDataset
     log_zeta: np.ndarray
-    variants: tuple[Variant, ...]
+    variants: tuple[ShapeVariant, ...]
     columns: list[np.ndarray]
     residual: list[np.ndarray]
-    splitters: list[Splitter]
+    splitters: list[SlowFastSplit]
 
     @classmethod
     def of(
-        cls, case: Case, log_zeta: np.ndarray, effects: Sequence[type[AbstractEffect]]
-    ) -> "Bench":
+        cls, case: RigDataset, log_zeta: np.ndarray, effects: Sequence[type[AbstractEffect]]
+    ) -> "Regressors":
         """The case linearised at these zetas, with these effects' columns."""
         variants, scale = _variants(effects)
         picked = [READINGS.index(name) for name in case.channels]
 
         def of(run: int) -> tuple[np.ndarray, np.ndarray]:
-            path = case.trace(run, log_zeta[run])
+            path = case.linearized(run, log_zeta[run])
             trial = with_zeta(case.trials[run], log_zeta[run])
-            node = jnp.asarray(case.node(run))
-            found = [np.asarray(respond_to(path, zeta_kick(path)))]
+            node = jnp.asarray(case.node_interval(run))
+            found = [np.asarray(propagate(path, zeta_sensitivity(path)))]
             for each in effects:
-                by_program = respond_to(path, _kick(each, trial, path, node))
+                by_program = propagate(path, _sensitivity(each, trial, path, node))
                 found.append(_of_effect(np.asarray(by_program), each))
             at_nodes = np.concatenate(found, axis=-1)[:, picked]
             at_nodes[:, :, 1:] *= scale
             nodes = int(path.nodes)
             columns = _at(case.time(run), np.asarray(path.time)[: nodes + 1], at_nodes)
-            plain = case.predicted(Model(), run, log_zeta[run], np.zeros(0))
+            plain = case.predicted(AugmentedModel(), run, log_zeta[run], np.zeros(0))
             return columns, plain - case.recorded(run)
 
         # Compiled once, side by side, before every thread needs all of them.
-        first = case.trace(0, log_zeta[0])
-        node = jnp.asarray(case.node(0))
+        first = case.linearized(0, log_zeta[0])
+        node = jnp.asarray(case.node_interval(0))
         one_of_each = {program_of(each).effect: each for each in effects}.values()
-        list(case.threads.map(lambda each: _kick(each, case.trials[0], first, node), one_of_each))
-        both = case.each_run(of)
-        splitters = [Splitter.of(case.time(run)) for run in range(len(case.candidates))]
+        list(
+            case.threads.map(
+                lambda each: _sensitivity(each, case.trials[0], first, node), one_of_each
+            )
+        )
+        both = case.map_runs(of)
+        splitters = [SlowFastSplit.of(case.time(run)) for run in range(len(case.runs))]
         return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)
 
     @cached_property
@@ -98,7 +109,7 @@ class Bench:
         )
 
     @cached_property
-    def products(self) -> Products:
+    def products(self) -> GramMatrices:
         """Products of all columns with each other and with what the baseline leaves."""
         return self.products_of(self.columns, self.residual, self.log_zeta)
 
@@ -109,7 +120,7 @@ class Bench:
         for channel, kind in block_names(self.case.channels):
             power = []
             for run, splitter in enumerate(self.splitters):
-                observation = self.case.candidates[run].observation
+                observation = self.case.runs[run].observation
                 if channel not in observation.channels:
                     continue
                 sigma = float(observation.noise[observation.channels.index(channel)])
@@ -121,7 +132,7 @@ class Bench:
 
     def products_of(
         self, columns: list[np.ndarray], residual: list[np.ndarray], log_zeta: np.ndarray
-    ) -> Products:
+    ) -> GramMatrices:
         """Products of some columns (own zeta first) and residuals, by run and block."""
 
         def of(run: int) -> tuple[np.ndarray, np.ndarray]:
@@ -136,8 +147,8 @@ class Bench:
                     counts.append(len(part) if recorded else 0)
             return np.array(grams), np.array(counts)
 
-        found = self.case.each_run(of)
-        return Products(
+        found = self.case.map_runs(of)
+        return GramMatrices(
             block_names(self.case.channels),
             np.array([gram for gram, _ in found]),
             np.array([count for _, count in found]),
@@ -145,9 +156,11 @@ class Bench:
         )
 
 
-def _kick(effect: type[AbstractEffect], trial: Trial, path: Trace, node: Array) -> Kick:
+def _sensitivity(
+    effect: type[AbstractEffect], trial: Trial, path: LinearizedRun, node: Array
+) -> InputSensitivity:
     program = program_of(effect)
-    return kick(program.effect, trial, path, node, grid(effect), program.held)
+    return effect_sensitivity(program.effect, trial, path, node, grid(effect), program.held)
 
 
 def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
@@ -158,13 +171,15 @@ def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
     )
 
 
-def _variants(effects: Sequence[type[AbstractEffect]]) -> tuple[tuple[Variant, ...], np.ndarray]:
-    variants: list[Variant] = []
+def _variants(
+    effects: Sequence[type[AbstractEffect]],
+) -> tuple[tuple[ShapeVariant, ...], np.ndarray]:
+    variants: list[ShapeVariant] = []
     scale: list[float] = []
     for effect in effects:
         values = {name: np.asarray(v) for name, v in grid(effect).items()}
         names = shapes(effect)
-        sizes = [len(numbers(effect)[name]["starts"]) for name in names]
+        sizes = [len(field_metadata(effect)[name]["starts"]) for name in names]
         first = len(variants)
         for place in np.ndindex(*sizes):
             number = int(np.ravel_multi_index(place, sizes)) if sizes else 0
@@ -178,9 +193,9 @@ def _variants(effects: Sequence[type[AbstractEffect]]) -> tuple[tuple[Variant, .
                 near.append((pair[0], pair[1]))
             count = len(strengths(effect))
             columns = tuple(range(len(scale), len(scale) + count))
-            scale += [numbers(effect)[name]["typical"] for name in strengths(effect)]
+            scale += [field_metadata(effect)[name]["typical"] for name in strengths(effect)]
             given = tuple(float(values[name][number]) for name in names)
-            variants.append(Variant(effect, given, columns, tuple(near)))
+            variants.append(ShapeVariant(effect, given, columns, tuple(near)))
     return tuple(variants), np.array(scale)
 
 

@@ -18,7 +18,7 @@ KINDS = ("slow", "fast")
 
 
 @dataclass(frozen=True)
-class Splitter:
+class SlowFastSplit:
     """Linear maps from one run's samples to its blocks.
 
     Attributes:
@@ -30,7 +30,7 @@ class Splitter:
     back: np.ndarray
 
     @classmethod
-    def of(cls, time: np.ndarray) -> "Splitter":
+    def of(cls, time: np.ndarray) -> "SlowFastSplit":
         """For samples at these times [s]."""
         place = np.floor((time - time[0]) / BIN + 1e-9).astype(int)
         used, place = np.unique(place, return_inverse=True)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.localization.kinematics import PHASES, Motion
-from diagnose.localization.shares import Cut, RunMisfit
+from diagnose.localization.kinematics import PHASES, RunKinematics
+from diagnose.localization.shares import Partition, RunMisfit
 from diagnose.localization.spectrum import (
     HERTZ_LABELS,
     LINE_FROM,
@@ -17,12 +17,12 @@ from diagnose.localization.spectrum import (
     ORDER_TO,
     ORDER_WIDTH,
     STANDS,
-    Line,
-    evenly,
+    SharedLine,
     in_hertz,
     in_turning,
     power_by_hertz,
     power_by_order,
+    resample,
 )
 
 SLOWER, OTHER = "slower than once a turn", "other orders of the drive"
@@ -43,13 +43,13 @@ NO_PERIOD = (SLOWER, UNPARTED, OTHER, STANDS, f"over {ORDER_TO:g} a turn")
 Strongest = tuple[float, float]
 
 
-def by_hertz(runs: Sequence[RunMisfit]) -> Cut:
+def by_hertz(runs: Sequence[RunMisfit]) -> Partition:
     """The axis of frequencies [Hz]."""
     power = []
     for run in runs:
         found = sum(power_by_hertz(run.motion.time, row) for row in run.error)
         power.append(_whole(run, run.in_bins(run.motion.bins, np.asarray(found))))
-    return Cut("frequency", HERTZ_LABELS, power)
+    return Partition("frequency", HERTZ_LABELS, power)
 
 
 def _whole(run: RunMisfit, found: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ def _whole(run: RunMisfit, found: np.ndarray) -> np.ndarray:
     return found * (run.whole / total) if total > 0 else found
 
 
-def by_order(runs: Sequence[RunMisfit]) -> Cut:
+def by_order(runs: Sequence[RunMisfit]) -> Partition:
     """The axis of periods in a turn, of what keeps its frequency, and of what stands."""
     in_time, over_turning = _lines(runs)
     hertz = _shared_hertz(in_time, over_turning)
@@ -92,7 +92,7 @@ def by_order(runs: Sequence[RunMisfit]) -> Cut:
             for name, values in zip(names, run.in_bins(place, within).T, strict=True):
                 found[:, labels.index(name)] += values
         power.append(_whole(run, found))
-    return Cut("order", labels, power)
+    return Partition("order", labels, power)
 
 
 def _orders(grousers: int, drive: float | None) -> tuple[tuple[float, ...], list[str]]:
@@ -122,7 +122,7 @@ def _parted(run: RunMisfit, names: Sequence[str]) -> list[str]:
     return [UNPARTED if name in (SLOWER, ONCE) else name for name in names]
 
 
-def _stands(motion: Motion) -> np.ndarray:
+def _stands(motion: RunKinematics) -> np.ndarray:
     """Samples at which the wheel is not asked to turn, or has not turned."""
     stands = np.isin(motion.phase, [PHASES.index("stand"), PHASES.index("rest")])
     return stands | np.r_[True, np.diff(motion.turning) <= 0]
@@ -132,14 +132,14 @@ def _series(run: RunMisfit, unit: float):
     """Every channel's even series in time and over turning, in some unit, each with its step."""
     motion, stands = run.motion, _stands(run.motion)
     for row in run.error / unit:
-        yield evenly(motion.time, row), in_turning(motion.time, motion.turning, row, stands)[:2]
+        yield resample(motion.time, row), in_turning(motion.time, motion.turning, row, stands)[:2]
 
 
 def _lines(runs: Sequence[RunMisfit]) -> tuple[Strongest, Strongest]:
     """The strongest line over time [Hz] and over turning, each with its share of its octave."""
     steps = [float(np.diff(run.motion.time).mean()) for run in runs if len(run.motion.time) > 1]
-    hertz = Line(LINE_FROM, 0.5 / max(steps, default=1.0), LINE_WIDTH)
-    order = Line(ORDER_FROM, ORDER_TO, ORDER_WIDTH)
+    hertz = SharedLine(LINE_FROM, 0.5 / max(steps, default=1.0), LINE_WIDTH)
+    order = SharedLine(ORDER_FROM, ORDER_TO, ORDER_WIDTH)
     for run in runs:
         whole = np.sqrt(max(float(run.power.sum()), 1e-300))
         for in_time, over_turning in _series(run, whole):

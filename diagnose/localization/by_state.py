@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.localization.shares import Cut, RunMisfit, placed
+from diagnose.localization.shares import Partition, RunMisfit, partition_by_bin
 from diagnose.localization.spectrum import STANDS
 
 # About as many bins in a state variable.
@@ -26,7 +26,7 @@ SLIP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.5)
 UNSEEN = "not recorded"
 
 
-def by_state(runs: Sequence[RunMisfit]) -> list[Cut]:
+def by_state(runs: Sequence[RunMisfit]) -> list[Partition]:
     """An axis for every variable of the state that some run tells."""
 
     def all_of(pick, scale: float = 1.0) -> list[np.ndarray] | None:
@@ -61,7 +61,7 @@ def by_state(runs: Sequence[RunMisfit]) -> list[Cut]:
             np.where(np.isfinite(v), np.searchsorted(edges - slack, v), len(edges) + 1)
             for v in values
         ]
-        cuts.append(placed(runs, axis, labels, places))
+        cuts.append(partition_by_bin(runs, axis, labels, places))
     return cuts
 
 

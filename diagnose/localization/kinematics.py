@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import Case, pitch
-from diagnose.linear.residual_blocks import Splitter
+from diagnose.dataset import RigDataset, pitch
+from diagnose.linear.residual_blocks import SlowFastSplit
 from drftjax.physics.command import with_zeros
 from drftjax.physics.rig import DrivenCarriage
 
@@ -21,7 +21,7 @@ PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class RunKinematics:
     """One run's motion at the samples compared.
 
     Attributes:
@@ -67,7 +67,9 @@ class Motion:
         return np.where(turning, self.slip_speed / np.where(turning, rim, 1), np.nan)
 
 
-def motion_of_run(case: Case, run: int, splitter: Splitter | None = None) -> Motion:
+def kinematics_of_run(
+    case: RigDataset, run: int, splitter: SlowFastSplit | None = None
+) -> RunKinematics:
     """How a run moved.
 
     Args:
@@ -75,8 +77,8 @@ def motion_of_run(case: Case, run: int, splitter: Splitter | None = None) -> Mot
         run: Its number.
         splitter: Of its samples; made where none is given.
     """
-    trial, time = case.candidates[run].trial, case.time(run)
-    splitter = Splitter.of(time) if splitter is None else splitter
+    trial, time = case.runs[run].trial, case.time(run)
+    splitter = SlowFastSplit.of(time) if splitter is None else splitter
     knots, omegas = np.asarray(trial.time), np.asarray(trial.omega)
     driven = isinstance(trial.simulator.rig.carriage, DrivenCarriage)
     recorded = dict(zip(case.channels, case.recorded(run), strict=True))
@@ -101,7 +103,7 @@ def motion_of_run(case: Case, run: int, splitter: Splitter | None = None) -> Mot
     either_way = np.abs(either_way)
     speed = radius * either_way + (np.abs(vxs) if driven else 0)
     gap = pitch(case.trials[run])
-    return Motion(
+    return RunKinematics(
         time,
         np.interp(time, knots, omegas),
         float(trial.start.angle) + _integral(time, knots, omegas),

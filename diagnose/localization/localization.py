@@ -4,22 +4,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.linear.residual_blocks import Splitter
+from diagnose.dataset import RigDataset
+from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.by_frequency import NO_PERIOD, by_hertz, by_order
 from diagnose.localization.by_state import by_state
-from diagnose.localization.kinematics import PHASES, motion_of_run
+from diagnose.localization.kinematics import PHASES, kinematics_of_run
 from diagnose.localization.shares import (
     LEAST_TOLD,
     MOST,
     MOST_TOLD,
     SEED,
-    Cut,
+    GapShare,
+    Partition,
     RunMisfit,
-    Share,
-    drawn_anew,
-    named,
-    placed,
+    bootstrap_counts,
+    partition_by_bin,
+    partition_by_label,
     shares_of,
 )
 
@@ -27,7 +27,9 @@ from diagnose.localization.shares import (
 MARKED = 0.05
 
 
-def where(case: Case, residual: list[np.ndarray], floor: dict[str, float]) -> list[Share]:
+def localize(
+    case: RigDataset, residual: list[np.ndarray], floor: dict[str, float]
+) -> list[GapShare]:
     """Shares of the gap, each with an interval.
 
     Args:
@@ -43,7 +45,7 @@ def where(case: Case, residual: list[np.ndarray], floor: dict[str, float]) -> li
     total = sum(run.whole for run in runs)
     if not total > 0:
         return []
-    candidates = [case.candidates[k] for k, each in enumerate(residual) if each.size]
+    candidates = [case.runs[k] for k, each in enumerate(residual) if each.size]
     names, loads, profiles = (
         [each.name for each in candidates],
         _loads(candidates),
@@ -54,29 +56,29 @@ def where(case: Case, residual: list[np.ndarray], floor: dict[str, float]) -> li
     # A run's share says what that run did: only its half seconds are drawn again, not the run;
     # and the runs of a load, or of a profile, stand for that load or profile.
     grouped = {
-        "run": drawn_anew(random, sizes, list(range(len(runs)))),
-        "load": drawn_anew(random, sizes, loads),
-        "profile": drawn_anew(random, sizes, profiles),
+        "run": bootstrap_counts(random, sizes, list(range(len(runs)))),
+        "load": bootstrap_counts(random, sizes, loads),
+        "profile": bootstrap_counts(random, sizes, profiles),
     }
-    drawn = drawn_anew(random, sizes, [0] * len(runs))
+    drawn = bootstrap_counts(random, sizes, [0] * len(runs))
     cuts = [
-        named(runs, axis, of)
+        partition_by_label(runs, axis, of)
         for axis, of in (("run", names), ("load", loads), ("profile", profiles))
     ]
-    cuts += [placed(runs, "phase", PHASES, [run.motion.phase for run in runs])]
+    cuts += [partition_by_bin(runs, "phase", PHASES, [run.motion.phase for run in runs])]
     cuts += by_state(runs)
     cuts += [by_hertz(runs), by_order(runs), _by_channel(runs, case.channels)]
     return [share for cut in cuts for share in shares_of(cut, grouped.get(cut.axis, drawn), total)]
 
 
-def sentence(shares: Sequence[Share]) -> str:
+def localization_sentence(shares: Sequence[GapShare]) -> str:
     """Where the gap lies, in one plain sentence.
 
     The bins that hold most beyond the time spent in them are named, at most three.
     """
     if not shares:
         return "There is no gap to speak of."
-    axes: dict[str, list[Share]] = {}
+    axes: dict[str, list[GapShare]] = {}
     for each in shares:
         axes.setdefault(each.axis, []).append(each)
     told = []
@@ -90,7 +92,7 @@ def sentence(shares: Sequence[Share]) -> str:
             if sure and not (axis == "order" and part.label in NO_PERIOD):
                 told.append((part.share * np.log(part.share / max(expected, 1e-3)), part))
     told.sort(key=lambda each: -each[0])
-    chosen: dict[str, Share] = {}
+    chosen: dict[str, GapShare] = {}
     for _, part in told:
         # A profile is fast or slow: one of the two says it.
         kind = "speed" if part.axis in ("profile", "angular velocity") else part.axis
@@ -110,7 +112,7 @@ def sentence(shares: Sequence[Share]) -> str:
     return "; ".join(said) + "."
 
 
-def _in_words(part: Share, of_travel: bool) -> str:
+def _in_words(part: GapShare, of_travel: bool) -> str:
     beside = " beside the changes of x" if of_travel and part.label != "x" else ""
     place = {
         "phase": f"in the phase “{part.label}”",
@@ -123,8 +125,8 @@ def _in_words(part: Share, of_travel: bool) -> str:
     return f"{place} ({part.share:.0%} of it{spent})"
 
 
-def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float]) -> RunMisfit:
-    splitter = Splitter.of(case.time(number))
+def _run(case: RigDataset, number: int, residual: np.ndarray, floor: dict[str, float]) -> RunMisfit:
+    splitter = SlowFastSplit.of(case.time(number))
     error = np.zeros(residual.shape)
     for row, channel in enumerate(case.channels):
         values = residual[row]
@@ -135,7 +137,7 @@ def _run(case: Case, number: int, residual: np.ndarray, floor: dict[str, float])
             change = np.r_[0.0, parts["slow"][:, 0]]
             values = splitter.back @ change + parts["fast"][:, 0]
         error[row] = values / floor[channel]
-    return RunMisfit(motion_of_run(case, number, splitter), error, case.spacing(number))
+    return RunMisfit(kinematics_of_run(case, number, splitter), error, case.spacing(number))
 
 
 def _loads(candidates: Sequence) -> list[str]:
@@ -164,6 +166,6 @@ def _profiles(candidates: Sequence) -> list[str]:
     return found
 
 
-def _by_channel(runs: Sequence[RunMisfit], channels: Sequence[str]) -> Cut:
+def _by_channel(runs: Sequence[RunMisfit], channels: Sequence[str]) -> Partition:
     power = [run.in_bins(run.motion.bins, run.error**2) for run in runs]
-    return Cut("channel", channels, power)
+    return Partition("channel", channels, power)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.localization.kinematics import Motion
+from diagnose.localization.kinematics import RunKinematics
 
 # Intervals hold the share with this probability.
 PROBABILITY = 0.9
@@ -18,7 +18,7 @@ SEED = 20240
 
 
 @dataclass(frozen=True)
-class Share:
+class GapShare:
     """Share of the gap in one bin of one axis.
 
     Attributes:
@@ -46,7 +46,7 @@ class RunMisfit:
         spacing: Time that a sample stands for [s].
     """
 
-    motion: Motion
+    motion: RunKinematics
     error: np.ndarray
     spacing: float
 
@@ -68,7 +68,7 @@ class RunMisfit:
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class Partition:
     """An axis: by run, power over time, and time, of each half second in each bin of it."""
 
     axis: str
@@ -77,29 +77,29 @@ class Cut:
     time: list[np.ndarray] | None = None
 
 
-def placed(
+def partition_by_bin(
     runs: Sequence[RunMisfit], axis: str, labels: Sequence[str], places: Sequence[np.ndarray]
-) -> Cut:
+) -> Partition:
     """An axis by the number of each sample's bin."""
     power, time = [], []
     for run, place in zip(runs, places, strict=True):
         inside = (place == np.arange(len(labels))[:, None]).astype(float)
         power.append(run.in_bins(run.motion.bins, inside * run.power))
         time.append(run.in_bins(run.motion.bins, inside))
-    return Cut(axis, labels, power, time)
+    return Partition(axis, labels, power, time)
 
 
-def named(runs: Sequence[RunMisfit], axis: str, names: Sequence[str]) -> Cut:
+def partition_by_label(runs: Sequence[RunMisfit], axis: str, names: Sequence[str]) -> Partition:
     """An axis by a name of each run."""
     labels = list(dict.fromkeys(names))
     places = [
         np.full(len(run.motion.time), labels.index(name))
         for run, name in zip(runs, names, strict=True)
     ]
-    return placed(runs, axis, labels, places)
+    return partition_by_bin(runs, axis, labels, places)
 
 
-def drawn_anew(random: np.random.Generator, sizes: list[int], groups: Sequence) -> np.ndarray:
+def bootstrap_counts(random: np.random.Generator, sizes: list[int], groups: Sequence) -> np.ndarray:
     """How often each half second is drawn, shape (draws, half seconds of all runs).
 
     Runs are drawn from their group, as many as it has; half seconds from each run drawn.
@@ -122,7 +122,7 @@ def drawn_anew(random: np.random.Generator, sizes: list[int], groups: Sequence) 
     return np.concatenate(parts, axis=1).astype(float)
 
 
-def shares_of(cut: Cut, draws: np.ndarray, total: float) -> list[Share]:
+def shares_of(cut: Partition, draws: np.ndarray, total: float) -> list[GapShare]:
     """The share of every bin, with its interval; bins where no time was spent are left out.
 
     Args:
@@ -143,7 +143,7 @@ def shares_of(cut: Cut, draws: np.ndarray, total: float) -> list[Share]:
         spent = np.concatenate(cut.time).sum(axis=0)
         time = spent / spent.sum()
     return [
-        Share(
+        GapShare(
             cut.axis,
             label,
             float(share[k]),

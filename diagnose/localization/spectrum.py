@@ -60,7 +60,7 @@ def bands(error: np.ndarray, step: float, edges: tuple[float, ...]) -> np.ndarra
     return np.fft.irfft(parts, len(error), axis=-1)
 
 
-def evenly(time: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, float]:
+def resample(time: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, float]:
     """The series at as many even times, and their step [s]; as it is where it is even."""
     if len(time) < 2:
         return error, 1.0
@@ -73,7 +73,7 @@ def in_hertz(time: np.ndarray, error: np.ndarray, edges: tuple[float, ...]) -> n
 
     Where samples were lost, the bands of the series at even times, read at its own.
     """
-    even, step = evenly(time, error)
+    even, step = resample(time, error)
     at = np.linspace(time[0], time[-1], len(time))
     return np.stack([np.interp(time, at, band) for band in bands(even, step, edges)])
 
@@ -116,7 +116,7 @@ def power_by_order(series: np.ndarray, step: float, edges: tuple[float, ...]) ->
     return bands(series, step, edges) ** 2
 
 
-class Line:
+class SharedLine:
     """Power of many series on one grid of frequencies, to find a line that they share.
 
     Attributes:

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 
 from diagnose.model.shared_programs import Held, program_of
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers, shapes, strengths
-from drftjax.recorded.batch import Observed, between_rows
+from drftjax.effects.catalogue import field_metadata, shapes, strengths
+from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
 
 # Past this share of the sinkage that a wheel's plates are carried for a model gives no numbers, as
@@ -26,7 +26,7 @@ COVERED = 0.85
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeField:
     """A number of an effect that is fitted.
 
     Attributes:
@@ -50,7 +50,7 @@ class Free:
 
 
 @dataclass(frozen=True)
-class Model:
+class AugmentedModel:
     """Effects added to the reference model, and which of their numbers are free.
 
     Attributes:
@@ -66,14 +66,14 @@ class Model:
         return tuple(each.about.name for each in self.effects)
 
     @cached_property
-    def free(self) -> tuple[Free, ...]:
+    def free(self) -> tuple[FreeField, ...]:
         """The free numbers, in the order of the coordinates."""
         found = []
         for index, effect in enumerate(self.effects):
-            about = numbers(effect)
-            found += [Free(index, name, about[name]["typical"]) for name in strengths(effect)]
+            about = field_metadata(effect)
+            found += [FreeField(index, name, about[name]["typical"]) for name in strengths(effect)]
             if self.shaped:
-                found += [Free(index, name, None) for name in shapes(effect)]
+                found += [FreeField(index, name, None) for name in shapes(effect)]
         return tuple(found)
 
     def null(self) -> np.ndarray:
@@ -83,10 +83,10 @@ class Model:
         )
 
     @cached_property
-    def program(self) -> tuple["Model", tuple[Held, ...], np.ndarray]:
+    def program(self) -> tuple["AugmentedModel", tuple[Held, ...], np.ndarray]:
         """What is compiled: a model, its numbers that no fit changes, its coordinates by these."""
         programs = [program_of(each) for each in self.effects]
-        general = Model(tuple(each.effect for each in programs), self.shaped)
+        general = AugmentedModel(tuple(each.effect for each in programs), self.shaped)
         mix = np.zeros((len(general.free), len(self.free)))
         for column, own in enumerate(self.free):
             names = strengths(self.effects[own.index])
@@ -101,7 +101,7 @@ class Model:
                     mix[row, column] = part[place, names.index(own.field)] * own.scale / free.scale
         return general, tuple(each.held for each in programs), mix
 
-    def _default(self, free: Free) -> float:
+    def _default(self, free: FreeField) -> float:
         return float(getattr(self.effects[free.index](), free.field))
 
     def build(self, coordinates, held: Sequence[Held] = ()) -> tuple[AbstractEffect, ...]:
@@ -119,11 +119,11 @@ def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
 
 
 def _predicted(
-    model: Model,
+    model: AugmentedModel,
     held: Sequence[Held],
     channels: tuple[str, ...],
     trial: Trial,
-    observed: Observed,
+    observed: PaddedObservations,
     log_zeta: Array,
     at: Array,
 ) -> Array:
@@ -147,10 +147,10 @@ _predict = eqx.filter_jit(_predicted)
 
 
 def predict(
-    model: Model,
+    model: AugmentedModel,
     channels: tuple[str, ...],
     trial: Trial,
-    observed: Observed,
+    observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
 ) -> Float[Array, "channels samples"]:
@@ -171,29 +171,29 @@ def predict(
     return _predict(program, held, channels, trial, observed, log_zeta, at)
 
 
-def respond(
-    model: Model,
+def predict_with_jacobian(
+    model: AugmentedModel,
     channels: tuple[str, ...],
     trial: Trial,
-    observed: Observed,
+    observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `predict`, with the exact derivative by log zeta and the coordinates, last."""
     program, held, mix = model.program
     at = jnp.asarray(mix @ coordinates, float)
-    value, slope = _respond(program, held, channels, trial, observed, log_zeta, at)
+    value, slope = _predict_with_jacobian(program, held, channels, trial, observed, log_zeta, at)
     by_zeta, by_rest = np.split(np.asarray(slope), [1], axis=-1)
     return np.asarray(value), np.concatenate([by_zeta, by_rest @ mix], axis=-1)
 
 
 @eqx.filter_jit
-def _respond(
-    model: Model,
+def _predict_with_jacobian(
+    model: AugmentedModel,
     held: Sequence[Held],
     channels: tuple[str, ...],
     trial: Trial,
-    observed: Observed,
+    observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: Float[Array, " free"],
 ) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples all"]]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diagnose.model.unknown_inputs import INPUTS, latents
+from diagnose.model.unknown_inputs import INPUTS, unknown_inputs
 from drftjax.physics.command import Command, one_way
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
@@ -37,7 +37,7 @@ RIPPLE_POINTS = 48
 FORCES = ("fx", "fz", "torque")
 
 
-class Trace(eqx.Module):
+class LinearizedRun(eqx.Module):
     """A run at its nodes, and the run's linear map from one to the next.
 
     Attributes:
@@ -67,11 +67,11 @@ class Trace(eqx.Module):
     middle: Float[Array, "nodes 5"]
     middle_omega: Float[Array, " nodes"]
     forces: Float[Array, "nodes 3"]
-    carry: Float[Array, "nodes 5 5"]
-    gather: Float[Array, "nodes 5 5"]
-    enter: Float[Array, "nodes 5 inputs"]
-    forces_carry: Float[Array, "nodes 3 5"]
-    forces_enter: Float[Array, "nodes 3 inputs"]
+    state_transition: Float[Array, "nodes 5 5"]
+    substep_sum: Float[Array, "nodes 5 5"]
+    input_matrix: Float[Array, "nodes 5 inputs"]
+    force_by_state: Float[Array, "nodes 3 5"]
+    force_by_input: Float[Array, "nodes 3 inputs"]
     ripple: Float[Array, "all 2"]
 
 
@@ -93,13 +93,15 @@ def command_at_time(trial: Trial, time: Float[Array, ""]) -> Command:
     return Command(omega, jnp.interp(time, trial.time, trial.vx), jnp.zeros_like(omega))
 
 
-def steps_in_a_node(trial: Trial) -> int:
+def steps_per_node(trial: Trial) -> int:
     """Steps that make a node of about `NODE` seconds."""
     return max(1, round(NODE / float(trial.step)))
 
 
 @eqx.filter_jit
-def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int) -> Trace:
+def linearize(
+    trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int
+) -> LinearizedRun:
     """Simulate a run and linearise it.
 
     Args:
@@ -116,7 +118,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
     dt = trial.step
 
     def varied(motion, inputs, state, command):
-        plus = replace(simulator, effects=simulator.effects + latents(inputs))
+        plus = replace(simulator, effects=simulator.effects + unknown_inputs(inputs))
         memory = (*state.memory, *((),) * 4)
         start = state_of(motion, state.time, state.omega + inputs[3], memory)
         after, output = plus.step(start, command, dt)
@@ -181,7 +183,7 @@ def trace(trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int)
     def ended(rows, last):
         return jnp.concatenate([rows, rows[-1:]]).at[nodes].set(last)
 
-    return Trace(
+    return LinearizedRun(
         nodes,
         dt,
         steps,
@@ -204,7 +206,7 @@ def _powers(step: Float[Array, "5 5"], count: Int[Array, ""]):
     return jax.lax.fori_loop(0, count, again, (one, jnp.zeros_like(one)))
 
 
-def steadied(path: Trace, pitch: float) -> Trace:
+def repair_outlier_maps(path: LinearizedRun, pitch: float) -> LinearizedRun:
     """The path made fit for sums over many nodes.
 
     Where a plate crosses a corner of the stress law just as a step is differentiated, the step's
@@ -218,11 +220,13 @@ def steadied(path: Trace, pitch: float) -> Trace:
         pitch: Angle between two grousers [rad]; infinite without any.
     """
     nodes = int(path.nodes)
-    carry = np.array(path.carry)
+    carry = np.array(path.state_transition)
     carry[:, :4, 4] = 0
-    forces_carry = np.array(path.forces_carry)
+    forces_carry = np.array(path.force_by_state)
     forces_carry[:, :, 4] = 0
-    path = replace(path, carry=carry, forces_carry=forces_carry, ripple=_ripple(path, pitch))
+    path = replace(
+        path, state_transition=carry, force_by_state=forces_carry, ripple=_ripple(path, pitch)
+    )
     moving = carry[:nodes, 1:4, 1:4]
     largest = np.abs(np.linalg.eigvals(np.where(np.isfinite(moving), moving, 1e9))).max(axis=1)
     good = np.flatnonzero(largest < LARGEST_GROWTH)
@@ -237,7 +241,7 @@ def steadied(path: Trace, pitch: float) -> Trace:
     return replace(path, **{name: getattr(path, name)[index] for name in maps})
 
 
-def _ripple(path: Trace, pitch: float) -> np.ndarray:
+def _ripple(path: LinearizedRun, pitch: float) -> np.ndarray:
     nodes = int(path.nodes)
     slope = np.zeros((path.motion.shape[0], 2))
     motion = np.asarray(path.motion)[: nodes + 1]

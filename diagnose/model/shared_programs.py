@@ -30,7 +30,7 @@ SHORTEST_ROW = 17
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class SharedProgram:
     """What an effect is compiled as.
 
     Attributes:
@@ -45,10 +45,10 @@ class Program:
 
 
 @cache
-def program_of(effect: type[AbstractEffect]) -> Program:
+def program_of(effect: type[AbstractEffect]) -> SharedProgram:
     """What an effect is compiled as: itself, but for a curve."""
     if not issubclass(effect, Curve):
-        return Program(effect, {}, np.eye(len(strengths(effect))))
+        return SharedProgram(effect, {}, np.eye(len(strengths(effect))))
     knots, values = _open(effect)
     beyond = max(SHORTEST_ROW - len(knots), 0)
     # Beyond its last knot a curve is level.
@@ -56,7 +56,7 @@ def program_of(effect: type[AbstractEffect]) -> Program:
     values = np.r_[values, np.repeat(values[-1:], beyond, axis=0)]
     picked = np.array([float(name == effect.variable) for name in VARIABLES])
     held = {"places": knots, "over": picked}
-    return Program(_of_any_knots(effect.stage, len(knots)), held, values)
+    return SharedProgram(_of_any_knots(effect.stage, len(knots)), held, values)
 
 
 def in_modes(

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.effects.base import (
-    About,
     AbstractPlane,
+    EffectInfo,
     Memory,
     MemorylessDrive,
     MemorylessLoad,
     MemorylessSurface,
     MemorylessZetaFactor,
-    Moment,
+    StepContext,
     strength,
 )
 
@@ -26,28 +26,32 @@ Pair = Float[Array, "2"]
 class ZetaError(MemorylessZetaFactor):
     """zeta is off by a factor."""
 
-    about: ClassVar = About("zeta_error", "terrain", "ζ = ζ exp(error)", "an unknown zeta factor")
+    about: ClassVar = EffectInfo(
+        "zeta_error", "terrain", "ζ = ζ exp(error)", "an unknown zeta factor"
+    )
     error: Number = strength("-", 0.1, "logarithm of the factor")
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.exp(self.error)
 
 
 class ForceError(MemorylessLoad):
     """A force is missing."""
 
-    about: ClassVar = About("force_error", "rig", "F = F + (x, z)", "an unknown force")
+    about: ClassVar = EffectInfo("force_error", "rig", "F = F + (x, z)", "an unknown force")
     x: Number = strength("N", 5.0, "horizontal force")
     z: Number = strength("N", 5.0, "vertical force")
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return jnp.stack([self.x, self.z])
 
 
 class SpeedError(MemorylessDrive):
     """The wheel turns at another speed than commanded."""
 
-    about: ClassVar = About("speed_error", "drive", "ω = ω + error", "an unknown drive speed error")
+    about: ClassVar = EffectInfo(
+        "speed_error", "drive", "ω = ω + error", "an unknown drive speed error"
+    )
     error: Number = strength("rad/s", 0.02, "excess of the speed")
 
     def speed(self, omega: Number, angle: Number) -> Number:
@@ -57,7 +61,7 @@ class SpeedError(MemorylessDrive):
 class HeightError(AbstractPlane, MemorylessSurface):
     """The surface lies higher, and rises along x."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "height_error", "terrain", "h = h + error + rise ahead", "an unknown surface height"
     )
     error: Number = strength("m", 0.001, "height of the surface under the axle")
@@ -71,7 +75,7 @@ class HeightError(AbstractPlane, MemorylessSurface):
 INPUTS = ("zeta", "force_x", "force_z", "speed", "height", "rise")
 
 
-def latents(inputs: Float[Array, "6"]) -> tuple:
+def unknown_inputs(inputs: Float[Array, "6"]) -> tuple:
     """Effects that carry these inputs.
 
     They are log zeta [-], forces [N], speed [rad/s], height [m] and rise of the surface [-].

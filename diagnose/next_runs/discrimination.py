@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.dataset import Case, with_zeta
+from diagnose.dataset import RigDataset, with_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.model.augmented_model import Model, with_effects
+from diagnose.model.augmented_model import AugmentedModel, with_effects
 from drftjax.common.arrays import as_real
-from drftjax.effects.catalogue import spoken
+from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
 from drftjax.recorded.observation import SHOWN, comparable
 from drftjax.recorded.prepared_run import STEPS_A_ROW
@@ -48,7 +48,7 @@ TELLING = 2.0
 
 
 @dataclass(frozen=True)
-class Proposal:
+class NextRun:
     """A run, and how far two explanations part on it.
 
     Attributes:
@@ -77,7 +77,7 @@ class Proposal:
 
 
 def next_run(
-    case: Case, first: Hypothesis, others: Sequence[Hypothesis], floors: Mapping[str, float]
+    case: RigDataset, first: Hypothesis, others: Sequence[Hypothesis], floors: Mapping[str, float]
 ) -> dict:
     """The variation of a run that parts hypotheses, and the channel that would part them now.
 
@@ -94,17 +94,17 @@ def next_run(
     base = _typical(case)
     variations = _variations(case, base)
     # Compiled by the run as it was, before every thread needs the programs.
-    parted = [_apart(variations[0], base, first, others)]
-    parted += case.threads.map(lambda each: _apart(each, base, first, others), variations[1:])
+    parted = [_separation(variations[0], base, first, others)]
+    parted += case.threads.map(lambda each: _separation(each, base, first, others), variations[1:])
     floor = TRUSTED | dict(floors)
-    driven = case.candidates[base].setup.rig.carriage == "driven"
+    driven = case.runs[base].setup.rig.carriage == "driven"
     advice = {}
     for count in sorted({len(others), 1}, reverse=True):
         proposals = []
         for variation, apart in zip(variations, parted, strict=True):
             proposals += _proposals(variation.words, apart[:count], comparable(driven), floor)
         told = (first, *others[:count])
-        advice = {"tells": ["+".join(spoken(each.names) or ("none",)) for each in told]}
+        advice = {"tells": ["+".join(reported_names(each.names) or ("none",)) for each in told]}
         advice |= _best_of(proposals, variations[0].words, set(case.channels))
         if advice["run"] or advice["channel"]:
             break
@@ -116,7 +116,7 @@ def _proposals(
     apart: Sequence[Mapping[str, float]],
     compared: Sequence[str],
     floor: Mapping[str, float],
-) -> list[Proposal]:
+) -> list[NextRun]:
     """A run, by channel, with how far it parts the one of several that it parts least."""
     if not all(apart):
         return []
@@ -125,11 +125,11 @@ def _proposals(
         difference = min(each[channel] for each in apart)
         unit, scale = SHOWN[channel]
         floors = difference / floor[channel]
-        found.append(Proposal(words, channel, scale * difference, unit, floors))
+        found.append(NextRun(words, channel, scale * difference, unit, floors))
     return found
 
 
-def _best_of(proposals: Sequence[Proposal], as_it_was: str, recorded: set[str]) -> dict:
+def _best_of(proposals: Sequence[NextRun], as_it_was: str, recorded: set[str]) -> dict:
     """The run to make, and the channel to record on a run as made."""
     told = [p.floors for p in proposals if p.channel in recorded and p.run == as_it_was]
     new = [
@@ -142,7 +142,7 @@ def _best_of(proposals: Sequence[Proposal], as_it_was: str, recorded: set[str]) 
     return {"run": _best(new), "channel": _best(now)}
 
 
-def _best(proposals: Sequence[Proposal]) -> dict | None:
+def _best(proposals: Sequence[NextRun]) -> dict | None:
     best = max(proposals, key=lambda each: each.floors, default=None)
     return best.document() if best is not None and best.floors >= TELLING else None
 
@@ -193,18 +193,18 @@ def _ways(trial: Trial) -> np.ndarray:
     return np.append(0.0, np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2))
 
 
-def _typical(case: Case) -> int:
+def _typical(case: RigDataset) -> int:
     """The run of middling top speed."""
-    tops = [float(np.abs(np.asarray(c.trial.omega)).max()) for c in case.candidates]
+    tops = [float(np.abs(np.asarray(c.trial.omega)).max()) for c in case.runs]
     return int(np.argsort(tops)[len(tops) // 2])
 
 
-def _variations(case: Case, base: int) -> list[Variation]:
-    candidate = case.candidates[base]
+def _variations(case: RigDataset, base: int) -> list[Variation]:
+    candidate = case.runs[base]
     trial, lasted = case.trials[base], _end(candidate.trial)
     found = [Variation(f"{candidate.name} as it was", trial, lasted)]
     top = float(np.abs(np.asarray(trial.omega)).max())
-    made = [each.trial for each in case.candidates]
+    made = [each.trial for each in case.runs]
     farthest = max(float(_ways(each)[-1]) for each in made)
     for factor in SPEEDS:
         if 0 < top * factor <= FASTEST:
@@ -254,11 +254,11 @@ def _steady(trial: Trial) -> Trial:
 
 
 @eqx.filter_jit
-def _simulated(model: Model, trial: Trial, coordinates, rows):
+def _simulated(model: AugmentedModel, trial: Trial, coordinates, rows):
     return with_effects(trial, model.build(coordinates)).run_to(rows, CHANNELS)
 
 
-def _apart(
+def _separation(
     variation: Variation, base: int, first: Hypothesis, others: Sequence[Hypothesis]
 ) -> list[dict[str, float]]:
     """Root mean square of how each of the others' readings differ, by channel [m, N, N m].

@@ -31,7 +31,7 @@ TIMES, SPEEDS, ROUNDING = 0.01, 0.1, 1e-6
 
 
 @dataclass(frozen=True)
-class Telling:
+class RecommendedRun:
     """A run that tells effects apart.
 
     Attributes:
@@ -51,15 +51,17 @@ class Telling:
 
 def _held(
     name: str, tells: str, speed: float, rise: float, hold: float, load: float = 1.0
-) -> Telling:
+) -> RecommendedRun:
     time = np.cumsum([0.0, 2.0, rise, hold, rise, 2.0])
-    return Telling(name, tells, tuple(map(float, time)), (0.0, 0.0, speed, speed, 0.0, 0.0), load)
+    return RecommendedRun(
+        name, tells, tuple(map(float, time)), (0.0, 0.0, speed, speed, 0.0, 0.0), load
+    )
 
 
-def _stop_and_go(name: str, tells: str, speed: float, ramp: float, held: float) -> Telling:
+def _stop_and_go(name: str, tells: str, speed: float, ramp: float, held: float) -> RecommendedRun:
     parts = [0.0, held, *(3 * [ramp, held, ramp, held])]
     time = tuple(round(float(each), 3) for each in np.cumsum(parts))
-    return Telling(name, tells, time, (0.0, 0.0, *(3 * [speed, speed, 0.0, 0.0])))
+    return RecommendedRun(name, tells, time, (0.0, 0.0, *(3 * [speed, speed, 0.0, 0.0])))
 
 
 TELLING = (
@@ -75,9 +77,9 @@ TELLING = (
 )
 
 
-def telling_runs(
+def recommended_runs(
     like: SetUp, max_speed: float | None = None, max_travel: float | None = None
-) -> Iterator[tuple[Telling, SetUp]]:
+) -> Iterator[tuple[RecommendedRun, SetUp]]:
     """The nine runs for a rig.
 
     Args:
@@ -106,7 +108,7 @@ def telling_runs(
 
 
 def _within(
-    run: Telling, radius: float, max_speed: float | None, max_travel: float | None
+    run: RecommendedRun, radius: float, max_speed: float | None, max_travel: float | None
 ) -> tuple[list[float], list[float]]:
     """Knots [s] and speeds [deg/s] inside the limits: held for less long first, then slower."""
     time, speed = np.array(run.time), np.array(run.speed)

@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from diagnose.localization.shares import Share
+from diagnose.localization.shares import GapShare
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import percent
-from diagnose.unknown.correction_fit import Unwritten
-from diagnose.unknown.dependence import against
+from diagnose.unknown.correction_fit import UnknownEffect
+from diagnose.unknown.dependence import signal_against
 from drftjax.effects.correction import VARIABLES, Curve
 from drftjax.recorded.observation import SHOWN
 
@@ -50,7 +50,7 @@ def _before_and_after(axes: Axes, found: Diagnosis) -> None:
     place = np.arange(len(channels))
     gaps = [found.gap[channel] for channel in channels]
     bars = [("reference model", BEFORE, [gap.before for gap in gaps])]
-    if found.added.effects:
+    if found.selected.effects:
         bars.append((*_with_what(found), [gap.after for gap in gaps]))
     wide = 0.4
     for number, (label, colour, left) in enumerate(bars):
@@ -101,11 +101,11 @@ def _bins(axes: Axes, found: Diagnosis) -> None:
     axes.set_title("Where the gap lies", fontsize=10, loc="left")
 
 
-def _of(found: Diagnosis, axis: str) -> list[Share]:
-    return [each for each in found.where if each.axis == axis]
+def _of(found: Diagnosis, axis: str) -> list[GapShare]:
+    return [each for each in found.localization if each.axis == axis]
 
 
-def _label(share: Share) -> str:
+def _label(share: GapShare) -> str:
     return NAMES.get(share.label, share.label) if share.axis == "channel" else share.label
 
 
@@ -131,14 +131,14 @@ def residuals(found: Diagnosis) -> Figure:
     """Simulated less recorded, one row for each run, one column for each channel."""
     case = found.case
     lines = [("reference model", BEFORE, found.before)]
-    if found.added.effects:
-        lines.append((*_with_what(found), found.added.after))
-    runs = range(min(len(case.candidates), MOST_RUNS))
+    if found.selected.effects:
+        lines.append((*_with_what(found), found.selected.after))
+    runs = range(min(len(case.runs), MOST_RUNS))
     count = len(case.channels)
     figure = Figure(figsize=(4.8 * count, 1.25 * len(runs) + 0.7), layout="constrained")
     grid = figure.subplots(len(runs), count, squeeze=False, sharey="col")
     for run, row in zip(runs, grid, strict=True):
-        name = case.candidates[run].name
+        name = case.runs[run].name
         for place, (channel, axes) in enumerate(zip(case.channels, row, strict=True)):
             unit, scale = SHOWN[channel]
             floor = found.floors[channel] * scale
@@ -154,11 +154,11 @@ def residuals(found: Diagnosis) -> Figure:
     return figure
 
 
-def unknown_signal(found: Diagnosis, signal: Unwritten) -> Figure:
+def unknown_signal(found: Diagnosis, signal: UnknownEffect) -> Figure:
     """The simplest unknown signal against every variable that the runs tell."""
     case, stage = found.case, signal.stage
     shares = dict(signal.follows)
-    panels = [(name, against(case, stage, name)) for name in VARIABLES if name in shares]
+    panels = [(name, signal_against(case, stage, name)) for name in VARIABLES if name in shares]
     lines = -(-len(panels) // COLUMNS)
     figure = Figure(figsize=(9.6, 2.5 * lines), layout="constrained")
     grid = figure.subplots(lines, COLUMNS, sharey=True, squeeze=False).ravel()

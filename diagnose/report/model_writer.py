@@ -6,15 +6,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from diagnose.gap.gap import Gap
-from diagnose.result import Diagnosis, Number
+from diagnose.result import Diagnosis, ParameterEstimate
 from diagnose.selection.model_weights import NONE, UNKNOWN
 from drftjax.common.text import printable
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import spoken_of
+from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES
 from drftjax.effects.serialization import entry_of
-from drftjax.recorded.repeats import conditions
-from drftjax.setups.command_knots import thinned
+from drftjax.recorded.repeats import group_by_condition
+from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.setup_toml import setup_toml
 
 # What every model file's first comment begins with.
@@ -27,16 +27,16 @@ def model_toml(found: Diagnosis) -> str:
     Wheel, rig, start and command are those of the first run. zeta is the mean over the runs. The
     effects stand with their numbers, and these with their standard errors in comments.
     """
-    candidates = found.case.candidates
+    candidates = found.case.runs
     setup = copy.deepcopy(candidates[0].setup)
     zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
-    zeta = zeta * np.exp(found.added.log_zeta)
+    zeta = zeta * np.exp(found.selected.log_zeta)
     setup.title = f"{printable(setup.title)}, with what a diagnosis found"
-    setup.command = thinned(setup.command)
+    setup.command = decimate_command(setup.command)
     setup.terrain.zeta = float(zeta.mean())
-    setup.effects = [entry_of(effect) for effect in found.added.effects]
+    setup.effects = [entry_of(effect) for effect in found.selected.effects]
     comments = {("terrain", "zeta"): _scatter(zeta)}
-    for number, effect in enumerate(found.added.effects, start=1):
+    for number, effect in enumerate(found.selected.effects, start=1):
         comments |= {
             (f"effect {number}", key): each for key, each in _comments(found, effect).items()
         }
@@ -47,25 +47,25 @@ def _comments(found: Diagnosis, effect: AbstractEffect) -> dict[str, str]:
     """What stands beside an effect's numbers, by field."""
     offered = found.correction
     if offered is None:
-        numbers = found.parameters[spoken_of(effect.about.name)]
-        return {key: told(each) for key, each in numbers.items()}
+        numbers = found.parameters[reported_name(effect.about.name)]
+        return {key: estimate_in_words(each) for key, each in numbers.items()}
     units = {"knots": VARIABLES[offered.effect.variable], "values": offered.unit}
     return {key: unit for key, unit in units.items() if unit != "-"}
 
 
-def told(number: Number) -> str:
+def estimate_in_words(number: ParameterEstimate) -> str:
     """A number with its standard error and unit, in words of one line."""
     unit = "" if number.unit == "-" else f" {number.unit}"
     return f"{number.value:.4g} ± {number.error:.2g}{unit}"
 
 
 def _head(found: Diagnosis) -> list[str]:
-    names = ", ".join(printable(each.name) for each in found.case.candidates)
+    names = ", ".join(printable(each.name) for each in found.case.runs)
     lines = [f"{MARK} {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
-        on = "runs left out" if len(conditions(found.case.candidates)) > 1 else "these very runs"
+        on = "runs left out" if len(group_by_condition(found.case.runs)) > 1 else "these very runs"
         explains = (
             "No effect that is known explains these runs."
             if found.verdict == (UNKNOWN,)
@@ -75,11 +75,11 @@ def _head(found: Diagnosis) -> list[str]:
             f"{explains} A curve fitted to them changes the gap",
             f"on {on}, in noise floors: {_in_floors(found.gap)}.",
         ]
-    elif found.added.effects and found.verdict == (UNKNOWN,):
+    elif found.selected.effects and found.verdict == (UNKNOWN,):
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect shrinks the gap of these runs: this is the reference model.")
-    if own := found.case.candidates[0].setup.effects:
+    if own := found.case.runs[0].setup.effects:
         names = ", ".join(str(each["name"]) for each in own)
         lines.append(f"The set-up that was given had effects, which are not in this file: {names}.")
     lines += [

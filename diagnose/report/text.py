@@ -13,17 +13,17 @@ from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
 from diagnose.localization import localization as location
 from diagnose.report.figures import as_source, at_a_glance, residuals, unknown_signal, weights
-from diagnose.report.model_writer import MARK, model_toml, told
+from diagnose.report.model_writer import MARK, estimate_in_words, model_toml
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import printable
-from drftjax.effects.catalogue import spoken
+from drftjax.effects.catalogue import reported_names
 from drftjax.effects.correction import VARIABLES
 from drftjax.recorded.observation import SHOWN
-from drftjax.recorded.repeats import conditions
+from drftjax.recorded.repeats import group_by_condition
 from drftjax.setups.generated_files import replace_own_setup
 
 # So many noise floors off, a run is plainly not followed.
@@ -41,8 +41,8 @@ def in_words(found: Diagnosis) -> list[Table | str]:
 
 def verdict(found: Diagnosis) -> str:
     """What was found, in one sentence."""
-    weight = sure(found)
-    alone = len(found.case.candidates) == 1
+    weight = certainty_in_words(found)
+    alone = len(found.case.runs) == 1
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
         if missed := _missed_by_far(found):
@@ -90,7 +90,7 @@ def _missed_by_far(found: Diagnosis) -> str:
     )
 
 
-def sure(found: Diagnosis) -> float:
+def certainty_in_words(found: Diagnosis) -> float:
     """Weight of the verdict, or of the least sure part of it."""
     return min(found.weights.get(name, 0.0) for name in found.verdict)
 
@@ -103,7 +103,7 @@ def paragraphs(found: Diagnosis) -> list[str]:
     lines += group_sentences(found)
     lines += gap_sentences(found)
     if found.verdict != (NONE,):
-        lines.append(location.sentence(found.where))
+        lines.append(location.localization_sentence(found.localization))
     lines += parameter_sentences(found)
     lines += [f"note: {note}" for note in found.notes]
     lines += next_sentences(found)
@@ -115,7 +115,7 @@ def group_sentences(found: Diagnosis) -> list[str]:
     sentences = []
     for group in found.groups:
         first, others = group[0], " or ".join(map(_worded, group[1:]))
-        alone = len(found.case.candidates) == 1
+        alone = len(found.case.runs) == 1
         runs, rule = ("this run", "rules") if alone else ("these runs", "rule")
         if others and first == NONE:
             sentences.append(f"What {runs} {rule} out least: {others}.")
@@ -130,9 +130,9 @@ def _worded(name: str) -> str:
     )
 
 
-def shrunk(gap: Gap) -> str:
+def shrinkage_in_words(gap: Gap) -> str:
     """How far a gap shrinks; with the interval, where there are conditions to draw from."""
-    if not gap.can_shrink:
+    if not gap.is_reducible:
         return "at the floor"
     if gap.interval is None:
         return f"{gap.shrinkage:.0%}"
@@ -159,14 +159,14 @@ def gap_sentences(found: Diagnosis) -> list[str]:
 
 def _stand_in_sentence(found: Diagnosis) -> str:
     """What stands for an effect that is not known, and how far the gap shrinks with it."""
-    if not found.added.effects:
+    if not found.selected.effects:
         return "Nothing tried in its place shrinks the gap; model.toml holds the reference model."
     if found.correction is not None:
         effect, on = found.correction.effect, _measured_on(found, "its curve was")
         what = f"a correction of {effect.stage} over {effect.variable}, fitted to these runs"
     else:
         on = _measured_on(found, "the effect's numbers were")
-        what = f"{' and '.join(spoken(found.chosen.names))}, the likeliest of what is known"
+        what = f"{' and '.join(reported_names(found.chosen.names))}, the likeliest of what is known"
     shares = _shrunk_by(found) or "little in any one channel"
     return (
         f"Offered in its place: {what}. With it the gap above the noise floor shrinks by {shares}, "
@@ -184,11 +184,13 @@ def step_sentences(found: Diagnosis) -> list[str]:
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
     gaps = found.gap if gaps is None else gaps
-    return ", ".join(f"{channel} {shrunk(gap)}" for channel, gap in gaps.items() if gap.can_shrink)
+    return ", ".join(
+        f"{channel} {shrinkage_in_words(gap)}" for channel, gap in gaps.items() if gap.is_reducible
+    )
 
 
 def _measured_on(found: Diagnosis, what: str) -> str:
-    if len(conditions(found.case.candidates)) > 1:
+    if len(group_by_condition(found.case.runs)) > 1:
         return f"on runs left out while {what} found"
     return f"on the very runs that {what} found on, which flatters it"
 
@@ -199,7 +201,8 @@ def parameter_sentences(found: Diagnosis) -> list[str]:
     if found.verdict == (UNKNOWN,) and found.parameters:
         head = "the likeliest effect that is known, which does not explain the runs: "
     return [
-        f"{head}{name}: " + ", ".join(f"{key} = {told(each)}" for key, each in numbers.items())
+        f"{head}{name}: "
+        + ", ".join(f"{key} = {estimate_in_words(each)}" for key, each in numbers.items())
         for name, numbers in found.parameters.items()
     ]
 
@@ -239,7 +242,7 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
                 f"{gap.after * scale:.3f}",
                 f"{gap.floor * scale:.3f}",
                 f"{gap.before / gap.floor:.1f} → {gap.after / gap.floor:.1f}",
-                shrunk(gap) if found.added.effects else "-",
+                shrinkage_in_words(gap) if found.selected.effects else "-",
             )
         )
     return rows
@@ -261,10 +264,10 @@ def gap_table(found: Diagnosis) -> Table:
 def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """By run: name, title, duration, zeta, and the gap before and after by channel."""
     rows = []
-    for number, each in enumerate(found.case.candidates):
-        zeta = float(each.setup.terrain.zeta) * np.exp(found.added.met[number].log_zeta)  # pyright: ignore
+    for number, each in enumerate(found.case.runs):
+        zeta = float(each.setup.terrain.zeta) * np.exp(found.selected.matches[number].log_zeta)  # pyright: ignore
         cells = [
-            _rms_pair(found.before[number][place], found.added.after[number][place], channel)
+            _rms_pair(found.before[number][place], found.selected.after[number][place], channel)
             for place, channel in enumerate(found.case.channels)
         ]
         time = found.case.time(number)
@@ -299,12 +302,16 @@ def page(found: Diagnosis) -> str:
     )
     return environment.get_template("report.html").render(
         version=__version__,
-        names=[each.name for each in found.case.candidates],
+        names=[each.name for each in found.case.runs],
         verdict=verdict(found),
         sentences=[
             *group_sentences(found),
             *gap_sentences(found),
-            *([location.sentence(found.where)] if found.verdict != (NONE,) else []),
+            *(
+                [location.localization_sentence(found.localization)]
+                if found.verdict != (NONE,)
+                else []
+            ),
         ],
         glance=as_source(at_a_glance(found)),
         weights=as_source(weights(found)),
@@ -314,7 +321,7 @@ def page(found: Diagnosis) -> str:
         added="the effect" if found.correction is None else "the correction",
         run_columns=run_columns(found),
         run_rows=run_rows(found),
-        where=found.where,
+        where=found.localization,
         parameters=_parameter_rows(found),
         unknown=found.verdict == (UNKNOWN,),
         signal=_signal(found),
@@ -325,7 +332,7 @@ def page(found: Diagnosis) -> str:
 
 def _signal(found: Diagnosis) -> dict[str, Any] | None:
     """What an effect that nobody has written looks like, for the page."""
-    if found.unwritten is None:
+    if found.unknown_effect is None:
         return None
     offered = found.correction
     rows = []
@@ -333,8 +340,8 @@ def _signal(found: Diagnosis) -> dict[str, Any] | None:
         knots, values = (np.asarray(v) for v in (offered.effect.knots, offered.effect.values()))
         rows = [(f"{a:.4g}", f"{b:.4g}") for a, b in zip(knots, values, strict=True)]
     return {
-        "sentences": found.unwritten.sentences(offered is not None),
-        "figure": as_source(unknown_signal(found, found.unwritten)),
+        "sentences": found.unknown_effect.sentences(offered is not None),
+        "figure": as_source(unknown_signal(found, found.unknown_effect)),
         "correction": offered,
         "variable_unit": "" if offered is None else VARIABLES[offered.effect.variable],
         "rows": rows,
@@ -343,7 +350,7 @@ def _signal(found: Diagnosis) -> dict[str, Any] | None:
 
 def _parameter_rows(found: Diagnosis) -> list[Sequence[str]]:
     return [
-        (name, found.meaning(name), key, told(each))
+        (name, found.meaning(name), key, estimate_in_words(each))
         for name, numbers in found.parameters.items()
         for key, each in numbers.items()
     ]

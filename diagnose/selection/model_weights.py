@@ -6,8 +6,8 @@ top of a model's own error. Prediction alone would condemn a right effect where 
 shows it best is the one left out, as what the others know of its numbers is then far from certain;
 the fit alone would reward what bends to every run. `unknown` stands for a model that nobody has
 written: it is taken to leave a small share of what the reference model leaves, so that a listed
-effect must explain nearly all of a gap to be believed. The numbers in `Scale` were chosen on 120
-sets of our own generator (`drft blind make --seed 7301`, sets 051 to 171), where they gave the
+effect must explain nearly all of a gap to be believed. The numbers in `WeightSettings` were chosen
+on 120 sets of our own generator (`drft blind make --seed 7301`, sets 051 to 171), where they gave the
 truth most weight: chosen on either half, they served the other half better than those before.
 `none` was chosen later, on 138 sets more (seeds 9110 and 9112, up to 078), by how often what has a
 weight is right. They are no part of any single case. Of `form` the sets say little between 0.005
@@ -25,7 +25,7 @@ NONE, UNKNOWN = "none", "unknown"
 
 
 @dataclass(frozen=True)
-class Scale:
+class WeightSettings:
     """What evidence is worth.
 
     Attributes:
@@ -53,11 +53,11 @@ class Scale:
     pair: float = -4.0
 
 
-SCALE = Scale()
+SCALE = WeightSettings()
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScoredHypothesis:
     """A hypothesis as far as its weight goes.
 
     Attributes:
@@ -76,12 +76,12 @@ class Judged:
 
 
 def log_weights(
-    judged: Sequence[Judged],
+    judged: Sequence[ScoredHypothesis],
     blocks: Sequence[tuple[str, str]],
     number: np.ndarray,
     noise: np.ndarray,
     runs: int,
-    scale: Scale = SCALE,
+    scale: WeightSettings = SCALE,
     chance: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, float]:
     """Logarithms of the weights, not yet summing to one: of each hypothesis, and of unknown.
@@ -119,12 +119,12 @@ def log_weights(
 
 
 def weights(
-    judged: Sequence[Judged],
+    judged: Sequence[ScoredHypothesis],
     blocks: Sequence[tuple[str, str]],
     number: np.ndarray,
     noise: np.ndarray,
     runs: int,
-    scale: Scale = SCALE,
+    scale: WeightSettings = SCALE,
     chance: np.ndarray | float = 0.0,
 ) -> dict[tuple[str, ...], float]:
     """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too."""

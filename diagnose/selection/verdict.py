@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.screening import Found
+from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.selection.model_weights import NONE, UNKNOWN
-from drftjax.effects.catalogue import spoken
+from drftjax.effects.catalogue import reported_names
 
 # Effects are named together until this much of the weight is named.
 GROUPED = 0.9
@@ -29,7 +29,7 @@ RIVAL = 0.02
 MOST_RIVALS = 3
 
 
-def verdict_of(
+def decide(
     share: Mapping[tuple[str, ...], float],
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The explanation that stands, and the groups that cannot be told apart from it.
@@ -68,7 +68,7 @@ def verdict_of(
     return verdict, groups
 
 
-def in_another_form(
+def reassign_unknown(
     share: Mapping[tuple[str, ...], float], name: str
 ) -> dict[tuple[str, ...], float]:
     """The weights where what was unknown is an effect of the list in a form that nobody wrote.
@@ -85,13 +85,13 @@ def by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Weight of each name: that of every hypothesis it is part of."""
     total: dict[str, float] = {}
     for names, weight in share.items():
-        for name in spoken(names):
+        for name in reported_names(names):
             total[name] = total.get(name, 0.0) + weight
     return dict(sorted(total.items(), key=lambda each: -each[1]))
 
 
-def stands_for(
-    found: Found,
+def hypothesis_behind(
+    found: ScreeningResult,
     leading: Sequence[Hypothesis],
     share: Mapping[tuple[str, ...], float],
     verdict: tuple[str, ...],
@@ -104,8 +104,8 @@ def stands_for(
     return next(each for each in leading if each.names == verdict)
 
 
-def rivals_of(
-    found: Found,
+def competing_hypotheses(
+    found: ScreeningResult,
     leading: Sequence[Hypothesis],
     share: Mapping[tuple[str, ...], float],
     verdict: tuple[str, ...],
@@ -118,12 +118,12 @@ def rivals_of(
         return []
     others = {each.names or (NONE,): each for each in (found.none, *leading)}
     # Two forms of one effect need no telling apart.
-    told, rivals = {frozenset(spoken(verdict))}, []
+    told, rivals = {frozenset(reported_names(verdict))}, []
     for names in sorted(others, key=lambda names: -share[names]):
         if share[names] < (NAMED if rivals else RIVAL) or len(rivals) == MOST_RIVALS:
             break
-        if frozenset(spoken(names)) not in told:
-            told.add(frozenset(spoken(names)))
+        if frozenset(reported_names(names)) not in told:
+            told.add(frozenset(reported_names(names)))
             rivals.append(others[names])
     return rivals
 

@@ -12,23 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
+from diagnose.dataset import RigDataset
+from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.gap import gaps
-from diagnose.gap.selected_effects import Added, effects_of
+from diagnose.gap.selected_effects import SelectedEffects, effects_of
 from diagnose.gap.zeta_matching import residuals_of
-from diagnose.hypotheses.hypothesis import STRENGTH_BELIEF, Hypothesis, proposed, settled
+from diagnose.hypotheses.hypothesis import STRENGTH_BELIEF, Hypothesis, linear_start, refine
 from diagnose.linear.linear_fit import WORTH
-from diagnose.linear.regressors import Bench, Variant
-from diagnose.localization.shares import MOST, Share
+from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.localization.shares import MOST, GapShare
 from diagnose.localization.spectrum import HERTZ, HERTZ_LABELS
-from diagnose.model.augmented_model import Model, predict
+from diagnose.model.augmented_model import AugmentedModel, predict
 from diagnose.model.shared_programs import in_modes
 from diagnose.selection.model_weights import SCALE
-from diagnose.unknown.dependence import Fitted, fitted, simplest
-from diagnose.unknown.disturbances import KNOT, Stage
-from drftjax.effects.correction import STAGES, Curve, entry_of, known_to, with_values
-from drftjax.recorded.repeats import conditions
+from diagnose.unknown.dependence import FittedCurve, choose_disturbance, fit_curve
+from diagnose.unknown.disturbances import KNOT, Disturbance
+from drftjax.effects.correction import STAGES, Curve, entry_of, states_known_to, with_values
+from drftjax.recorded.repeats import group_by_condition
 
 # A signal follows a variable that explains this share of it; curves over so many of these are
 # simulated, as straight lines tell little of how a curve goes on in runs left out.
@@ -86,7 +86,7 @@ class Correction:
 
     effect: Curve
     explained: float
-    added: Added
+    added: SelectedEffects
     means: str | None = None
 
     @property
@@ -109,7 +109,7 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
-class Unwritten:
+class UnknownEffect:
     """The simplest unknown signal.
 
     Attributes:
@@ -121,7 +121,7 @@ class Unwritten:
         too_fast: Share of the gap at frequencies that a signal with such knots cannot have [-].
     """
 
-    stage: Stage
+    stage: Disturbance
     follows: Sequence[tuple[str, float]]
     tried: Correction | None
     too_fast: float = 0.0
@@ -155,14 +155,14 @@ class Unwritten:
         return found
 
 
-def unwritten(
-    case: Case,
-    found: Sequence[Stage],
+def fit_unknown_effect(
+    case: RigDataset,
+    found: Sequence[Disturbance],
     none: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
-    places: Sequence[Share],
-) -> Unwritten:
+    places: Sequence[GapShare],
+) -> UnknownEffect:
     """The simplest unknown signal of a case, and a correction where it follows something.
 
     Args:
@@ -175,34 +175,36 @@ def unwritten(
     """
     fast = HERTZ_LABELS[1 + HERTZ.index(FASTEST) :]
     too_fast = sum(e.share for e in places if e.axis == "frequency" and e.label in fast)
-    stage, variables = simplest(case, found)
-    known = [each for each in variables if each[0] in known_to(stage.name)]
+    stage, variables = choose_disturbance(case, found)
+    known = [each for each in variables if each[0] in states_known_to(stage.name)]
     likely = [(name, share) for name, share in known if share >= FOLLOWS][:LIKELY]
-    curves = [(curve, share) for name, share in likely for curve in fitted(case, stage, name)]
+    curves = [(curve, share) for name, share in likely for curve in fit_curve(case, stage, name)]
     if not curves:
-        return Unwritten(stage, variables, None, too_fast)
+        return UnknownEffect(stage, variables, None, too_fast)
     kinds = [in_modes(each.kind, _modes(each), 1 / STRENGTH_BELIEF) for each, _ in curves]
-    case.warm(predict, [Model((kind,)) for kind in kinds])
-    bench = Bench.of(case, none.log_zeta, kinds)
+    case.precompile(predict, [AugmentedModel((kind,)) for kind in kinds])
+    bench = Regressors.of(case, none.log_zeta, kinds)
 
-    def of(one: tuple[tuple[Fitted, float], Variant]) -> Correction | None:
+    def of(one: tuple[tuple[FittedCurve, float], ShapeVariant]) -> Correction | None:
         (curve, share), variant = one
-        found = settled(bench, proposed(bench, [variant]), TURNS)
-        return _corrected(bench, curve, share, found, before, floors) if found.simulated else None
+        found = refine(bench, linear_start(bench, [variant]), TURNS)
+        return (
+            _corrected(bench, curve, share, found, before, floors) if found.is_simulated else None
+        )
 
-    each_of = case.side_by_side(of, zip(curves, bench.variants, strict=True))
+    each_of = case.map_items(of, zip(curves, bench.variants, strict=True))
     tried = [each for each in each_of if each is not None]
     if not tried:
-        return Unwritten(stage, variables, None, too_fast)
+        return UnknownEffect(stage, variables, None, too_fast)
     best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
     # With one condition nothing was left out, and sixteen knots follow anything.
-    if len(conditions(case.candidates)) > 1:
-        best = listed_among(tried, dict(variables)) or best
+    if len(group_by_condition(case.runs)) > 1:
+        best = match_listed_effect(tried, dict(variables)) or best
     variables.sort(key=lambda each: each[0] != best.effect.variable)
-    return Unwritten(stage, variables, best, too_fast)
+    return UnknownEffect(stage, variables, best, too_fast)
 
 
-def meaning(one: Correction) -> str | None:
+def equivalent_effect(one: Correction) -> str | None:
     """The effect of the list that a curve would be a form of, where it explains the runs."""
     least = max(SCALE.reached * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap)))
     explains = one.added.helps and one.added.left <= least
@@ -222,14 +224,16 @@ def _of_places(values: np.ndarray) -> bool:
     return bool(later.max(initial=0.0) > LEAP * (rises + falls))
 
 
-def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> Correction | None:
+def match_listed_effect(
+    tried: Sequence[Correction], follows: Mapping[str, float]
+) -> Correction | None:
     """The curve that is an effect of the list, where the runs tell it from curves of other things.
 
     Args:
         tried: Curves of one stage, simulated.
         follows: Share of the signal that each variable explains on runs left out [-].
     """
-    meant = [each for each in tried if meaning(each) is not None]
+    meant = [each for each in tried if equivalent_effect(each) is not None]
     if not meant:
         return None
     best = min(meant, key=lambda each: each.added.left)
@@ -242,30 +246,30 @@ def listed_among(tried: Sequence[Correction], follows: Mapping[str, float]) -> C
         for each in rivals
     )
     of_place = 1 - follows.get("time", 0.0) >= OF_TIME * (1 - follows[place])
-    return replace(best, means=meaning(best)) if told and of_place else None
+    return replace(best, means=equivalent_effect(best)) if told and of_place else None
 
 
 def _corrected(
-    bench: Bench,
-    curve: Fitted,
+    bench: Regressors,
+    curve: FittedCurve,
     explained: float,
     found: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
 ) -> Correction | None:
     """What a curve, fitted by simulation, leaves of the gap on runs left out; None if one fails."""
-    met = at_mean_sinkage(bench, predicted_unseen(bench, found))
+    met = at_mean_sinkage(bench, predict_held_out(bench, found))
     after = residuals_of(met)
-    if not bench.case.sound(after):
+    if not bench.case.all_finite(after):
         return None
     (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    added = Added((plain,), found.log_zeta, met, gaps(bench.case, before, after, floors))
+    added = SelectedEffects((plain,), found.log_zeta, met, gaps(bench.case, before, after, floors))
     return Correction(plain, explained, added)
 
 
-def _modes(curve: Fitted) -> np.ndarray:
+def _modes(curve: FittedCurve) -> np.ndarray:
     """Curves whose amplitudes are believed to be one each, and independent, before any run."""
     # A fit by simulation takes a half second for less than the straight lines here do.
     precision = WORTH["slow"] * curve.precision

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.localization.kinematics import Motion, motion_of_run
-from diagnose.unknown.disturbances import Columns, Stage
+from diagnose.dataset import RigDataset
+from diagnose.localization.kinematics import RunKinematics, kinematics_of_run
+from diagnose.unknown.disturbances import Disturbance, DisturbanceRegressors
 from diagnose.unknown.gaussian_smoother import OWN_ZETA
 from drftjax.effects.correction import VARIABLES, Curve, correction
-from drftjax.recorded.repeats import conditions
+from drftjax.recorded.repeats import group_by_condition
 
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,
 # whichever predicts the conditions left out best.
@@ -34,7 +34,7 @@ TIED = 10.0
 OUTER = 1.0
 
 
-def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
+def rank_dependence(case: RigDataset, stage: Disturbance) -> list[tuple[str, float]]:
     """How well a curve over each variable stands for a stage's signal, best first.
 
     One curve for all runs is put in the signal's place and fitted to all conditions but one; what
@@ -47,7 +47,7 @@ def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
     Returns:
         Variables of `VARIABLES` with that share [-]; with one condition, of its runs themselves.
     """
-    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    motions = [kinematics_of_run(case, run) for run in range(len(case.runs))]
     found = []
     for variable in VARIABLES:
         values = _at_knots(motions, stage.columns, variable)
@@ -57,7 +57,9 @@ def follows(case: Case, stage: Stage) -> list[tuple[str, float]]:
     return sorted(found, key=lambda each: -each[1])
 
 
-def simplest(case: Case, found: Sequence[Stage]) -> tuple[Stage, list[tuple[str, float]]]:
+def choose_disturbance(
+    case: RigDataset, found: Sequence[Disturbance]
+) -> tuple[Disturbance, list[tuple[str, float]]]:
     """The stage to look in first, and what its signal follows.
 
     Among stages that the runs cannot tell apart it is the one that follows one variable best: an
@@ -68,12 +70,12 @@ def simplest(case: Case, found: Sequence[Stage]) -> tuple[Stage, list[tuple[str,
         found: By `stages`, best first; not empty.
     """
     tied = [each for each in found if each.evidence > found[0].evidence - TIED]
-    both = [(each, follows(case, each)) for each in tied]
+    both = [(each, rank_dependence(case, each)) for each in tied]
     return max(both, key=lambda pair: pair[1][0][1] if pair[1] else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedCurve:
     """A curve in the place of a stage's signal.
 
     Attributes:
@@ -87,7 +89,7 @@ class Fitted:
     precision: np.ndarray
 
 
-def fitted(case: Case, stage: Stage, variable: str) -> list[Fitted]:
+def fit_curve(case: RigDataset, stage: Disturbance, variable: str) -> list[FittedCurve]:
     """Curves over a variable that stand for a stage's signal in all runs, on straight lines.
 
     Args:
@@ -98,13 +100,13 @@ def fitted(case: Case, stage: Stage, variable: str) -> list[Fitted]:
     Returns:
         One for each of `CURVES`; none where some run does not tell the variable.
     """
-    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    motions = [kinematics_of_run(case, run) for run in range(len(case.runs))]
     values = _at_knots(motions, stage.columns, variable)
     if values is None:
         return []
     runs = np.arange(len(values))
     return [
-        Fitted(
+        FittedCurve(
             correction(stage.name, variable, each.knots.tolist()),
             each.fitted(runs, each.belief),
             each.belief,
@@ -113,9 +115,11 @@ def fitted(case: Case, stage: Stage, variable: str) -> list[Fitted]:
     ]
 
 
-def against(case: Case, stage: Stage, variable: str) -> list[tuple[np.ndarray, np.ndarray]]:
+def signal_against(
+    case: RigDataset, stage: Disturbance, variable: str
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """By run, a variable and the stage's signal at its knots: what a figure of both shows."""
-    motions = [motion_of_run(case, run) for run in range(len(case.candidates))]
+    motions = [kinematics_of_run(case, run) for run in range(len(case.runs))]
     values = _at_knots(motions, stage.columns, variable)
     if values is None:
         return []
@@ -138,7 +142,7 @@ class _Curves:
     @classmethod
     def of(
         cls,
-        stage: Stage,
+        stage: Disturbance,
         values: list[np.ndarray],
         knots: np.ndarray,
         around: bool,
@@ -183,10 +187,12 @@ class _Curves:
         return float(both @ self.free(run) @ both)
 
 
-def _curves(case: Case, stage: Stage, values: list[np.ndarray], variable: str) -> list[_Curves]:
+def _curves(
+    case: RigDataset, stage: Disturbance, values: list[np.ndarray], variable: str
+) -> list[_Curves]:
     """Every curve of `CURVES` over a variable, given at the stage's knots of every run."""
     around = variable == "wheel angle"
-    groups = conditions(case.candidates)
+    groups = group_by_condition(case.runs)
     found = []
     # A curve around a turn has no ends to go on from.
     for count, change in CURVES[:1] if around else CURVES:
@@ -214,7 +220,7 @@ def _beliefs(knots: np.ndarray, level: float, change: float, around: bool) -> li
     return [size + bends.T @ bends / (bend * level) ** 2 for bend in CURVE_BENDS]
 
 
-def _share(stage: Stage, curves: list[_Curves]) -> float:
+def _share(stage: Disturbance, curves: list[_Curves]) -> float:
     runs = range(len(curves[0].gram))
     nothing = sum(curves[0].left(run, np.zeros(len(curves[0].knots))) for run in runs)
     signal = 0.0
@@ -232,7 +238,9 @@ def _share(stage: Stage, curves: list[_Curves]) -> float:
     return float(np.clip(gained / explained, 0, 1))
 
 
-def _at_knots(motions: list[Motion], columns: Columns, variable: str) -> list[np.ndarray] | None:
+def _at_knots(
+    motions: list[RunKinematics], columns: DisturbanceRegressors, variable: str
+) -> list[np.ndarray] | None:
     """A variable at the knots of every run; None where some run does not tell it."""
     pick = {
         "angular velocity": lambda m: m.omega,

@@ -13,20 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diagnose.dataset import Case
-from diagnose.linear.input_sensitivity import READINGS, Kick, respond_to, zeta_kick
+from diagnose.dataset import RigDataset
+from diagnose.linear.input_sensitivity import (
+    READINGS,
+    InputSensitivity,
+    propagate,
+    zeta_sensitivity,
+)
 from diagnose.linear.linear_fit import FLOOR
-from diagnose.linear.residual_blocks import Splitter
+from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.shares import (
     PROBABILITY,
     SEED,
-    Share,
-    drawn_anew,
+    GapShare,
+    bootstrap_counts,
 )
-from diagnose.model.augmented_model import Model
-from diagnose.model.linearized_run import FORCES, MOTION, Trace
+from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.linearized_run import FORCES, MOTION, LinearizedRun
 from diagnose.model.unknown_inputs import INPUTS
-from diagnose.unknown.gaussian_smoother import Smoothed, Sums, alone, smoothed
+from diagnose.unknown.gaussian_smoother import GramSums, SmoothedSignal, fit_zeta_only, smooth
 from drftjax.effects.correction import READING, STAGES
 
 # Time between a signal's knots [s], and what their number is padded to: programs are shared.
@@ -47,7 +52,7 @@ WITHIN = {
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class DisturbanceRegressors:
     """A stage's columns in every run: what is compared, in floors.
 
     Attributes:
@@ -63,7 +68,7 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class Disturbance:
     """An unknown error in one stage.
 
     Attributes:
@@ -98,13 +103,13 @@ class Stage:
     own: np.ndarray
     level: float
     noise: np.ndarray
-    columns: Columns
+    columns: DisturbanceRegressors
     power: list[np.ndarray]
 
 
-def stages(
-    case: Case, log_zeta: np.ndarray, residual: Sequence[np.ndarray] | None = None
-) -> list[Stage]:
+def estimate_disturbances(
+    case: RigDataset, log_zeta: np.ndarray, residual: Sequence[np.ndarray] | None = None
+) -> list[Disturbance]:
     """The stages by evidence, best first.
 
     Args:
@@ -114,16 +119,16 @@ def stages(
             none is given, or what some explanation leaves.
     """
     names = [*WITHIN, *(READING + channel for channel in case.channels)]
-    found = case.each_run(lambda run: _of_run(case, run, float(log_zeta[run]), residual))
+    found = case.map_runs(lambda run: _of_run(case, run, float(log_zeta[run]), residual))
     times = [time for time, _, _ in found]
     count = 1 + max(len(time) for time in times)
     data = [[d[c] for _, _, d in found] for c in range(len(case.channels))]
 
-    def of(name: str) -> Stage | None:
+    def of(name: str) -> Disturbance | None:
         columns = [[a[name][c][:, :count] for _, a, _ in found] for c in range(len(case.channels))]
         if not any(np.any(a[:, 1:]) for runs in columns for a in runs):
             return None
-        return _stage(case, name, Columns(times, columns, data))
+        return _stage(case, name, DisturbanceRegressors(times, columns, data))
 
     made = [each for each in case.threads.map(of, names) if each is not None]
     return sorted(made, key=lambda each: -each.evidence)
@@ -141,15 +146,15 @@ def floor_of(channel: str) -> float:
     return FLOOR[channel, "slow"]
 
 
-def _stage(case: Case, name: str, columns: Columns) -> Stage:
+def _stage(case: RigDataset, name: str, columns: DisturbanceRegressors) -> Disturbance:
     unit, typical, meaning = described(name)
-    sums = Sums.of(columns.columns, columns.data)
-    nothing, fit = alone(sums), smoothed(sums, typical)
+    sums = GramSums.of(columns.columns, columns.data)
+    nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
     number = sums.number.sum(axis=1)
     before, after = float(nothing.left @ number), float(fit.left @ number)
     lengths = [len(time) for time in columns.time]
     error = np.sqrt(np.maximum(np.einsum("rii->ri", fit.covariance), 0))
-    return Stage(
+    return Disturbance(
         name,
         unit,
         meaning,
@@ -168,7 +173,9 @@ def _stage(case: Case, name: str, columns: Columns) -> Stage:
     )
 
 
-def _power(columns: Columns, run: int, nothing: np.ndarray, signal: np.ndarray) -> np.ndarray:
+def _power(
+    columns: DisturbanceRegressors, run: int, nothing: np.ndarray, signal: np.ndarray
+) -> np.ndarray:
     """Squares that own zeta alone, and with the signal, leave in every half second of a run."""
     left = []
     for runs, data in zip(columns.columns, columns.data, strict=True):
@@ -181,31 +188,31 @@ def _power(columns: Columns, run: int, nothing: np.ndarray, signal: np.ndarray) 
     return total
 
 
-def _left(case: Case, fit: Smoothed) -> dict[str, float]:
+def _left(case: RigDataset, fit: SmoothedSignal) -> dict[str, float]:
     return {
         channel: float(np.sqrt(left)) * floor_of(channel)
         for channel, left in zip(case.channels, fit.left, strict=True)
     }
 
 
-def _of_run(case: Case, run: int, log_zeta: float, residual: Sequence[np.ndarray] | None):
+def _of_run(case: RigDataset, run: int, log_zeta: float, residual: Sequence[np.ndarray] | None):
     """Knot times, columns by stage and channel, and data by channel of one run."""
-    path = case.trace(run, log_zeta)
+    path = case.linearized(run, log_zeta)
     time = case.time(run)
     if residual is None:
-        given = case.predicted(Model(), run, log_zeta, np.zeros(0)) - case.recorded(run)
+        given = case.predicted(AugmentedModel(), run, log_zeta, np.zeros(0)) - case.recorded(run)
     else:
         given = residual[run]
-    splitter = Splitter.of(time)
+    splitter = SlowFastSplit.of(time)
     knots = KNOT * np.arange(int(np.ceil(time[-1] / KNOT)) + 1)
-    longest = max(float(case.time(each)[-1]) for each in range(len(case.candidates)))
+    longest = max(float(case.time(each)[-1]) for each in range(len(case.runs)))
     room = ROOM * int(np.ceil((longest / KNOT + 2) / ROOM))
     hats = _hats(path, room)
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     slow = _Slow(case.channels, splitter, time, nodes, given)
-    own = slow.of(np.asarray(respond_to(path, zeta_kick(path))))
+    own = slow.of(np.asarray(propagate(path, zeta_sensitivity(path))))
     columns = {
-        name: _beside(own, slow.of(np.asarray(respond_to(path, _kick(path, hats, name)))))
+        name: _beside(own, slow.of(np.asarray(propagate(path, _kick(path, hats, name)))))
         for name in WITHIN
     }
     at_samples = _hat(time[:, None], KNOT * np.arange(room))
@@ -221,7 +228,7 @@ class _Slow:
     """The slow part of every channel of a run, in floors; nothing of channels not recorded."""
 
     channels: tuple[str, ...]
-    splitter: Splitter
+    splitter: SlowFastSplit
     time: np.ndarray
     nodes: np.ndarray
     given: np.ndarray
@@ -257,14 +264,14 @@ def _hat(time, knots):
     return np.maximum(0, 1 - np.abs(time - knots) / KNOT)
 
 
-def _hats(path: Trace, room: int) -> Float[Array, "nodes knots"]:
+def _hats(path: LinearizedRun, room: int) -> Float[Array, "nodes knots"]:
     return jnp.asarray(_hat(np.asarray(path.middle_time)[:, None], KNOT * np.arange(room)))
 
 
-def _kick(path: Trace, hats: Float[Array, "nodes knots"], name: str) -> Kick:
+def _kick(path: LinearizedRun, hats: Float[Array, "nodes knots"], name: str) -> InputSensitivity:
     nodes, room = hats.shape
     inputs = jnp.zeros((nodes, len(INPUTS), room)).at[:, INPUTS.index(name)].set(hats)
-    return Kick(
+    return InputSensitivity(
         inputs,
         jnp.zeros((nodes, MOTION, room)),
         jnp.zeros((nodes, len(FORCES), room)),
@@ -273,7 +280,7 @@ def _kick(path: Trace, hats: Float[Array, "nodes knots"], name: str) -> Kick:
     )
 
 
-def by_stage(found: Sequence[Stage]) -> list[Share]:
+def by_stage(found: Sequence[Disturbance]) -> list[GapShare]:
     """What an unknown error in each stage would take away of the gap's slow part.
 
     Each stage is taken alone, so that these shares do not add up to one.
@@ -281,15 +288,15 @@ def by_stage(found: Sequence[Stage]) -> list[Share]:
     if not found:
         return []
     sizes = [len(each) for each in found[0].power]
-    draws = drawn_anew(np.random.default_rng(SEED), sizes, [0] * len(sizes))
+    draws = bootstrap_counts(np.random.default_rng(SEED), sizes, [0] * len(sizes))
 
-    def of(stage: Stage) -> Share:
+    def of(stage: Disturbance) -> GapShare:
         before, after = (draws @ np.concatenate(stage.power)).T
         share = float(stage.explained)
         drawn = np.where(before > 0, 1 - after / np.maximum(before, 1e-300), share)
         tail = 50 * (1 - PROBABILITY)
         low, high = np.percentile(np.clip(drawn, 0, 1), [tail, 100 - tail])
         interval = (float(min(low, share)), float(max(high, share)))
-        return Share("stage", f"{stage.name}: {stage.meaning}", share, interval)
+        return GapShare("stage", f"{stage.name}: {stage.meaning}", share, interval)
 
     return [of(each) for each in found]

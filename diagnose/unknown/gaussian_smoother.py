@@ -33,7 +33,7 @@ SLOPE_KNOTS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
+class GramSums:
     """Products of the columns (own zeta, knots...) and data of every run, by channel.
 
     Attributes:
@@ -51,7 +51,7 @@ class Sums:
     @classmethod
     def of(
         cls, columns: Sequence[Sequence[np.ndarray]], data: Sequence[Sequence[np.ndarray]]
-    ) -> "Sums":
+    ) -> "GramSums":
         """Of columns and data by channel and run, in units of the floor."""
         return cls(
             np.array([[a.T @ a for a in runs] for runs in columns]),
@@ -67,7 +67,7 @@ class Sums:
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedSignal:
     """Signals at the prior and noise of largest probability.
 
     Attributes:
@@ -89,7 +89,7 @@ class Smoothed:
     noise: np.ndarray
 
 
-def smoothed(sums: Sums, typical: float) -> Smoothed:
+def smooth(sums: GramSums, typical: float) -> SmoothedSignal:
     """The most probable signals.
 
     Args:
@@ -112,26 +112,28 @@ def smoothed(sums: Sums, typical: float) -> Smoothed:
 
     noise = np.clip(0.5 * np.log10(_spread(sums)), *NOISES)
     starts = [np.r_[0.0, bend, np.maximum(noise - drop, 0)] for bend, drop in ((-2, 1), (-0.5, 1))]
-    best = max((_climbed(evidence, s, low, high) for s in starts), key=lambda each: each[1])[0]
+    best = max(
+        (_coordinate_ascent(evidence, s, low, high) for s in starts), key=lambda each: each[1]
+    )[0]
     precision, slope = _posterior(sums, prior(best), 10 ** best[2:])
     covariance = np.linalg.inv(precision)
     mean = np.einsum("rij,rj->ri", covariance, slope)
     gram = np.einsum("c,crij->rij", 10 ** (-2 * best[2:]), sums.gram)
     freedom = np.einsum("rij,rji->ri", covariance, gram)[:, 1:].sum()
-    return Smoothed(
+    return SmoothedSignal(
         evidence(best),
         mean,
         covariance,
         float(freedom),
-        left_by(sums, mean),
+        residual_power(sums, mean),
         float(typical * 10 ** best[0]),
         10 ** best[2:],
     )
 
 
-def alone(sums: Sums) -> Smoothed:
+def fit_zeta_only(sums: GramSums) -> SmoothedSignal:
     """Own zeta alone, without any signal."""
-    only = Sums(sums.gram[..., :1, :1], sums.slope[..., :1], sums.power, sums.number)
+    only = GramSums(sums.gram[..., :1, :1], sums.slope[..., :1], sums.power, sums.number)
     channels = len(sums.gram)
     nothing = np.zeros((0, 0))
 
@@ -140,14 +142,14 @@ def alone(sums: Sums) -> Smoothed:
 
     start = np.clip(0.5 * np.log10(_spread(sums)), *NOISES)
     low, high = np.full(channels, NOISES[0]), np.full(channels, NOISES[1])
-    best, found = _climbed(evidence, start, low, high)
+    best, found = _coordinate_ascent(evidence, start, low, high)
     precision, slope = _posterior(only, nothing, 10**best)
     covariance = np.linalg.inv(precision)
     mean = np.einsum("rij,rj->ri", covariance, slope)
-    return Smoothed(found, mean, covariance, 0.0, left_by(only, mean), 0.0, 10**best)
+    return SmoothedSignal(found, mean, covariance, 0.0, residual_power(only, mean), 0.0, 10**best)
 
 
-def left_by(sums: Sums, mean: np.ndarray) -> np.ndarray:
+def residual_power(sums: GramSums, mean: np.ndarray) -> np.ndarray:
     """Mean square that coefficients leave, by channel, in floors."""
     square = (
         sums.power
@@ -157,7 +159,7 @@ def left_by(sums: Sums, mean: np.ndarray) -> np.ndarray:
     return np.maximum(square.sum(axis=1), 0) / np.maximum(sums.number.sum(axis=1), 1)
 
 
-def _spread(sums: Sums) -> np.ndarray:
+def _spread(sums: GramSums) -> np.ndarray:
     power = sums.power.sum(axis=1) / np.maximum(sums.number.sum(axis=1), 1)
     return np.maximum(power, 1e-12)
 
@@ -171,14 +173,16 @@ def _prior_parts(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.outer(level, level) + np.outer(slope, slope), bends.T @ bends
 
 
-def _posterior(sums: Sums, prior: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _posterior(
+    sums: GramSums, prior: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     precision = np.einsum("c,crij->rij", noise**-2, sums.gram)
     precision[:, 0, 0] += OWN_ZETA**-2
     precision[:, 1:, 1:] += prior
     return precision, np.einsum("c,cri->ri", noise**-2, sums.slope)
 
 
-def _evidence(sums: Sums, prior: np.ndarray, noise: np.ndarray) -> float:
+def _evidence(sums: GramSums, prior: np.ndarray, noise: np.ndarray) -> float:
     precision, slope = _posterior(sums, prior, noise)
     # In units of its own diagonal: the columns' sizes differ by many decades.
     size = 1 / np.sqrt(np.einsum("rii->ri", precision))
@@ -193,7 +197,7 @@ def _evidence(sums: Sums, prior: np.ndarray, noise: np.ndarray) -> float:
     return -0.5 * (misfit + volume - before + spread)
 
 
-def _climbed(worth, start: np.ndarray, low: np.ndarray, high: np.ndarray):
+def _coordinate_ascent(worth, start: np.ndarray, low: np.ndarray, high: np.ndarray):
     """Up along the axes, with ever smaller steps."""
     at = np.clip(start, low, high)
     here = worth(at)

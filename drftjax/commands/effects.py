@@ -72,6 +72,8 @@ def effects(
         from drftjax.simulation import effect_gallery as portrait
 
         everything = [each for _, those in table.by_stage() for each in those]
-        figure = portrait.sheet(everything) if chosen is None else portrait.portrait(chosen)
+        figure = (
+            portrait.draw_gallery(everything) if chosen is None else portrait.draw_effect(chosen)
+        )
         save_figure(figure, plot)
         typer.echo(f"figure written to {plot}")

@@ -28,7 +28,7 @@ Memory = Any
 
 
 @dataclass(frozen=True)
-class About:
+class EffectInfo:
     """What an effect says of itself.
 
     Attributes:
@@ -105,7 +105,7 @@ def shape(
     )
 
 
-class Moment(eqx.Module):
+class StepContext(eqx.Module):
     """What an effect may know of the step it acts in.
 
     Attributes:
@@ -134,7 +134,7 @@ class Moment(eqx.Module):
 class AbstractEffect(eqx.Module):
     """A mechanism that the reference model leaves out. `about` says which."""
 
-    about: ClassVar[About]
+    about: ClassVar[EffectInfo]
 
 
 class Adjustable(Protocol):
@@ -223,11 +223,11 @@ class AbstractZetaFactor(AbstractEffect):
         """Memory at the start of a run."""
 
     @abc.abstractmethod
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         """The memory after the step."""
 
     @abc.abstractmethod
-    def factor(self, moment: Moment, memory: Memory) -> Float[Array, ""]:
+    def factor(self, moment: StepContext, memory: Memory) -> Float[Array, ""]:
         """Factor on zeta [-], one at the null."""
 
 
@@ -245,7 +245,7 @@ class MemorylessZetaFactor(AbstractZetaFactor):
     def begin(self) -> Memory:
         return ()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return ()
 
 
@@ -257,7 +257,7 @@ class AbstractSurface(AbstractEffect):
         """Memory at the start of a run."""
 
     @abc.abstractmethod
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         """The memory after the step."""
 
     @abc.abstractmethod
@@ -279,7 +279,7 @@ class MemorylessSurface(AbstractSurface):
     def begin(self) -> Memory:
         return ()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return ()
 
 
@@ -312,7 +312,7 @@ class AbstractLoad(AbstractEffect):
         """Memory at the start of a run, from where the axle is."""
 
     @abc.abstractmethod
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         """The memory after the step."""
 
     @abc.abstractmethod
@@ -320,7 +320,7 @@ class AbstractLoad(AbstractEffect):
         self,
         position: Float[Array, "2"],
         velocity: Float[Array, "2"],
-        moment: Moment,
+        moment: StepContext,
         memory: Memory,
     ) -> Float[Array, "2"]:
         """Force (x, z) on the axle [N]; the step linearises it in `velocity` [m/s]."""
@@ -364,5 +364,5 @@ class MemorylessLoad(AbstractLoad):
     def begin(self, position: Float[Array, "2"]) -> Memory:
         return ()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return ()

@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 
 from drftjax.common.errors import InputError
 from drftjax.effects import correction
-from drftjax.effects.base import About, AbstractEffect
+from drftjax.effects.base import AbstractEffect, EffectInfo
 from drftjax.effects.drive import DRIVE
 from drftjax.effects.rig import RIG
 from drftjax.effects.sensor import SENSOR
@@ -70,7 +70,7 @@ def _require_whole(effect: type[AbstractEffect], what: str) -> None:
     Raises:
         InputError: says what it lacks.
     """
-    if not isinstance(getattr(effect, "about", None), About):
+    if not isinstance(getattr(effect, "about", None), EffectInfo):
         raise InputError(f"{what} has no `about`; it must say its name, stage, formula and meaning")
     if inspect.isabstract(effect):
         lacking = ", ".join(sorted(effect.__abstractmethods__))
@@ -91,18 +91,18 @@ def effect_class(name: str) -> type[AbstractEffect]:
     return known[name]
 
 
-def spoken_of(name: str) -> str:
+def reported_name(name: str) -> str:
     """What a diagnosis calls an effect: the one that it is a form of, or itself."""
     effect = catalogue().get(name)
     return name if effect is None else effect.about.form_of or name
 
 
-def spoken(names: Iterable[str]) -> tuple[str, ...]:
+def reported_names(names: Iterable[str]) -> tuple[str, ...]:
     """Names of effects as a diagnosis tells them, each once."""
-    return tuple(dict.fromkeys(spoken_of(name) for name in names))
+    return tuple(dict.fromkeys(reported_name(name) for name in names))
 
 
-def numbers(effect: type[AbstractEffect]) -> dict[str, dict]:
+def field_metadata(effect: type[AbstractEffect]) -> dict[str, dict]:
     """An effect's fields with their units, meanings and typical sizes or starts, by name."""
     return {
         each.name: dict(each.metadata)
@@ -113,9 +113,9 @@ def numbers(effect: type[AbstractEffect]) -> dict[str, dict]:
 
 def strengths(effect: type[AbstractEffect]) -> tuple[str, ...]:
     """The fields that are zero where the effect is absent."""
-    return tuple(name for name, about in numbers(effect).items() if "typical" in about)
+    return tuple(name for name, about in field_metadata(effect).items() if "typical" in about)
 
 
 def shapes(effect: type[AbstractEffect]) -> tuple[str, ...]:
     """The fields that say what the effect looks like."""
-    return tuple(name for name, about in numbers(effect).items() if "starts" in about)
+    return tuple(name for name, about in field_metadata(effect).items() if "starts" in about)

@@ -20,7 +20,7 @@ from drftjax.effects.base import (
     AbstractSurface,
     AbstractZetaFactor,
     Memory,
-    Moment,
+    StepContext,
 )
 from drftjax.physics.stress import PlateMotion
 from drftjax.physics.wheel import Plates
@@ -40,7 +40,7 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-def started(effects: Effects, position: Pair) -> Pair:
+def initial_readings(effects: Effects, position: Pair) -> Pair:
     """Where the axle truly starts [m], from where all sensors together read it at rest."""
     for effect in reversed(effects):
         if isinstance(effect, AbstractSensor):
@@ -77,7 +77,7 @@ def begin_reading(effects: Effects, memories: Memories, truth: "Output", dt: Num
     return tuple(begun)
 
 
-def advance(effects: Effects, memories: Memories, moment: Moment) -> Memories:
+def advance(effects: Effects, memories: Memories, moment: StepContext) -> Memories:
     """Memories of terrain and rig after a step; drives and sensors keep their own."""
     return tuple(
         effect.advance(memory, moment)
@@ -87,7 +87,7 @@ def advance(effects: Effects, memories: Memories, moment: Moment) -> Memories:
     )
 
 
-def turn(
+def wheel_speed(
     effects: Effects, memories: Memories, commanded: Number, angle: Number, dt: Number
 ) -> tuple[Number, Memories]:
     """The wheel's angular velocity [rad/s] behind every drive effect."""
@@ -98,7 +98,7 @@ def turn(
     return omega, tuple(after)
 
 
-def place(effects: Effects, plates: Plates, angle: Number) -> Plates:
+def move_plates(effects: Effects, plates: Plates, angle: Number) -> Plates:
     """The plates where they really are about the axle."""
     for effect in effects:
         if isinstance(effect, AbstractPlacement):
@@ -106,7 +106,7 @@ def place(effects: Effects, plates: Plates, angle: Number) -> Plates:
     return plates
 
 
-def on_surface(
+def relative_to_surface(
     effects: Effects,
     memories: Memories,
     motion: PlateMotion,
@@ -121,7 +121,7 @@ def on_surface(
     return dataclasses.replace(motion, depth=depth)
 
 
-def zeta_factor(effects: Effects, memories: Memories, moment: Moment) -> Number:
+def zeta_factor(effects: Effects, memories: Memories, moment: StepContext) -> Number:
     """Factor on zeta [-] of all effects together."""
     factor = jnp.ones_like(moment.time)
     for effect, memory in zip(effects, memories, strict=True):
@@ -144,7 +144,7 @@ def loads(
     memories: Memories,
     position: Pair,
     velocity: Pair,
-    moment: Moment,
+    moment: StepContext,
     of_the_sand: bool,
 ) -> Pair:
     """Further forces (x, z) on the axle [N]: the sand's, or the rig's."""
@@ -155,7 +155,7 @@ def loads(
     return force
 
 
-def read(
+def measure(
     effects: Effects, memories: Memories, truth: "Output", dt: Number
 ) -> tuple["Output", Memories]:
     """What the instruments read of the true output."""

@@ -19,15 +19,15 @@ from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
-    About,
     AbstractDrive,
     AbstractEffect,
     AbstractLoad,
     AbstractPlane,
     AbstractSensor,
     AbstractZetaFactor,
+    EffectInfo,
     Memory,
-    Moment,
+    StepContext,
     along_x,
     along_z,
     strength,
@@ -84,7 +84,7 @@ def fields(count: int) -> tuple[str, ...]:
     return tuple(f"at_{k}" for k in range(count))
 
 
-class Gone(eqx.Module):
+class Travelled(eqx.Module):
     """What has gone by since the run's start: travel [m], turning [rad] and time [s]."""
 
     travel: Number
@@ -92,7 +92,7 @@ class Gone(eqx.Module):
     time: Number
 
     @classmethod
-    def nothing(cls) -> "Gone":
+    def nothing(cls) -> "Travelled":
         nought = jnp.zeros(())
         return cls(nought, nought, nought)
 
@@ -123,7 +123,7 @@ class Curve(AbstractEffect):
         """The curve's height, of all variables that its stage knows."""
         return self.at(known[self.variable])
 
-    def in_moment(self, moment: Moment, memory: Gone) -> Number:
+    def in_moment(self, moment: StepContext, memory: Travelled) -> Number:
         """The curve's height in a step."""
         known = {
             "angular velocity": moment.omega,
@@ -136,8 +136,8 @@ class Curve(AbstractEffect):
         return self.along({**known, **memory.known()})
 
 
-def _gone_on(memory: Gone, moment: Moment) -> Gone:
-    return Gone(
+def _gone_on(memory: Travelled, moment: StepContext) -> Travelled:
+    return Travelled(
         memory.travel + moment.dt * moment.velocity[0],
         memory.turning + moment.dt * jnp.abs(moment.omega),
         memory.time + moment.dt,
@@ -147,26 +147,26 @@ def _gone_on(memory: Gone, moment: Moment) -> Gone:
 class ZetaCorrection(Curve, AbstractZetaFactor):
     """zeta is scaled by the exponential of a curve."""
 
-    about: ClassVar = About(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
+    about: ClassVar = EffectInfo(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
 
     def begin(self) -> Memory:
-        return Gone.nothing()
+        return Travelled.nothing()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.exp(self.in_moment(moment, memory))
 
 
 class _ForceCorrection(Curve, AbstractLoad):
     def begin(self, position: Pair) -> Memory:
-        return Gone.nothing()
+        return Travelled.nothing()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
 
-    def force(self, velocity: Pair, moment: Moment, memory: Memory) -> Number:
+    def force(self, velocity: Pair, moment: StepContext, memory: Memory) -> Number:
         # The step linearises a load in the velocity that it is handed.
         return self.in_moment(replace(moment, velocity=velocity), memory)
 
@@ -174,33 +174,35 @@ class _ForceCorrection(Curve, AbstractLoad):
 class XForceCorrection(_ForceCorrection):
     """A horizontal force along a curve."""
 
-    about: ClassVar = About(NAME, "rig", "F_x = F_x + curve", "a fitted horizontal force")
+    about: ClassVar = EffectInfo(NAME, "rig", "F_x = F_x + curve", "a fitted horizontal force")
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(self.force(velocity, moment, memory))
 
 
 class ZForceCorrection(_ForceCorrection):
     """A vertical force along a curve."""
 
-    about: ClassVar = About(NAME, "rig", "F_z = F_z + curve", "a fitted vertical force")
+    about: ClassVar = EffectInfo(NAME, "rig", "F_z = F_z + curve", "a fitted vertical force")
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(self.force(velocity, moment, memory))
 
 
 class SpeedCorrection(Curve, AbstractDrive):
     """The wheel's speed is off by a curve."""
 
-    about: ClassVar = About(NAME, "drive", "ω = ω + curve", "a fitted error of the drive's speed")
+    about: ClassVar = EffectInfo(
+        NAME, "drive", "ω = ω + curve", "a fitted error of the drive's speed"
+    )
 
     def begin(self, omega: Number, angle: Number) -> Memory:
-        return Gone.nothing()
+        return Travelled.nothing()
 
     def turn(
         self, omega: Number, angle: Number, dt: Number, memory: Memory
     ) -> tuple[Number, Memory]:
-        gone = Gone(memory.travel, memory.turning + dt * jnp.abs(omega), memory.time + dt)
+        gone = Travelled(memory.travel, memory.turning + dt * jnp.abs(omega), memory.time + dt)
         known = {
             "angular velocity": omega,
             "turning": gone.turning,
@@ -213,12 +215,12 @@ class SpeedCorrection(Curve, AbstractDrive):
 class HeightCorrection(Curve, AbstractPlane):
     """The surface under the wheel lies higher by a curve."""
 
-    about: ClassVar = About(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
+    about: ClassVar = EffectInfo(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
 
     def begin(self) -> Memory:
-        return Gone.nothing()
+        return Travelled.nothing()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
@@ -228,14 +230,18 @@ class HeightCorrection(Curve, AbstractPlane):
 class ReadingCorrection(Curve, AbstractSensor):
     """A reading is off by a curve."""
 
-    about: ClassVar = About(NAME, "sensor", "reading = reading + curve", "a fitted reading error")
+    about: ClassVar = EffectInfo(
+        NAME, "sensor", "reading = reading + curve", "a fitted reading error"
+    )
 
     def begin(self, output: "Output") -> Memory:
-        return output.x, Gone.nothing(), output.angle
+        return output.x, Travelled.nothing(), output.angle
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
         first, gone, before = memory
-        gone = Gone(output.x - first, gone.turning + jnp.abs(output.angle - before), gone.time + dt)
+        gone = Travelled(
+            output.x - first, gone.turning + jnp.abs(output.angle - before), gone.time + dt
+        )
         known = {
             "angular velocity": output.omega,
             "sinkage": -output.z,
@@ -266,7 +272,7 @@ STAGES: dict[str, tuple[type[Curve], str, float]] = {
 }
 
 
-def known_to(stage: str) -> tuple[str, ...]:
+def states_known_to(stage: str) -> tuple[str, ...]:
     """Variables that a correction of a stage may follow."""
     if stage == "speed":
         return DRIVE_KNOWS
@@ -295,8 +301,8 @@ def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Curve]
 def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Curve]:
     if stage not in STAGES:
         raise InputError(f"a correction's stage is {stage!r}, must be one of {', '.join(STAGES)}")
-    if variable not in known_to(stage):
-        known = ", ".join(known_to(stage))
+    if variable not in states_known_to(stage):
+        known = ", ".join(states_known_to(stage))
         raise InputError(f"a correction of {stage} may follow {known}; {variable!r} was given")
     if not 2 <= len(knots) <= MOST_KNOTS:
         raise InputError(f"a correction has 2 to {MOST_KNOTS} knots; {len(knots)} were given")
@@ -355,7 +361,7 @@ def entry_of(effect: Curve) -> dict[str, Any]:
     }
 
 
-def built(entry: Mapping[str, Any]) -> Curve:
+def build_correction(entry: Mapping[str, Any]) -> Curve:
     """The correction that an entry describes.
 
     Raises:

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import About, AbstractDrive, Memory, MemorylessDrive, shape, strength
+from drftjax.effects.base import AbstractDrive, EffectInfo, Memory, MemorylessDrive, shape, strength
 
 # Regulariser: angle [rad] over which a drive takes up its play.
 PLAY_WIDTH = 0.01
@@ -17,7 +17,7 @@ Number = Float[Array, ""]
 class SpeedGain(MemorylessDrive):
     """The wheel turns at a fixed ratio of the commanded speed."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "speed_gain",
         "drive",
         "ω = (1 + gain) ω_cmd",
@@ -32,7 +32,7 @@ class SpeedGain(MemorylessDrive):
 class SpeedLag(AbstractDrive):
     """The wheel's speed follows late, as a first-order lag."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "speed_lag",
         "drive",
         "lag dω/dt = ω_cmd - ω",
@@ -54,7 +54,7 @@ class SpeedLag(AbstractDrive):
 class SpeedRipple(MemorylessDrive):
     """A periodic speed error, locked to the wheel's angle through the gear."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "speed_ripple",
         "drive",
         "ω = (1 + cosine cos(order φ) + sine sin(order φ)) ω_cmd",
@@ -72,7 +72,7 @@ class SpeedRipple(MemorylessDrive):
 class SpeedHarmonics(MemorylessDrive):
     """A periodic speed error with its second harmonic, as of a gear's pair of errors or a joint."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "speed_harmonics",
         "drive",
         "ω = (1 + cosine cos φ' + sine sin φ' + cosine2 cos 2φ' + sine2 sin 2φ') ω_cmd, "
@@ -96,7 +96,7 @@ class SpeedHarmonics(MemorylessDrive):
 class Backlash(AbstractDrive):
     """The wheel starts late by an angle."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "backlash",
         "drive",
         "ω = 0 until the drive has turned by play either way, then ω_cmd",

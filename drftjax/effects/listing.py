@@ -6,7 +6,7 @@ from rich.table import Table
 
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import catalogue, numbers, strengths
+from drftjax.effects.catalogue import catalogue, field_metadata, strengths
 from drftjax.effects.serialization import entry_of, typical
 
 STAGES = ("drive", "wheel", "terrain", "rig", "sensor")
@@ -33,7 +33,7 @@ def sizes(effect: type[AbstractEffect]) -> str:
     shown = entry_of(typical(effect))
     return ", ".join(
         f"{name} {shown[name]:g}" + ("" if about["unit"] == "-" else f" {about['unit']}")
-        for name, about in numbers(effect).items()
+        for name, about in field_metadata(effect).items()
     )
 
 
@@ -75,7 +75,7 @@ def details(effect: type[AbstractEffect]) -> str:
     lines = [f"{about.name} ({about.stage}): {about.meaning}", "", f"    {about.formula}", ""]
     if about.form_of:
         lines += [f"Another form of {about.form_of}, by whose name a diagnosis tells it.", ""]
-    for name, each in numbers(effect).items():
+    for name, each in field_metadata(effect).items():
         if name in strengths(effect):
             size = f"0 where absent, typically {each['typical']:g}"
         else:
@@ -83,7 +83,7 @@ def details(effect: type[AbstractEffect]) -> str:
             size = f"{shown[name]:g} unless said, fits try {min(starts):g} to {max(starts):g}"
         lines.append(f"  {name} [{each['unit']}]  {each['meaning']}; {size}")
     lines += ["", "In a set-up file:", "", "[[effect]]", f'name = "{about.name}"']
-    lines += [f"{name} = {shown[name]!r}" for name in numbers(effect)]
+    lines += [f"{name} = {shown[name]!r}" for name in field_metadata(effect)]
     return "\n".join(lines)
 
 
@@ -91,7 +91,7 @@ def correction_details() -> str:
     """The correction in full, with lines for a set-up file."""
     lines = ["correction: a curve over a variable, straight between its knots, level beyond", ""]
     for stage, (_, unit, _) in correction.STAGES.items():
-        known = ", ".join(correction.known_to(stage))
+        known = ", ".join(correction.states_known_to(stage))
         lines.append(f"  {stage} [{unit}]  may follow {known}")
     units = ", ".join(f"{name} [{unit}]" for name, unit in correction.VARIABLES.items())
     lines += [

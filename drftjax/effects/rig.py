@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.effects.base import (
-    About,
     AbstractLoad,
+    EffectInfo,
     Memory,
     MemorylessLoad,
-    Moment,
+    StepContext,
     along_x,
     along_z,
     strength,
@@ -33,19 +33,19 @@ HORIZONTAL_STICK = 1e-3
 class VerticalLoad(MemorylessLoad):
     """A constant vertical force."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "vertical_load", "rig", "F_z = -force", "a constant vertical force or mass error"
     )
     force: Number = strength("N", 10.0, "further load, downward positive")
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.force)
 
 
 class VerticalCoulomb(MemorylessLoad):
     """Dry friction of the vertical guide."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "vertical_coulomb",
         "rig",
         "F_z = -force tanh(v_z / 0.1 mm/s)",
@@ -53,26 +53,26 @@ class VerticalCoulomb(MemorylessLoad):
     )
     force: Number = strength("N", 5.0, "friction", least=0.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
 
 
 class VerticalViscous(MemorylessLoad):
     """Viscous friction of the vertical guide."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "vertical_viscous", "rig", "F_z = -damping v_z", "viscous friction of the vertical guide"
     )
     damping: Number = strength("N s/m", 1000.0, "friction per speed", least=0.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.damping * velocity[1])
 
 
 class HorizontalCoulomb(MemorylessLoad):
     """Dry friction of the carriage."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "horizontal_coulomb",
         "rig",
         "F_x = -force tanh(v_x / 1 mm/s)",
@@ -80,26 +80,26 @@ class HorizontalCoulomb(MemorylessLoad):
     )
     force: Number = strength("N", 3.0, "friction", least=0.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
 
 
 class HorizontalViscous(MemorylessLoad):
     """Viscous friction of the carriage."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "horizontal_viscous", "rig", "F_x = -damping v_x", "viscous friction of the carriage"
     )
     damping: Number = strength("N s/m", 30.0, "friction per speed", least=0.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.damping * velocity[0])
 
 
 class Drawbar(MemorylessLoad):
     """A constant horizontal force."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "drawbar",
         "rig",
         "F_x = -force",
@@ -107,14 +107,14 @@ class Drawbar(MemorylessLoad):
     )
     force: Number = strength("N", 5.0, "pull against the forward direction")
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.force)
 
 
 class CableSpring(AbstractLoad):
     """A horizontal force that grows with travel."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "cable_spring",
         "rig",
         "F_x = -stiffness (x - x(0))",
@@ -125,17 +125,17 @@ class CableSpring(AbstractLoad):
     def begin(self, position: Pair) -> Memory:
         return position[0]
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.stiffness * (position[0] - memory))
 
 
 class VerticalSpring(AbstractLoad):
     """A vertical force that grows with sinkage from where the wheel stood at the start."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "vertical_spring",
         "rig",
         "F_z = stiffness (H - H(0))",
@@ -146,10 +146,10 @@ class VerticalSpring(AbstractLoad):
     def begin(self, position: Pair) -> Memory:
         return position[1]
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.stiffness * (position[1] - memory))
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import About, AbstractSensor, Memory, strength
+from drftjax.effects.base import AbstractSensor, EffectInfo, Memory, strength
 
 if TYPE_CHECKING:
     from drftjax.physics.state import Output
@@ -25,7 +25,7 @@ def _with_z(output: "Output", z: Number) -> "Output":
 class SinkageGain(AbstractSensor):
     """The vertical scale reads a wrong ratio."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "sinkage_gain",
         "sensor",
         "z read = (1 + gain) z, the static sinkage too",
@@ -47,7 +47,7 @@ class SinkageGain(AbstractSensor):
 class SinkageDrift(AbstractSensor):
     """The vertical scale drifts with time."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "sinkage_drift", "sensor", "z read = z + rate t", "the vertical scale drifts with time"
     )
     rate: Number = strength("m/s", 5e-5, "drift of the reading, upward positive")
@@ -62,7 +62,7 @@ class SinkageDrift(AbstractSensor):
 class TravelGain(AbstractSensor):
     """The horizontal scale reads a wrong ratio."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "travel_gain",
         "sensor",
         "x read = (1 + gain) x, the start too",
@@ -96,7 +96,7 @@ class MeasurementDelay(AbstractSensor):
     What was true is kept every 10 ms, or at the first step after.
     """
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "measurement_delay",
         "sensor",
         "read(t) = true(t - delay)",
@@ -126,7 +126,7 @@ class MeasurementDelay(AbstractSensor):
 class MeasurementFilter(AbstractSensor):
     """The readings are low-pass filtered, to first order."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "measurement_filter",
         "sensor",
         "lag d(read)/dt = true - read",

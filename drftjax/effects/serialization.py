@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from drftjax.common.errors import InputError
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import effect_class, numbers
+from drftjax.effects.catalogue import effect_class, field_metadata
 
 Entry = dict[str, str | float | list[float]]
 
 
-def built(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
+def build_effects(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
     """The effect that an entry describes.
 
     Args:
@@ -28,9 +28,9 @@ def built(entry: Mapping[str, str | float | list[float]], place: int) -> Abstrac
     if not isinstance(name, str):
         raise InputError(f"[[effect]] {place} needs a name; `drft effects` lists them")
     if name == correction.NAME:
-        return correction.built(entry)
+        return correction.build_correction(entry)
     effect = effect_class(name)
-    known = numbers(effect)
+    known = field_metadata(effect)
     given = {}
     for field, value in entry.items():
         if field == "name":
@@ -58,11 +58,11 @@ def entry_of(effect: AbstractEffect) -> Entry:
     """An effect as a file holds it: what `built` makes it of again."""
     if isinstance(effect, correction.Curve):
         return correction.entry_of(effect)
-    fields = {field: float(getattr(effect, field)) for field in numbers(type(effect))}
+    fields = {field: float(getattr(effect, field)) for field in field_metadata(type(effect))}
     return {"name": effect.about.name, **fields}
 
 
 def typical(effect: type[AbstractEffect]) -> AbstractEffect:
     """The effect with every strength at its typical size."""
-    about = numbers(effect)
+    about = field_metadata(effect)
     return effect(**{field: each["typical"] for field, each in about.items() if "typical" in each})

@@ -8,10 +8,10 @@ from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
-    About,
     AbstractAdjustment,
     AbstractStressFactor,
     Adjustable,
+    EffectInfo,
     Model,
     shape,
     strength,
@@ -35,7 +35,7 @@ ONSET_DEPTH = 0.002
 class RateHardening(AbstractStressFactor):
     """Stress grows with plate speed beyond the inertial term."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "rate_hardening",
         "terrain",
         "σ = σ (1 + excess p / (p + half)), p the plate's speed",
@@ -52,7 +52,7 @@ class RateHardening(AbstractStressFactor):
 class DepthHardening(AbstractStressFactor):
     """Stress is not linear in depth."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "depth_hardening",
         "terrain",
         "σ = σ (1 + excess (d / 20 mm - 1))",
@@ -67,7 +67,7 @@ class DepthHardening(AbstractStressFactor):
 class RigidFloor(AbstractStressFactor):
     """The bed is shallow: it stiffens below some depth."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "rigid_floor",
         "terrain",
         "σ = σ (1 + excess max(d - floor, 0) / 20 mm)",
@@ -85,7 +85,7 @@ class RigidFloor(AbstractStressFactor):
 class Cohesion(AbstractStressFactor):
     """A stress that does not depend on depth: that of a further depth everywhere below ground."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "cohesion",
         "terrain",
         "σ = σ (d + depth) / d, fading in over 2 mm",
@@ -107,7 +107,7 @@ def _dynamic(model: Adjustable, name: str) -> Dynamic:
 class MomentumFlux(AbstractAdjustment):
     """The inertial term is absent or wrong in the model."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "momentum_flux",
         "terrain",
         "λ = λ + excess",
@@ -123,7 +123,7 @@ class MomentumFlux(AbstractAdjustment):
 class HeightDecrease(AbstractAdjustment):
     """The height decrease behind the wheel is absent or wrong in the model."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "height_decrease",
         "terrain",
         "δ_h = δ_h + excess r (r ω² / g)",

@@ -7,7 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.effects import spatial as places
-from drftjax.effects.base import About, AbstractPlane, Memory, MemorylessSurface, Moment, strength
+from drftjax.effects.base import (
+    AbstractPlane,
+    EffectInfo,
+    Memory,
+    MemorylessSurface,
+    StepContext,
+    strength,
+)
 
 Number = Float[Array, ""]
 
@@ -19,7 +26,7 @@ class SurfaceProfile(AbstractPlane, MemorylessSurface):
     under its axle.
     """
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "surface_profile",
         "terrain",
         "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length), a plane under the wheel",
@@ -42,7 +49,7 @@ class SurfaceBump(AbstractPlane, MemorylessSurface):
     As on waves, the wheel is on the plane that touches the surface under its axle.
     """
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "surface_bump",
         "terrain",
         "h = rise exp(-(x - centre)² / (2 width²)), less that at x = 0, a plane under the wheel",
@@ -64,7 +71,9 @@ class SurfaceBump(AbstractPlane, MemorylessSurface):
 class SurfaceSlope(AbstractPlane, MemorylessSurface):
     """The surface is inclined."""
 
-    about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the surface is inclined")
+    about: ClassVar = EffectInfo(
+        "surface_slope", "terrain", "h = slope x", "the surface is inclined"
+    )
     slope: Number = strength("-", 0.01, "rise of the surface along x")
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
@@ -74,7 +83,7 @@ class SurfaceSlope(AbstractPlane, MemorylessSurface):
 class Excavation(AbstractPlane):
     """Slip digs: the surface under the wheel goes down with slip distance."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "excavation",
         "terrain",
         "h = -rate ∫ |r ω - v_x| dt",
@@ -85,7 +94,7 @@ class Excavation(AbstractPlane):
     def begin(self) -> Memory:
         return jnp.zeros_like(self.rate)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory + moment.dt * jnp.abs(moment.rim_slip())
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:

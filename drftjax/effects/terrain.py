@@ -7,12 +7,12 @@ from jaxtyping import Array, Float
 
 from drftjax.effects import spatial as places
 from drftjax.effects.base import (
-    About,
     AbstractSandLoad,
     AbstractZetaFactor,
+    EffectInfo,
     Memory,
     MemorylessZetaFactor,
-    Moment,
+    StepContext,
     along_x,
     shape,
     strength,
@@ -31,7 +31,7 @@ PARTING = 0.01
 class Loosening(AbstractZetaFactor):
     """zeta falls with the wheel's accumulated turning, towards a floor."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "loosening",
         "terrain",
         "ζ = ζ (1 - loss (1 - exp(-turning / decay)))",
@@ -43,17 +43,17 @@ class Loosening(AbstractZetaFactor):
     def begin(self) -> Memory:
         return jnp.zeros_like(self.loss)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory + moment.dt * jnp.abs(moment.omega)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return 1 - self.loss * (1 - jnp.exp(-memory / self.decay))
 
 
 class SlipSoftening(MemorylessZetaFactor):
     """zeta is lower the faster the rim slips."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "slip_softening",
         "terrain",
         "ζ = ζ (1 - loss s / (s + half)), s = |r ω - v_x|",
@@ -62,7 +62,7 @@ class SlipSoftening(MemorylessZetaFactor):
     loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0, most=1.0)
     half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip())
         return 1 - self.loss * slip / (slip + self.half)
 
@@ -70,7 +70,7 @@ class SlipSoftening(MemorylessZetaFactor):
 class TerrainVariation(MemorylessZetaFactor):
     """zeta depends on the place: a soft or hard patch."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "terrain_variation",
         "terrain",
         "ζ = ζ (1 + excess exp(-(x - centre)² / (2 width²)))",
@@ -80,14 +80,14 @@ class TerrainVariation(MemorylessZetaFactor):
     centre: Number = places.centre("patch")
     width: Number = places.width()
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return 1 + self.excess * places.bell(moment.position[0], self.centre, self.width)
 
 
 class TerrainWave(MemorylessZetaFactor):
     """zeta depends on the place: waves along x."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "terrain_wave",
         "terrain",
         "ζ = ζ (1 + cosine cos(2π x / length) + sine sin(2π x / length))",
@@ -98,7 +98,7 @@ class TerrainWave(MemorylessZetaFactor):
     sine: Number = strength("-", 0.05, "amplitude a quarter wave on")
     length: Number = places.wavelength()
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         turn = 2 * jnp.pi / self.length * moment.position[0]
         return 1 + self.cosine * jnp.cos(turn) + self.sine * jnp.sin(turn)
 
@@ -109,7 +109,7 @@ class Bulldozing(AbstractSandLoad):
     A wheel that turns back leaves its pile, and begins another on its other side.
     """
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "bulldozing",
         "terrain",
         "F_x = -force (1 - exp(-|travel| / length)) sign(travel)",
@@ -122,7 +122,7 @@ class Bulldozing(AbstractSandLoad):
         nought = jnp.zeros_like(position[0])
         return position[0], nought, nought
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         # Where the pile began, the sense in which the wheel heaps it up, how far it turned back.
         began, sense, back = memory
         sense = jnp.where(sense == 0, jnp.sign(moment.omega), sense)
@@ -135,7 +135,7 @@ class Bulldozing(AbstractSandLoad):
             jnp.where(left, 0, back),
         )
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         began, _, back = memory
         travel = position[0] - began
         piled = 1 - jnp.exp(-jnp.abs(travel) / self.length)

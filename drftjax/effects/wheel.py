@@ -10,13 +10,13 @@ from jaxtyping import Array, Float
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
-    About,
     AbstractAdjustment,
     AbstractPlacement,
+    EffectInfo,
     Memory,
     MemorylessLoad,
     Model,
-    Moment,
+    StepContext,
     strength,
 )
 from drftjax.physics.outline_wheel import OutlineWheel
@@ -28,7 +28,7 @@ Number = Float[Array, ""]
 class WheelRadius(AbstractAdjustment):
     """The rim's true radius differs; an outline is larger in proportion."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "wheel_radius", "wheel", "r = r + excess", "the rim's true radius differs"
     )
     excess: Number = strength("m", 0.003, "true radius less the stated one")
@@ -45,7 +45,7 @@ class WheelRadius(AbstractAdjustment):
 class GrouserHeight(AbstractAdjustment):
     """Grousers are shorter or longer."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "grouser_height",
         "wheel",
         "h_g = h_g + excess",
@@ -65,7 +65,7 @@ class GrouserHeight(AbstractAdjustment):
 class Eccentricity(AbstractPlacement):
     """The axle is off the wheel's centre; z = 0 is where a centred wheel would touch."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "eccentricity",
         "wheel",
         "centre - axle = R(φ) (along, up), R(φ) turning with the wheel",
@@ -84,7 +84,7 @@ class Eccentricity(AbstractPlacement):
 class Imbalance(MemorylessLoad):
     """Mass off the axle pulls outward with the square of the speed, once a turn."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "imbalance",
         "wheel",
         "F = ω² R(φ) (along, up)",
@@ -97,7 +97,7 @@ class Imbalance(MemorylessLoad):
         self,
         position: Float[Array, "2"],
         velocity: Float[Array, "2"],
-        moment: Moment,
+        moment: StepContext,
         memory: Memory,
     ) -> Float[Array, "2"]:
         cosine, sine = jnp.cos(moment.angle), jnp.sin(moment.angle)

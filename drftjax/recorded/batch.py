@@ -28,7 +28,7 @@ Values = TypeVar("Values")
 OTHER_KIND = "has another kind of wheel, terrain, carriage or integrator"
 
 
-class Observed(eqx.Module):
+class PaddedObservations(eqx.Module):
     """Padded recordings of a batch, runs leading.
 
     Attributes:
@@ -63,7 +63,7 @@ class Batch(eqx.Module):
     """
 
     trials: Trial
-    observed: Observed
+    observed: PaddedObservations
     channels: tuple[str, ...] = eqx.field(static=True)
     runs: Int[Array, ""]
     order: Int[Array, " runs"]
@@ -87,10 +87,10 @@ def make_batch(
         InputError: where the trials are not alike.
     """
     for number, trial in enumerate(trials[1:], start=2):
-        if not alike(trial, trials[0]):
+        if not share_program(trial, trials[0]):
             raise InputError(f"run {number} {OTHER_KIND} than the first; fit such runs apart")
     channels = tuple(c for c in CHANNELS if any(c in o.channels for o in observations))
-    size = roomy if size is None else size
+    size = padded_size if size is None else size
     rows = size(max(trial.rows for trial in trials))
     knots = size(max(len(trial.time) for trial in trials))
     samples = size(max(len(o.time) for o in observations))
@@ -99,7 +99,7 @@ def make_batch(
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
     ]
-    padding = multiple * roomy(math.ceil(len(trials) / multiple)) - len(trials)
+    padding = multiple * padded_size(math.ceil(len(trials) / multiple)) - len(trials)
     padded += padded[:1] * padding
     nothing = 0 * recorded[0].weight, jnp.asarray(0), jnp.asarray(0)
     silent = eqx.tree_at(lambda o: (o.weight, o.compared_rows, o.all_rows), recorded[0], nothing)
@@ -124,7 +124,7 @@ def _shares(work: list[int], devices: int) -> np.ndarray:
     return np.array([run for share in shares for run in share])
 
 
-def roomy(count: int) -> int:
+def padded_size(count: int) -> int:
     """The next of 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, ...: a size that batches share.
 
     A program is compiled for sizes; padded to these, batches of about one size share it, for at
@@ -134,7 +134,7 @@ def roomy(count: int) -> int:
     return unit * math.ceil(count / unit)
 
 
-def alike(trial: Trial, other: Trial) -> bool:
+def share_program(trial: Trial, other: Trial) -> bool:
     """Whether one compiled program runs both: the same kind of wheel, terrain, rig and method."""
 
     def kind(trial: Trial) -> tuple:
@@ -163,7 +163,7 @@ def of_lengths(trial: Trial, rows: int, knots: int) -> Trial:
 
 def _observed(
     observation: Observation, channels: tuple[str, ...], samples: int, trial: Trial
-) -> Observed:
+) -> PaddedObservations:
     interval = trial.every * float(trial.step)
     place = np.clip(observation.time / interval, 0, None)
     row = np.clip(np.floor(place + 1e-9), 0, trial.rows - 1)
@@ -179,7 +179,7 @@ def _observed(
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
         return jnp.asarray(np.pad(values, width, constant_values=filling), dtype)
 
-    return Observed(
+    return PaddedObservations(
         padded(row, int),
         padded(share),
         padded(observation.intervals, filling=1),
@@ -190,18 +190,20 @@ def _observed(
     )
 
 
-def sampled(output: Output, observed: Observed, channels: tuple[str, ...]) -> Array:
+def sample_channels(
+    output: Output, observed: PaddedObservations, channels: tuple[str, ...]
+) -> Array:
     """Simulated channels of one run at its recorded times, shape (channels, samples)."""
     return between_rows(jnp.stack([getattr(output, each) for each in channels]), observed)
 
 
-def between_rows(rows: Float[Array, "channels rows"], observed: Observed) -> Array:
+def between_rows(rows: Float[Array, "channels rows"], observed: PaddedObservations) -> Array:
     """Channels at the recorded times of a run, shape (channels, samples)."""
     before, after = rows[:, observed.row], rows[:, observed.row + 1]
     return before + observed.share * (after - before)
 
 
-def over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
+def map_over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
     """What `one` makes of every run, a share of the runs on each device.
 
     Args:
@@ -220,7 +222,7 @@ def over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
     )
 
     # One run after the other on a device: each ends with its own rows, and none is padded.
-    def in_turn(trials: Trial, observed: Observed, shared, own):
+    def in_turn(trials: Trial, observed: PaddedObservations, shared, own):
         return jax.lax.map(lambda run: one(run[0], run[1], shared, run[2]), (trials, observed, own))
 
     shares = jax.shard_map(

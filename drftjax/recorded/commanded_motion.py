@@ -9,7 +9,7 @@ from drftjax.simulation.trial import Trial
 STANDS = 1e-4
 
 
-def pace(radius: float, omega: np.ndarray, vx: np.ndarray | None = None) -> np.ndarray:
+def commanded_speed(radius: float, omega: np.ndarray, vx: np.ndarray | None = None) -> np.ndarray:
     """The faster of rim and carriage [m/s], as they are asked for.
 
     Args:
@@ -21,10 +21,10 @@ def pace(radius: float, omega: np.ndarray, vx: np.ndarray | None = None) -> np.n
     return rim if vx is None else np.maximum(rim, np.abs(vx))
 
 
-def asked_to_move(trial: Trial, time: np.ndarray) -> np.ndarray:
+def is_commanded_to_move(trial: Trial, time: np.ndarray) -> np.ndarray:
     """Whether wheel or carriage is asked to move at `time` [s], in its shape."""
     knots = np.asarray(trial.time)
     radius = float(trial.simulator.wheel.radius)
     omega, vx = np.asarray(trial.omega), np.asarray(trial.vx)
-    here = pace(radius, np.interp(time, knots, omega), np.interp(time, knots, vx))
-    return np.asarray(here > STANDS * pace(radius, omega, vx).max())
+    here = commanded_speed(radius, np.interp(time, knots, omega), np.interp(time, knots, vx))
+    return np.asarray(here > STANDS * commanded_speed(radius, omega, vx).max())

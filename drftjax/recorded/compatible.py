@@ -4,13 +4,15 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from drftjax.common.errors import InputError, RunError
-from drftjax.recorded.batch import OTHER_KIND, alike
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.batch import OTHER_KIND, share_program
+from drftjax.recorded.prepared_run import PreparedRun
 
 Made = TypeVar("Made")
 
 
-def of_one_kind(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dict[str, str]]:
+def largest_compatible_set(
+    candidates: Sequence[PreparedRun],
+) -> tuple[list[PreparedRun], dict[str, str]]:
     """The largest set of runs that one program simulates, and why the others are left out.
 
     Raises:
@@ -19,10 +21,10 @@ def of_one_kind(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dict[
     names = [each.name for each in candidates]
     if len(set(names)) < len(names):
         raise InputError(f"two runs have one name among {', '.join(names)}; names must differ")
-    kinds: list[list[Candidate]] = []
+    kinds: list[list[PreparedRun]] = []
     for each in candidates:
         for kind in kinds:
-            if alike(each.trial, kind[0].trial):
+            if share_program(each.trial, kind[0].trial):
                 kind.append(each)
                 break
         else:
@@ -41,9 +43,9 @@ def of_one_kind(candidates: Sequence[Candidate]) -> tuple[list[Candidate], dict[
     }
 
 
-def of_usable(
-    candidates: Sequence[Candidate], make: Callable[[list[Candidate]], Made]
-) -> tuple[list[Candidate], Made, dict[str, str]]:
+def retry_without_failures(
+    candidates: Sequence[PreparedRun], make: Callable[[list[PreparedRun]], Made]
+) -> tuple[list[PreparedRun], Made, dict[str, str]]:
     """What is made of all runs that can be used together.
 
     Args:
@@ -56,7 +58,7 @@ def of_usable(
     Raises:
         InputError: where no run is left.
     """
-    kept, left_out = of_one_kind(candidates)
+    kept, left_out = largest_compatible_set(candidates)
     while True:
         try:
             return kept, make(kept), left_out

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.observation import refused_readings, without_refused
-from drftjax.recorded.prepared_run import Candidate, candidate, names_of
+from drftjax.recorded.observation import drop_refused, refused_readings
+from drftjax.recorded.prepared_run import PreparedRun, names_of, prepare_run
 from drftjax.runlog.files import each_once, run_files
 from drftjax.runlog.plausibility import doubts
 from drftjax.runlog.record import RunLog
@@ -15,7 +15,7 @@ from drftjax.runlog.schema import run_from
 
 
 @dataclass(frozen=True)
-class Gathered:
+class GatheredRuns:
     """Runs that can be simulated and compared, and those that cannot.
 
     Attributes:
@@ -23,17 +23,17 @@ class Gathered:
         left_out: Why each other one is not among them, by its name.
     """
 
-    candidates: list[Candidate]
-    left_out: dict[str, str]
+    runs: list[PreparedRun]
+    skipped: dict[str, str]
 
 
 def gather(
     given: Sequence[Path],
-    ready: Callable[[str, RunLog], Candidate] = candidate,
+    ready: Callable[[str, RunLog], PreparedRun] = prepare_run,
     *,
     sinkage: bool = False,
     tell: Callable[[str], None] = lambda _: None,
-) -> Gathered:
+) -> GatheredRuns:
     """Runs from files and folders; what cannot be used is left out, and says why.
 
     Args:
@@ -47,7 +47,7 @@ def gather(
         InputError: where none can be used.
     """
     files, left_out = each_once(run_files(given))
-    candidates: list[Candidate] = []
+    candidates: list[PreparedRun] = []
     with GuardedReader() as reader:
         for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):
             try:
@@ -56,7 +56,7 @@ def gather(
                 if sinkage and "z" not in each.observation.channels:
                     raise InputError("has no /measured/z, so its sinkage is not known")
                 candidates.append(each)
-                for doubt in doubts(without_refused(run)):
+                for doubt in doubts(drop_refused(run)):
                     tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
                     are = (
@@ -74,4 +74,4 @@ def gather(
         tell(f"left out: {why}")
     if not candidates:
         raise InputError(f"none of the {len(files)} files can be used")
-    return Gathered(candidates, left_out)
+    return GatheredRuns(candidates, left_out)

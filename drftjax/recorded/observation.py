@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.commanded_motion import STANDS, pace
+from drftjax.recorded.commanded_motion import STANDS, commanded_speed
 from drftjax.runlog.record import CHANNELS, Measured, RunLog
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _told_by_events(run: RunLog) -> NDArray[np.bool_]:
     return found
 
 
-def without_refused(run: RunLog) -> RunLog:
+def drop_refused(run: RunLog) -> RunLog:
     """The run without the readings that the loop refused.
 
     Raises:
@@ -232,7 +232,7 @@ def observe(
 def _last_motion(run: RunLog, radius: float) -> float:
     """Time from the run's start after which neither wheel nor carriage is asked to move [s]."""
     command = run.command
-    asked = pace(radius, command.omega, command.vx)
+    asked = commanded_speed(radius, command.omega, command.vx)
     moving = asked > STANDS * asked.max()
     if moving[-1]:
         return np.inf

@@ -14,9 +14,9 @@ from drftjax.recorded.observation import (
     ROUNDING,
     SMALLEST_NOISE,
     Observation,
+    drop_refused,
     observe,
     white_noise,
-    without_refused,
 )
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
@@ -56,7 +56,7 @@ STILL = 1e-5
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PreparedRun:
     """A run on its way into a fit.
 
     Attributes:
@@ -74,7 +74,7 @@ class Candidate:
     made_in_loop: RunLog | None = None
 
 
-def candidate(
+def prepare_run(
     name: str,
     run: RunLog,
     *,
@@ -85,7 +85,7 @@ def candidate(
     step: float | None = None,
     keep_rest: bool = False,
     compare: Sequence[str] = CHANNELS,
-) -> Candidate:
+) -> PreparedRun:
     """A recorded run made ready: its set-up as believed, its start as recorded.
 
     Args:
@@ -103,7 +103,7 @@ def candidate(
     """
     made_in_loop = None if run.online is None else run
     try:
-        run = without_refused(run)
+        run = drop_refused(run)
         require_upright(run)
         setup = setup_from_run(run) if model is None else _commanded(model, run)
         observation = observe(run, setup.wheel.radius, keep_rest=keep_rest, compare=compare)
@@ -134,7 +134,7 @@ def candidate(
         if zeta is not None:
             setup.terrain.zeta = zeta
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        return Candidate(name, setup, trial, observation, made_in_loop)
+        return PreparedRun(name, setup, trial, observation, made_in_loop)
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 
@@ -194,12 +194,12 @@ def _commanded(model: SetUp, run: RunLog) -> SetUp:
     return setup
 
 
-Run: TypeAlias = str | Path | RunLog | tuple[SetUp, RunLog] | Candidate
+Run: TypeAlias = str | Path | RunLog | tuple[SetUp, RunLog] | PreparedRun
 
 
-def candidates_of(
+def prepare_runs(
     runs: Run | Sequence[Run] | Mapping[str, Run], model: SetUp | None = None, **options
-) -> list[Candidate]:
+) -> list[PreparedRun]:
     """Runs made ready, each with a name of its own.
 
     Args:
@@ -212,7 +212,7 @@ def candidates_of(
     Raises:
         InputError: names the run, and what must hold.
     """
-    return [made_ready(name, each, model, **options) for name, each in named_runs(runs).items()]
+    return [as_prepared(name, each, model, **options) for name, each in named_runs(runs).items()]
 
 
 def named_runs(runs: Run | Sequence[Run] | Mapping[str, Run]) -> dict[str, object]:
@@ -231,7 +231,7 @@ def named_runs(runs: Run | Sequence[Run] | Mapping[str, Run]) -> dict[str, objec
             next(stems)
             if isinstance(each, str | Path)
             else each.name
-            if isinstance(each, Candidate)
+            if isinstance(each, PreparedRun)
             else f"run {number}"
             for number, each in enumerate(several, start=1)
         ]
@@ -245,14 +245,14 @@ def _is_pair(run: object) -> bool:
     return isinstance(run, tuple) and len(run) == 2 and isinstance(run[0], SetUp)
 
 
-def made_ready(name: str, run: object, model: SetUp | None = None, **options: Any) -> Candidate:
+def as_prepared(name: str, run: object, model: SetUp | None = None, **options: Any) -> PreparedRun:
     """One run made ready; see `candidates_of`.
 
     Raises:
         RunError: where it cannot be used.
         InputError: for what is no run.
     """
-    if isinstance(run, Candidate):
+    if isinstance(run, PreparedRun):
         return replace(run, observation=run.observation.of(options.get("compare", CHANNELS)))
     if _is_pair(run):
         model, run = run  # pyright: ignore[reportGeneralTypeIssues]
@@ -262,7 +262,7 @@ def made_ready(name: str, run: object, model: SetUp | None = None, **options: An
         raise InputError(
             f"{name} is {type(run).__name__}; a run is a file, a RunLog, or a SetUp with a RunLog"
         )
-    return candidate(name, run, model=model, **options)
+    return prepare_run(name, run, model=model, **options)
 
 
 def names_of(paths: list[Path]) -> list[str]:

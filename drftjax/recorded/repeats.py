@@ -5,17 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from drftjax.recorded.observation import ROUNDING, intervals_of
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 
 
-def noise_kept(time: np.ndarray, wanted: np.ndarray) -> float:
+def noise_after_interpolation(time: np.ndarray, wanted: np.ndarray) -> float:
     """Share of white noise's power that is left where a recording is read at other times."""
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
     way = np.clip((wanted - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)
     return float(np.mean(way**2 + (1 - way) ** 2))
 
 
-def recorded_at(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def interpolate_recorded(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Whether a recording can be read at other times: not outside it, and not where it has gaps.
 
     Args:
@@ -44,7 +44,7 @@ SAME_SAND = 0.2
 LEAST_SHARED = 0.5
 
 
-def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
+def group_by_condition(candidates: Sequence[PreparedRun]) -> list[list[int]]:
     """Runs of the same command and load, by number; one that was stopped early is among them.
 
     Each run is held against the longest of a group, so that the order of the runs is no matter.
@@ -60,7 +60,7 @@ def conditions(candidates: Sequence[Candidate]) -> list[list[int]]:
     return sorted(sorted(group) for group in groups)
 
 
-def _rank(one: Candidate) -> tuple[float, ...]:
+def _rank(one: PreparedRun) -> tuple[float, ...]:
     """What orders runs, whatever they are called: the longest first."""
     command, rig, sand = one.setup.command, one.setup.rig, one.setup.terrain.zeta
     zeta = sand if isinstance(sand, float) else np.inf
@@ -68,12 +68,12 @@ def _rank(one: Candidate) -> tuple[float, ...]:
     return (-_lasts(one), zeta, *load, *(command.vx or ()), *command.omega)
 
 
-def _lasts(one: Candidate) -> float:
+def _lasts(one: PreparedRun) -> float:
     time = one.setup.command.time
     return time[-1] - time[0]
 
 
-def _alike(one: Candidate, other: Candidate) -> bool:
+def _alike(one: PreparedRun, other: PreparedRun) -> bool:
     """Whether two runs repeat one condition for as long as both go on."""
     rigs = one.setup.rig, other.setup.rig
     loads = [(each.mass_x, each.mass_z, each.drawbar_load) for each in rigs]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from drftjax.common.errors import InputError
 from drftjax.runlog import validation as rules
-from drftjax.runlog.record import CHANNELS, Setup
+from drftjax.runlog.record import CHANNELS, RecordedSetup
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Head:
         created, run_id, notes, software, software_version: As in `RunLog`.
     """
 
-    setup: Setup
+    setup: RecordedSetup
     source: str
     title: str
     channels: tuple[str, ...] = ("x", "z")

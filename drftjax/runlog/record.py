@@ -28,7 +28,7 @@ CHANNELS: Final = ("x", "z", "fx", "fz", "torque")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class RecordedSetup:
     """What the operator believes about the rig; None where it is not known.
 
     Attributes:
@@ -77,7 +77,7 @@ class Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
+class RecordedCommand:
     """What was asked of the rig.
 
     Attributes:
@@ -222,8 +222,8 @@ class RunLog:
     `end_reason` says why a recorded run ended; None for one that was not recorded online.
     """
 
-    setup: Setup
-    command: Command
+    setup: RecordedSetup
+    command: RecordedCommand
     measured: Measured
     source: str
     title: str

@@ -71,7 +71,7 @@ def require_free(path: Path) -> None:
         raise _taken(part)
 
 
-def claim(path: Path) -> int:
+def claim_file(path: Path) -> int:
     """Take a run log's name for a recording, so that no other recorder can.
 
     Args:
@@ -87,7 +87,7 @@ def claim(path: Path) -> int:
     part = part_path(path)
     handle = os.open(part, os.O_RDWR | os.O_CREAT, 0o666)
     try:
-        hold(handle, part)
+        hold_lock(handle, part)
         # Another recorder may have written into it, or given it up, before the lock was ours.
         if os.fstat(handle).st_size or not _is_file(handle, part):
             raise _taken(part)
@@ -97,7 +97,7 @@ def claim(path: Path) -> int:
     return handle
 
 
-def give_up(handle: int, path: Path) -> None:
+def release_claim(handle: int, path: Path) -> None:
     """Let go of a name that was claimed, and remove its recording."""
     with suppress(InputError):
         place = place_of(handle, part_path(path))
@@ -106,7 +106,7 @@ def give_up(handle: int, path: Path) -> None:
     os.close(handle)
 
 
-def hold(handle: int, part: Path) -> None:
+def hold_lock(handle: int, part: Path) -> None:
     """Take the lock through a file descriptor that is open for writing, for as long as it is open.
 
     The lock is also let go when this process closes any other descriptor of the same file.

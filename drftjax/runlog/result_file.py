@@ -25,7 +25,7 @@ class ResultGroup:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class ResultFile:
     """A result file: root attributes and groups."""
 
     attributes: Mapping[str, Attribute]
@@ -49,7 +49,7 @@ def result_content(
     return Content(stamped, {title: _group(title, each) for title, each in groups.items()})
 
 
-def result_from(content: Content) -> Result:
+def result_from(content: Content) -> ResultFile:
     """The result that an examined file holds."""
     groups = {
         title: ResultGroup(
@@ -61,7 +61,7 @@ def result_from(content: Content) -> Result:
         )
         for title, group in content.groups.items()
     }
-    return Result(content.attributes, groups)
+    return ResultFile(content.attributes, groups)
 
 
 def _group(title: str, columns: Columns) -> Group:

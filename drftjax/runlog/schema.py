@@ -24,7 +24,7 @@ from drftjax.runlog.content import (
     real_column,
 )
 from drftjax.runlog.header import OnlineHead
-from drftjax.runlog.record import Command, Events, Measured, Online, RunLog, Setup
+from drftjax.runlog.record import Events, Measured, Online, RecordedCommand, RecordedSetup, RunLog
 
 SCHEMA: Final = "drft-run"
 
@@ -153,7 +153,7 @@ def from_content(content: Content) -> RunLog:
 
     setup = content.groups.get("setup", Group()).attributes
     known: dict[str, Any] = {
-        each.name: setup[each.name] for each in fields(Setup) if each.name in setup
+        each.name: setup[each.name] for each in fields(RecordedSetup) if each.name in setup
     }
     online = events = None
     if "online" in content.groups:
@@ -167,8 +167,8 @@ def from_content(content: Content) -> RunLog:
         events = Events(**columns("events"), meanings=table)
     texts: dict[str, Any] = {name: _text(content.attributes.get(name)) for name in TEXTS}
     return RunLog(
-        setup=Setup(**known),
-        command=Command(**columns("command")),
+        setup=RecordedSetup(**known),
+        command=RecordedCommand(**columns("command")),
         measured=Measured(**columns("measured")),
         source=str(content.attributes["source"]),
         title=str(content.attributes["title"]),
@@ -249,7 +249,7 @@ def _examine_setup(content: Content) -> Iterator[Found]:
     if setup is None:
         yield "/setup", "is missing; a run log has the group, empty if need be", Level.FORMAT
         return
-    known = tuple(each.name for each in fields(Setup))
+    known = tuple(each.name for each in fields(RecordedSetup))
     for name, value in setup.attributes.items():
         if name not in known:
             hint = rules.nearest(name, known)

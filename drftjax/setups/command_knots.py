@@ -8,12 +8,12 @@ from drftjax.setups.setup import CommandSetUp
 SCATTER = 0.02
 
 
-def cornered(command: CommandSetUp) -> CommandSetUp:
+def simplify_command(command: CommandSetUp) -> CommandSetUp:
     """The command as few straight lines, none further from its knots than `SCATTER`.
 
     Knots that are left out lie on the lines; those that are kept are as they were.
     """
-    command = thinned(command)
+    command = decimate_command(command)
     channels = [np.asarray(c, float) for c in (command.omega, command.vx) if c is not None]
     largest = [max(float(np.abs(c).max()), np.finfo(float).tiny) for c in channels]
     time = np.asarray(command.time, float)
@@ -68,7 +68,7 @@ def _fewer(time: np.ndarray, values: np.ndarray, kept: list[int]) -> list[int]:
     return kept
 
 
-def thinned(command: CommandSetUp) -> CommandSetUp:
+def decimate_command(command: CommandSetUp) -> CommandSetUp:
     """The same profile without the knots that lie on a straight line between their neighbours."""
     time = np.asarray(command.time)
     channels = [np.asarray(c) for c in (command.omega, command.vx) if c is not None]
@@ -94,7 +94,7 @@ def _bends(time: np.ndarray, values: np.ndarray, last: int, knot: int) -> bool:
     return bool(abs(values[knot] - line) > 1e-9 * max(1.0, float(np.abs(values).max())))
 
 
-def _held_until(end: float, command: CommandSetUp) -> CommandSetUp:
+def held_until(end: float, command: CommandSetUp) -> CommandSetUp:
     """The same profile with its last value held to `end` [s]."""
     vx = None if command.vx is None else [*command.vx, command.vx[-1]]
     time, omega = [*command.time, float(end)], [*command.omega, command.omega[-1]]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import read_document, to_structure
-from drftjax.effects.catalogue import catalogue, effect_class, numbers
-from drftjax.effects.serialization import Entry, built
+from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
+from drftjax.effects.serialization import Entry, build_effects
 from drftjax.physics.integrator import (
     DEFAULT_STEP,
     AbstractIntegrator,
@@ -38,7 +38,7 @@ from drftjax.physics.wheel import (
     GrouserWheel,
     PlainWheel,
 )
-from drftjax.runlog.record import Command as RunCommand
+from drftjax.runlog.record import RecordedCommand as RunCommand
 from drftjax.runlog.validation import text_problems
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
@@ -264,7 +264,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             self.terrain.build(),
             self.rig.build(),
             INTEGRATORS[self.integrator.method](),
-            tuple(built(entry, place) for place, entry in enumerate(self.effects, start=1)),
+            tuple(build_effects(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
         simulator.check()
         command = self.command.build()
@@ -339,6 +339,6 @@ def put_effects(setup: SetUp, names: Iterable[str]) -> None:
         if entry is None:
             entry = Entry(name=title)
             setup.effects.append(entry)
-        about = numbers(effect_class(title))[field]
+        about = field_metadata(effect_class(title))[field]
         if "typical" in about and about["least"] == 0 and not entry.get(field):
             entry[field] = about["typical"]

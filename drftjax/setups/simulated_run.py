@@ -10,7 +10,7 @@ from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.text import printable
 from drftjax.runlog import record
-from drftjax.setups.command_knots import _held_until
+from drftjax.setups.command_knots import held_until
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
 
@@ -41,7 +41,7 @@ def simulated_run(
     end = command.time[-1] + ROUNDING
     held = setup
     if at is not None and len(at) and at[-1] > end:
-        held = msgspec.structs.replace(setup, command=_held_until(at[-1], setup.command))
+        held = msgspec.structs.replace(setup, command=held_until(at[-1], setup.command))
     lasts = held.command.time[-1] - held.command.time[0]
     if interval > lasts + ROUNDING:
         raise InputError(
@@ -57,7 +57,7 @@ def simulated_run(
         name: np.interp(rows, time, np.asarray(getattr(output, name))) for name in record.CHANNELS
     }
     return record.RunLog(
-        setup=believed(setup, setup.start.sinkage, float(output.zeta[0])),
+        setup=with_believed_values(setup, setup.start.sinkage, float(output.zeta[0])),
         command=command,
         measured=record.Measured(time=rows, **measured),
         source="simulated",
@@ -67,7 +67,7 @@ def simulated_run(
     )
 
 
-def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
+def with_believed_values(setup: SetUp, sinkage: float, zeta: float) -> record.RecordedSetup:
     """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-].
 
     Args:
@@ -79,7 +79,7 @@ def believed(setup: SetUp, sinkage: float, zeta: float) -> record.Setup:
     in_the_air = math.isnan(zeta)
     wheel = setup.wheel
     grousers = wheel.shape == "grouser"
-    return record.Setup(
+    return record.RecordedSetup(
         wheel_radius=wheel.radius,
         # A run log has no place for an outline: without a width nothing takes it for a plain rim.
         wheel_width=None if wheel.shape == "outline" else wheel.width,

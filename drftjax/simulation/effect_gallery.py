@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import numbers
+from drftjax.effects.catalogue import field_metadata
 from drftjax.effects.listing import sizes
 from drftjax.effects.serialization import typical
 from drftjax.physics.command import command_at
@@ -36,7 +36,7 @@ def runs(effects: Classes) -> Output:
 
     One compiled program makes them all, as an absent effect is one of zero strength.
     """
-    fields = [(index, name) for index, each in enumerate(effects) for name in numbers(each)]
+    fields = [(index, name) for index, each in enumerate(effects) for name in field_metadata(each)]
     null = [float(getattr(effects[index](), name)) for index, name in fields]
     table = [null]
     for one, effect in enumerate(effects):
@@ -60,7 +60,7 @@ def runs(effects: Classes) -> Output:
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(run))(jnp.asarray(table)))
 
 
-def portrait(effect: type[AbstractEffect]) -> Figure:
+def draw_effect(effect: type[AbstractEffect]) -> Figure:
     """One effect: z with and without it, and what it changes in z and x."""
     output = runs([effect])
     time = output.time[0]
@@ -79,7 +79,7 @@ def portrait(effect: type[AbstractEffect]) -> Figure:
     return figure
 
 
-def sheet(effects: Classes) -> Figure:
+def draw_gallery(effects: Classes) -> Figure:
     """Every effect in a small panel of its own: what it changes in z and x."""
     output = runs(effects)
     columns = min(6, len(effects))

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
-from drftjax.effects.base import AbstractAdjustment, AbstractEffect, Moment
+from drftjax.effects.base import AbstractAdjustment, AbstractEffect, StepContext
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import AbstractIntegrator, Rosenbrock, value_and_jacobian
 from drftjax.physics.rig import Rig
@@ -93,7 +93,7 @@ class Simulator(eqx.Module):
         effects = simulator.effects
         if not effects:
             return dataclasses.replace(state, memory=())
-        state = dataclasses.replace(state, position=chain.started(effects, state.position))
+        state = dataclasses.replace(state, position=chain.initial_readings(effects, state.position))
         state = dataclasses.replace(state, memory=chain.begin(effects, state))
         truth, dt = simulator._truth(state, command)
         memory = chain.begin_reading(effects, state.memory, truth, dt)
@@ -130,11 +130,11 @@ class Simulator(eqx.Module):
             memory = chain.begin(self.effects, State(nought, position, velocity, angle, omega))
         pace = velocity if pace is None else pace
         radius = self.wheel.radius
-        plates = chain.place(self.effects, self.wheel.cut().plates(angle), angle)
+        plates = chain.move_plates(self.effects, self.wheel.cut().plates(angle), angle)
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
         motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
-        motion = chain.on_surface(self.effects, memory, motion, position[0], plates.x)
+        motion = chain.relative_to_surface(self.effects, memory, motion, position[0], plates.x)
         stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
         factor = chain.stress_factor(self.effects, motion)
         return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
@@ -176,11 +176,11 @@ class Simulator(eqx.Module):
         effects, dt = self.effects, jnp.asarray(dt, state.time.dtype)
         if len(state.memory) != len(effects):
             raise InputError("the state remembers nothing of the effects; start by `begin`")
-        omega, memory = chain.turn(effects, state.memory, command.omega, state.angle, dt)
+        omega, memory = chain.wheel_speed(effects, state.memory, command.omega, state.angle, dt)
         time = state.time + dt
         angle = state.angle + dt * (state.omega + omega) / 2
         radius = self.wheel.radius
-        moment = Moment(
+        moment = StepContext(
             time, dt, state.position, state.velocity, angle, omega, command.omega, radius
         )
         zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
@@ -211,7 +211,7 @@ class Simulator(eqx.Module):
         memory = chain.advance(effects, memory, moment)
         after = State(time, position, velocity, angle, omega)
         truth = self._output(after, sand + by_velocity @ (velocity - start), zeta)
-        reading, memory = chain.read(effects, memory, truth, dt)
+        reading, memory = chain.measure(effects, memory, truth, dt)
         return dataclasses.replace(after, memory=memory), reading
 
     def held(self, state: State, command: Command) -> Float[Array, "2"]:
@@ -233,7 +233,7 @@ class Simulator(eqx.Module):
         self = self.prepared()
         truth, dt = self._truth(state, command)
         # Between two steps no time passes: a lagging instrument reads what it last held.
-        return chain.read(self.effects, state.memory, truth, dt)[0]
+        return chain.measure(self.effects, state.memory, truth, dt)[0]
 
     def _truth(self, state: State, command: Command) -> tuple[Output, Float[Array, ""]]:
         """What is, before any instrument reads it, and the instant that a reading takes [s]."""
@@ -246,8 +246,8 @@ class Simulator(eqx.Module):
         piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
         return self._output(state, sand.at[:2].add(piled), zeta), dt
 
-    def _moment(self, state: State, command: Command, dt: Float[Array, ""]) -> Moment:
-        return Moment(
+    def _moment(self, state: State, command: Command, dt: Float[Array, ""]) -> StepContext:
+        return StepContext(
             state.time,
             dt,
             state.position,

@@ -46,7 +46,7 @@ class Trial(eqx.Module):
         cls,
         simulator: Simulator,
         start: State,
-        command: record.Command,
+        command: record.RecordedCommand,
         step: float,
         interval: float = ROW_INTERVAL,
     ) -> "Trial":

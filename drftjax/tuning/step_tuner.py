@@ -153,13 +153,13 @@ class Tick(eqx.Module):
     output: Output
 
 
-def tunable(simulator: Simulator) -> Simulator:
+def with_zeta_per_step(simulator: Simulator) -> Simulator:
     """The same simulator, its wheel cut, that takes zeta from each step's command."""
     terrain = dataclasses.replace(simulator.terrain, zeta=PerStepZeta())
     return dataclasses.replace(simulator, terrain=terrain).prepared()
 
 
-def begun(tuner: AbstractTuner, loop: Loop) -> Loop:
+def with_tuner_memory(tuner: AbstractTuner, loop: Loop) -> Loop:
     """The loop as it is, or with what the tuner remembers at a start where it has no memory."""
     if jax.tree.leaves(loop.memory):
         return loop
@@ -216,12 +216,12 @@ def replay(
     Returns:
         The loop at the end, and every tick.
     """
-    simulator = tunable(simulator)
+    simulator = with_zeta_per_step(simulator)
 
     def tick(loop: Loop, inputs: tuple[Command, Array]) -> tuple[Loop, Tick]:
         return tuned_tick(simulator, tuner, loop, *inputs)
 
-    return jax.lax.scan(tick, begun(tuner, start), (commands, recorded))
+    return jax.lax.scan(tick, with_tuner_memory(tuner, start), (commands, recorded))
 
 
 def tick_commands(

@@ -47,12 +47,12 @@ def ports(
 ) -> None:
     """List serial ports, and which of them answer HELLO."""
     from drftjax.common.arrays import require_between
-    from hils.link.ports import Listed, latency_timer, require_baud_rate
+    from hils.link.ports import ListedPort, latency_timer, require_baud_rate
     from hils.link.ports import ports as listed
 
     require_baud_rate(baud)
     require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")
-    found = [Listed(name, "") for name in names] if names else listed()
+    found = [ListedPort(name, "") for name in names] if names else listed()
     if not found:
         typer.echo("there is no serial port")
     answered = not hello

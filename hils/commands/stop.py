@@ -31,7 +31,7 @@ def stop(
 ) -> None:
     """Stop the runs that are under way on this computer."""
     from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
-    from hils.procedure.active_runs import ended, runs_under_way, tell
+    from hils.procedure.active_runs import runs_under_way, send_signal, wait_until_ended
     from hils.recording.recorder import CLOSE_LIMIT
 
     every = runs_under_way()
@@ -44,15 +44,15 @@ def stop(
             else "no run of this user's is under way on this computer"
         )
     for run in runs:  # all of them first, then wait
-        tell(run, EMERGENCY_SIGNAL if now else STOP_SIGNAL)
+        send_signal(run, EMERGENCY_SIGNAL if now else STOP_SIGNAL)
     for run in runs:
-        if not ended(run, LONGEST_RAMP):
+        if not wait_until_ended(run, LONGEST_RAMP):
             typer.echo(
                 f"the run on {run.port} has not ended in {LONGEST_RAMP:g} s; its file may be being "
                 "closed. Where the rig does not rest, use its emergency stop",
                 err=True,
             )
-            if not ended(run, CLOSE_LIMIT):
+            if not wait_until_ended(run, CLOSE_LIMIT):
                 raise InputError(
                     f"the run on {run.port} (process {run.pid}) has not ended in "
                     f"{LONGEST_RAMP + CLOSE_LIMIT:g} s; use the rig's emergency stop"

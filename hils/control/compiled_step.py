@@ -19,7 +19,13 @@ from drftjax.physics.command import Command
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import vertical_support
-from drftjax.tuning.step_tuner import AbstractTuner, Loop, begun, tunable, tuned_tick
+from drftjax.tuning.step_tuner import (
+    AbstractTuner,
+    Loop,
+    tuned_tick,
+    with_tuner_memory,
+    with_zeta_per_step,
+)
 
 Packed = NDArray[np.float64]
 
@@ -27,7 +33,7 @@ Packed = NDArray[np.float64]
 NO_READING = float("nan")
 
 
-class Answer(NamedTuple):
+class StepResult(NamedTuple):
     """What a tick says, as plain numbers.
 
     Attributes:
@@ -49,7 +55,7 @@ class Answer(NamedTuple):
     slip: float
 
 
-NUMBERS = len(Answer._fields)
+NUMBERS = len(StepResult._fields)
 
 
 class CompiledStep:
@@ -69,12 +75,12 @@ class CompiledStep:
             raise InputError("the loop computes in float64; set jax_enable_x64 before it is built")
         self.tick = float(tuner.tick)
         self.substeps = substeps
-        simulator = tunable(simulator)
+        simulator = with_zeta_per_step(simulator)
 
         def start(state: State, zeta: Float[Array, ""]) -> Loop:
             still = jnp.zeros_like(zeta)
             state = simulator.remembered(state, Command(still, still, zeta))
-            return begun(tuner, Loop(state, zeta))
+            return with_tuner_memory(tuner, Loop(state, zeta))
 
         example = start(State.at_rest(0.01), as_real(1.0))
         leaves, tree = jax.tree.flatten(example)
@@ -141,6 +147,6 @@ class CompiledStep:
         return np.array(self._tick(packed, given))
 
     @staticmethod
-    def answer(packed: Packed) -> Answer:
+    def compute(packed: Packed) -> StepResult:
         """What the tick that ended in this state said."""
-        return Answer(*packed[:NUMBERS].tolist())
+        return StepResult(*packed[:NUMBERS].tolist())

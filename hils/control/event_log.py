@@ -2,7 +2,7 @@
 
 from hils.clock import AbstractClock
 from hils.events import Event
-from hils.recording.sinks import Rows
+from hils.recording.sinks import RowSink
 
 
 class EventLog:
@@ -13,7 +13,7 @@ class EventLog:
         clock: What they are timed by.
     """
 
-    def __init__(self, rows: Rows, clock: AbstractClock):
+    def __init__(self, rows: RowSink, clock: AbstractClock):
         self._rows, self._clock = rows, clock
         self._early: list[tuple[float, int, float]] = []
         self._start: float | None = None

@@ -73,7 +73,7 @@ class Verdict(enum.Enum):
     JUMP_OF_X = "a jump of x"
 
 
-class Watch(NamedTuple):
+class ReadingMonitor(NamedTuple):
     """What the guard remembers of the readings.
 
     Attributes:
@@ -104,9 +104,9 @@ class Watch(NamedTuple):
     x_stuck: bool = False
 
 
-def judge(
-    limits: ReadingLimits, watch: Watch, reading: Reading, omega: float, vx: float = 0.0
-) -> tuple[Watch, Verdict]:
+def check_reading(
+    limits: ReadingLimits, watch: ReadingMonitor, reading: Reading, omega: float, vx: float = 0.0
+) -> tuple[ReadingMonitor, Verdict]:
     """Whether a reading may be used, and what is remembered of it.
 
     Args:
@@ -126,7 +126,7 @@ def judge(
     apart_since = math.nan
     if apart:
         apart_since = time if math.isnan(watch.apart_since) else watch.apart_since
-    after = Watch(
+    after = ReadingMonitor(
         time if verdict is Verdict.USED else watch.time,
         reading.z if verdict is Verdict.USED else watch.z,
         0 if verdict is Verdict.USED else watch.refused + 1,
@@ -143,7 +143,7 @@ def judge(
     return after, verdict
 
 
-def _verdict(limits: ReadingLimits, watch: Watch, reading: Reading) -> Verdict:
+def _verdict(limits: ReadingLimits, watch: ReadingMonitor, reading: Reading) -> Verdict:
     if not limits.lowest <= reading.z <= limits.highest:  # so that NaN is refused too
         return Verdict.OUTSIDE
     since = max(reading.time - watch.time, 0.0)
@@ -155,14 +155,14 @@ def _verdict(limits: ReadingLimits, watch: Watch, reading: Reading) -> Verdict:
     return Verdict.USED
 
 
-class Demand(NamedTuple):
+class RigCommand(NamedTuple):
     """What is asked of the rig: angular velocity [rad/s] and carriage speed [m/s]."""
 
     omega: float
     vx: float
 
 
-REST = Demand(0.0, 0.0)
+REST = RigCommand(0.0, 0.0)
 
 
 class CommandLimits(msgspec.Struct, frozen=True):
@@ -181,9 +181,9 @@ class CommandLimits(msgspec.Struct, frozen=True):
     vx_slew: float = 1.0
 
 
-def limited(
-    limits: CommandLimits, before: Demand, asked: Demand, duration: float
-) -> tuple[Demand, bool] | None:
+def limit_command(
+    limits: CommandLimits, before: RigCommand, asked: RigCommand, duration: float
+) -> tuple[RigCommand, bool] | None:
     """The demand held to the slew limits and whether they held it back; None refuses it.
 
     Args:
@@ -196,7 +196,7 @@ def limited(
         return None
     omega = _slewed(before.omega, asked.omega, limits.omega_slew * duration)
     vx = _slewed(before.vx, asked.vx, limits.vx_slew * duration)
-    held = Demand(omega, vx)
+    held = RigCommand(omega, vx)
     return held, held != asked
 
 

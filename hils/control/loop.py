@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from hils.clock import AbstractClock
 from hils.control.event_log import EventLog
-from hils.control.limits import REST, Demand, Reading, Verdict
-from hils.control.measurements import Listener, Over, Zero, channels
-from hils.control.stop_request import StopRequest, Wish
-from hils.control.tick import AbstractTick, Given, LoopState, Reaction
+from hils.control.limits import REST, Reading, RigCommand, Verdict
+from hils.control.measurements import MeasurementTracker, RigUnresponsive, TouchdownZero, channels
+from hils.control.stop_request import StopReason, StopRequest
+from hils.control.tick import AbstractTick, LoopState, TickInput, TickOutput
 from hils.events import Event, TickFlag
 from hils.link.link import AbstractLink, Arrival
 from hils.link.messages import EMERGENCY, Drive, EmergencyStop, HelloAck
 from hils.recording.row_stream import OnlineRow
-from hils.recording.sinks import Rows
+from hils.recording.sinks import RowSink
 
 # A ramp is over where the wheel is commanded to rest and the carriage all but stands [m/s], or
 # after so much longer than the wheel takes [s].
@@ -94,17 +94,17 @@ class TickLoop:
         conduct: AbstractTick,
         link: AbstractLink,
         clock: AbstractClock,
-        rows: Rows,
+        rows: RowSink,
         log: EventLog,
         stop: StopRequest,
-        zero: Zero,
+        zero: TouchdownZero,
         ack: HelloAck,
         overruns: Overruns,
         valid_ms: int,
     ):
         self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
         self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
-        self._log, self._listener = log, Listener(link, log, zero, ack, self._tick)
+        self._log, self._listener = log, MeasurementTracker(link, log, zero, ack, self._tick)
         self._channels = channels(zero.x_scale)
         self._policy, self._valid_ms = overruns, valid_ms
         # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
@@ -113,7 +113,7 @@ class TickLoop:
         self._busy, self._woken, self._error = np.zeros(room), np.zeros(room), np.zeros(room)
         self._ticks = self._fresh = self._refused = self._missed = self._skipped = self._old = 0
         self._compared = 0
-        self._wish: Wish | None = None
+        self._wish: StopReason | None = None
         self._ramping_since: int | None = None
         self._drops = 0
         self._stuck = self._drive_off = self._x_stuck = False
@@ -133,7 +133,7 @@ class TickLoop:
         try:
             while not self._finished(state):
                 state = self._one(state)
-        except Over as over:
+        except RigUnresponsive as over:
             return self._report(state, str(over), False)
         self._clock.sleep_until(start + state.number * self._tick)
         reason = "completed" if self._wish is None else self._wish.reason
@@ -154,15 +154,15 @@ class TickLoop:
         if skipped:
             self._overrun(woken - (due + tick), skipped)
         self._look_at_requests()
-        arrival, reading = self._listener.hear(woken)
+        arrival, reading = self._listener.poll(woken)
         ramping = self._ramps(number)
 
-        given = Given(reading, skipped, ramping, reading is not None and self._listener.old)
-        state, said = self._conduct.react(state, given)
+        given = TickInput(reading, skipped, ramping, reading is not None and self._listener.old)
+        state, said = self._conduct.step(state, given)
         if said.demand is None:
             self._log.event(Event.DIVERGED, said.after.z)
             asked = f"{said.asked.omega:.4g} rad/s and {said.asked.vx:.4g} m/s"
-            raise Over(f"the simulation asks for {asked}, which the limits refuse")
+            raise RigUnresponsive(f"the simulation asks for {asked}, which the limits refuse")
         seq = self._link.send(Drive(*said.demand, self._conduct.driven, self._valid_ms))
         sent = clock.now()
         over = sent - (start + (number + 1) * tick)
@@ -180,7 +180,7 @@ class TickLoop:
 
     def _record(
         self,
-        said: Reaction,
+        said: TickOutput,
         reading: Reading | None,
         arrival: Arrival | None,
         woken: float,
@@ -237,13 +237,15 @@ class TickLoop:
             self._error[self._compared] = said.after.error
             self._compared += 1
 
-    def _command(self, time: float, demand: Demand) -> None:
+    def _command(self, time: float, demand: RigCommand) -> None:
         if self._conduct.driven:
             self._rows.command(time, demand.omega, demand.vx)
         else:
             self._rows.command(time, demand.omega)
 
-    def _look_at_readings(self, state: LoopState, said: Reaction, reading: Reading | None) -> None:
+    def _look_at_readings(
+        self, state: LoopState, said: TickOutput, reading: Reading | None
+    ) -> None:
         """Events and ends that follow from what the guard found."""
         if reading is not None and said.verdict is not Verdict.USED:
             self._refused += 1
@@ -253,7 +255,7 @@ class TickLoop:
             if state.watch.refused >= most and self._wish is None:
                 why = "" if said.verdict is None else f", the last as {said.verdict.value}"
                 wish = f"{most} readings in a row were refused{why}"
-                self._end(Wish(wish, Event.READINGS_REFUSED_IN_A_ROW, state.watch.refused))
+                self._end(StopReason(wish, Event.READINGS_REFUSED_IN_A_ROW, state.watch.refused))
         if state.watch.stuck != self._stuck:
             self._stuck = state.watch.stuck
             still = state.watch.time - state.watch.still_since
@@ -274,7 +276,7 @@ class TickLoop:
         if self._stop.emergency:
             self._link.send(EmergencyStop(EMERGENCY))
             self._log.note(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)
-            raise Over(self._stop.reason)
+            raise RigUnresponsive(self._stop.reason)
         if self._wish is not None:
             return
         if wish is not None and self._ramping_since is not None:
@@ -282,9 +284,9 @@ class TickLoop:
         elif wish is not None:
             self._end(wish)
         if self._wish is None and not self._rows.alive:
-            self._end(Wish(f"the recorder {self._rows.reason}", Event.FAILED))
+            self._end(StopReason(f"the recorder {self._rows.reason}", Event.FAILED))
 
-    def _end(self, wish: Wish) -> None:
+    def _end(self, wish: StopReason) -> None:
         """From the next tick on, ramp down."""
         self._wish = wish
         self._log.note(wish.event, wish.arg)
@@ -314,7 +316,9 @@ class TickLoop:
         if skipped:
             self._log.event(Event.TICKS_SKIPPED, skipped)
         if self._policy is Overruns.STOP and self._wish is None:
-            self._end(Wish(f"a deadline was missed by {late * 1e3:.3g} ms", Event.FAILED, late))
+            self._end(
+                StopReason(f"a deadline was missed by {late * 1e3:.3g} ms", Event.FAILED, late)
+            )
 
     def _report(self, state: LoopState, reason: str, completed: bool) -> LoopReport:
         dropped = self._link.quality().dropped - self._drops

@@ -119,7 +119,7 @@ class LoopPhysics:
         """Length of the profile."""
         return len(self.omega)
 
-    def warm(self, start: Start, ticks: int = 20) -> None:
+    def precompile(self, start: Start, ticks: int = 20) -> None:
         """Step a little beforehand, so that the first tick takes no longer than any other."""
         packed = self.begin(start)
         for number in range(ticks):

@@ -14,11 +14,11 @@ from hils.link.messages import (
     Measurement,
     RigState,
     StateReport,
-    told,
+    reason_in_words,
 )
 
 
-class Zero(NamedTuple):
+class TouchdownZero(NamedTuple):
     """Counts at touch-down, and what a count is worth.
 
     Attributes:
@@ -54,7 +54,7 @@ SILENCE, SILENT_TICKS = 0.25, 5
 STALE_TICKS, STALE_TIME = 5, 0.03
 
 
-class Over(Exception):
+class RigUnresponsive(Exception):
     """The rig no longer follows: nothing is left to ramp."""
 
 
@@ -63,7 +63,7 @@ def longest_silence(tick: float) -> float:
     return max(SILENCE, SILENT_TICKS * tick)
 
 
-class Listener:
+class MeasurementTracker:
     """Hears the rig on each tick.
 
     Args:
@@ -80,7 +80,9 @@ class Listener:
             line that holds all back alike is seen by nothing else.
     """
 
-    def __init__(self, link: AbstractLink, log: EventLog, zero: Zero, ack: HelloAck, tick: float):
+    def __init__(
+        self, link: AbstractLink, log: EventLog, zero: TouchdownZero, ack: HelloAck, tick: float
+    ):
         self._link, self._log, self._zero, self._ack = link, log, zero, ack
         self._tick, self._start = tick, 0.0
         self._seen: Arrival | None = None
@@ -96,7 +98,7 @@ class Listener:
         if self._seen is not None:
             self.rig_us = self._seen.frame.t_us
 
-    def hear(self, now: float) -> tuple[Arrival | None, Reading | None]:
+    def poll(self, now: float) -> tuple[Arrival | None, Reading | None]:
         """The newest arrival, and its reading where it was not seen before.
 
         Raises:
@@ -117,7 +119,7 @@ class Listener:
             if not self._stale:
                 self._log.event(Event.READINGS_STALE, age)
             if silent > longest_silence(self._tick):
-                raise Over(f"the rig has sent no measurement for {silent:.2f} s")
+                raise RigUnresponsive(f"the rig has sent no measurement for {silent:.2f} s")
         self._stale = age > stale
         if arrival is None:
             return None, None
@@ -128,7 +130,7 @@ class Listener:
         assert isinstance(measurement, Measurement)
         if measurement.fault:
             self._log.note(Event.RIG_FAULT, measurement.fault)
-            raise Over(f"the rig reports fault {measurement.fault}")
+            raise RigUnresponsive(f"the rig reports fault {measurement.fault}")
         self._require_obeying(measurement.state)
         t_us = arrival.frame.t_us
         self.rig_us = t_us if self.rig_us is None else self.rig_us + (t_us - self.rig_us) % 2**32
@@ -147,8 +149,8 @@ class Listener:
         if isinstance(message, EmergencyStop):
             self._link.send(message)
             self._log.note(Event.EMERGENCY_STOP, message.reason)
-            why = told(self._ack.rig_id, message.reason)
-            raise Over(f"the rig made an emergency stop, {why}")
+            why = reason_in_words(self._ack.rig_id, message.reason)
+            raise RigUnresponsive(f"the rig made an emergency stop, {why}")
         if isinstance(message, StateReport | HelloAck):
             if message.boot_id != self._ack.boot_id:
                 self._reset(message.boot_id)
@@ -158,8 +160,8 @@ class Listener:
     def _require_obeying(self, state: RigState, reason: int | None = None) -> None:
         if state not in READY:
             self._log.note(Event.RIG_STATE, state)
-            why = "" if reason is None else f", {told(self._ack.rig_id, reason)}"
-            raise Over(f"the rig went {state.name}{why}")
+            why = "" if reason is None else f", {reason_in_words(self._ack.rig_id, reason)}"
+            raise RigUnresponsive(f"the rig went {state.name}{why}")
 
     def _look_for_reset(self) -> None:
         stranger = self._link.quality().stranger
@@ -168,4 +170,4 @@ class Listener:
 
     def _reset(self, boot_id: int) -> None:
         self._log.note(Event.RIG_RESET, boot_id)
-        raise Over("the rig was reset")
+        raise RigUnresponsive("the rig was reset")

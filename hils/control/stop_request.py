@@ -30,7 +30,7 @@ WISHES = {
 EVENTS = {STOP_SIGNAL: Event.STOP_ASKED}
 
 
-class Wish(NamedTuple):
+class StopReason(NamedTuple):
     """Why the run is to end.
 
     Attributes:
@@ -55,7 +55,7 @@ class StopRequest:
     """
 
     def __init__(self):
-        self.wish: Wish | None = None
+        self.wish: StopReason | None = None
         self.emergency = False
         self.uncut = False
 
@@ -67,7 +67,7 @@ class StopRequest:
             return why
         return f"emergency stop: {why}" if why else "emergency stop"
 
-    def ask(self, wish: Wish, emergency: bool = False) -> None:
+    def ask(self, wish: StopReason, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
         self.emergency = self.emergency or emergency or self.wish is not None
         self.wish = self.wish or wish
@@ -83,7 +83,7 @@ class StopRequest:
             kind = signal.Signals(number)
             emergency = kind in EMERGENCIES
             event = Event.EMERGENCY_STOP if emergency else EVENTS.get(kind, Event.INTERRUPTED)
-            self.ask(Wish(WISHES[kind], event, number), emergency)
+            self.ask(StopReason(WISHES[kind], event, number), emergency)
             if not self.uncut:
                 raise KeyboardInterrupt
 

@@ -17,8 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hils.control.compiled_step import NO_READING, NUMBERS, Answer, CompiledStep, Packed
-from hils.control.limits import REST, Demand, Reading, Verdict, Watch, judge, limited
+from hils.control.compiled_step import NO_READING, NUMBERS, CompiledStep, Packed, StepResult
+from hils.control.limits import (
+    REST,
+    Reading,
+    ReadingMonitor,
+    RigCommand,
+    Verdict,
+    check_reading,
+    limit_command,
+)
 from hils.control.loop_config import LoopPhysics, LoopSetUp, Start, profile
 
 
@@ -35,12 +43,12 @@ class LoopState(NamedTuple):
 
     number: int
     packed: Packed
-    watch: Watch
-    demand: Demand
+    watch: ReadingMonitor
+    demand: RigCommand
     tuned: int
 
 
-class Given(NamedTuple):
+class TickInput(NamedTuple):
     """What a tick is given.
 
     Attributes:
@@ -56,7 +64,7 @@ class Given(NamedTuple):
     old: bool = False
 
 
-class Reaction(NamedTuple):
+class TickOutput(NamedTuple):
     """What a tick says.
 
     Attributes:
@@ -72,11 +80,11 @@ class Reaction(NamedTuple):
     """
 
     number: int
-    held: Demand
-    before: Answer
-    after: Answer
-    demand: Demand | None
-    asked: Demand
+    held: RigCommand
+    before: StepResult
+    after: StepResult
+    demand: RigCommand | None
+    asked: RigCommand
     limited: bool
     verdict: Verdict | None
     tuned: bool
@@ -105,7 +113,7 @@ class AbstractTick(abc.ABC):
         """The state before the first tick, the wheel at rest."""
 
     @abc.abstractmethod
-    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+    def step(self, state: LoopState, given: TickInput) -> tuple[LoopState, TickOutput]:
         """Judge the reading, and say what to ask of the rig.
 
         Args:
@@ -139,12 +147,12 @@ class TunedTick(AbstractTick):
     def begin(self, start: Start) -> LoopState:
         return begin(self._physics, start)
 
-    def warm(self, start: Start) -> None:
+    def precompile(self, start: Start) -> None:
         """Step a little beforehand, so that the first tick takes no longer than any other."""
-        self._physics.warm(start)
+        self._physics.precompile(start)
 
-    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
-        return react(self._physics, state, given)
+    def step(self, state: LoopState, given: TickInput) -> tuple[LoopState, TickOutput]:
+        return step_tick(self._physics, state, given)
 
 
 class FreeTick(AbstractTick):
@@ -173,15 +181,15 @@ class FreeTick(AbstractTick):
     def begin(self, start: Start) -> LoopState:
         return _at_rest(np.zeros(NUMBERS), start, self._loop)
 
-    def react(self, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+    def step(self, state: LoopState, given: TickInput) -> tuple[LoopState, TickOutput]:
         loop, number = self._loop, state.number + given.skipped
         watch, verdict = _judged(loop, state, given)
         omega = _omega(loop, self._omega, number, state.demand, given.ramping)
-        asked = Demand(float(omega[-1]), 0.0)
-        allowed = limited(loop.commands, state.demand, asked, loop.tick)
+        asked = RigCommand(float(omega[-1]), 0.0)
+        allowed = limit_command(loop.commands, state.demand, asked, loop.tick)
         demand, held_back = (None, True) if allowed is None else allowed
-        still = CompiledStep.answer(state.packed)
-        said = Reaction(
+        still = CompiledStep.compute(state.packed)
+        said = TickOutput(
             number, state.demand, still, still, demand, asked, held_back, verdict, False
         )
         after = LoopState(number + 1, state.packed, watch, demand or state.demand, number)
@@ -193,7 +201,9 @@ def begin(physics: LoopPhysics, start: Start) -> LoopState:
     return _at_rest(physics.begin(start), start, physics.loop)
 
 
-def react(physics: LoopPhysics, state: LoopState, given: Given) -> tuple[LoopState, Reaction]:
+def step_tick(
+    physics: LoopPhysics, state: LoopState, given: TickInput
+) -> tuple[LoopState, TickOutput]:
     """Judge the reading, tune, simulate to the tick's end, and say what to ask of the rig.
 
     Args:
@@ -214,36 +224,42 @@ def react(physics: LoopPhysics, state: LoopState, given: Given) -> tuple[LoopSta
     if given.reading is not None and verdict is Verdict.USED and due:
         sinkage, tuned = -given.reading.z, number
 
-    before = step.answer(packed)
+    before = step.compute(packed)
     wanted = _omega(loop, physics.omega, number, state.demand, given.ramping)
     # What is simulated is what will be asked for, so a limit on omega comes before the step.
-    turning = limited(loop.commands, state.demand, Demand(wanted[-1], state.demand.vx), loop.tick)
+    turning = limit_command(
+        loop.commands, state.demand, RigCommand(wanted[-1], state.demand.vx), loop.tick
+    )
     if turning is not None and turning[1]:
         wanted = _even(state.demand.omega, turning[0].omega, step.substeps)
     packed = step(packed, sinkage, wanted)
-    after = step.answer(packed)
+    after = step.compute(packed)
 
-    asked = Demand(float(wanted[-1]), after.vx)
-    allowed = limited(loop.commands, state.demand, asked, loop.tick)
+    asked = RigCommand(float(wanted[-1]), after.vx)
+    allowed = limit_command(loop.commands, state.demand, asked, loop.tick)
     demand, held_back = (None, True) if turning is None or allowed is None else allowed
     held_back = held_back or (turning is not None and turning[1])
     changed = after.zeta != before.zeta
-    said = Reaction(number, state.demand, before, after, demand, asked, held_back, verdict, changed)
+    said = TickOutput(
+        number, state.demand, before, after, demand, asked, held_back, verdict, changed
+    )
     return LoopState(number + 1, packed, watch, demand or state.demand, tuned), said
 
 
 def _at_rest(packed: Packed, start: Start, loop: LoopSetUp) -> LoopState:
-    return LoopState(0, packed, Watch(0.0, -start.sinkage), REST, -loop.tuning_ticks)
+    return LoopState(0, packed, ReadingMonitor(0.0, -start.sinkage), REST, -loop.tuning_ticks)
 
 
-def _judged(loop: LoopSetUp, state: LoopState, given: Given) -> tuple[Watch, Verdict | None]:
+def _judged(
+    loop: LoopSetUp, state: LoopState, given: TickInput
+) -> tuple[ReadingMonitor, Verdict | None]:
     if given.reading is None:
         return state.watch, None
-    return judge(loop.readings, state.watch, given.reading, *state.demand)
+    return check_reading(loop.readings, state.watch, given.reading, *state.demand)
 
 
 def _omega(
-    loop: LoopSetUp, table: np.ndarray, number: int, demand: Demand, ramping: bool
+    loop: LoopSetUp, table: np.ndarray, number: int, demand: RigCommand, ramping: bool
 ) -> np.ndarray:
     """Angular velocity at the end of each substep [rad/s]."""
     if not ramping and number < len(table):

@@ -26,7 +26,7 @@ from hils.control.stop_request import StopRequest
 from hils.experiment.spectrum import Spectrum, order, spectrum
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, RunReport, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import BedSetUp, VirtualSetUp
 from hils.rig_sim.in_process import QUICK, soft_rig
 
@@ -93,7 +93,7 @@ class Experiment:
             raise InputError(f"runs is {self.runs}, must be at least 1")
 
 
-class Track(NamedTuple):
+class Trajectory(NamedTuple):
     """A trajectory, on the ticks.
 
     Attributes:
@@ -117,8 +117,8 @@ class HilsRun:
 
     seed: int
     start: Start
-    simulated: Track
-    measured: Track
+    simulated: Trajectory
+    measured: Trajectory
     zeta: Values
 
     @property
@@ -144,11 +144,11 @@ class FreeRun:
 
     seed: int
     start: Start
-    measured: Track
-    predicted: Track
+    measured: Trajectory
+    predicted: Trajectory
 
 
-class Apart(NamedTuple):
+class TrajectoryDistance(NamedTuple):
     """How far one trajectory is from another, RMS [m], in four readings of "distance".
 
     Attributes:
@@ -165,7 +165,7 @@ class Apart(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Result:
+class ExperimentResult:
     """The experiment made.
 
     Attributes:
@@ -181,7 +181,7 @@ class Result:
     hils: tuple[HilsRun, ...]
     free: tuple[FreeRun, ...]
 
-    def means(self) -> dict[str, Track]:
+    def means(self) -> dict[str, Trajectory]:
         """Mean trajectory over the runs: HILS (sim), HILS (real), DRFT and free."""
         return {
             "HILS (sim)": mean([each.simulated for each in self.hils]),
@@ -190,11 +190,11 @@ class Result:
             "free": mean([each.measured for each in self.free]),
         }
 
-    def apart(self) -> dict[str, Apart]:
+    def distances(self) -> dict[str, TrajectoryDistance]:
         """Each mean trajectory's distance from the mean free one."""
         means = self.means()
         free = means.pop("free")
-        return {name: apart(path, free) for name, path in means.items()}
+        return {name: trajectory_distance(path, free) for name, path in means.items()}
 
     def steady(self) -> tuple[slice, float]:
         """The ticks of the longest stretch at the top speed, and that speed [rad/s]."""
@@ -243,7 +243,7 @@ class Result:
             "close": sum(each.rmse < CLOSE for each in self.hils),
             "from_free_mm": {
                 name: {kind: value * 1e3 for kind, value in found._asdict().items()}
-                for name, found in self.apart().items()
+                for name, found in self.distances().items()
             },
             "paper_mm": {"HILS-DRFT": PAPER_HILS * 1e3, "DRFT": PAPER_DRFT * 1e3},
             "free_scatter_z_mm": self.scatter() * 1e3,
@@ -267,7 +267,7 @@ class Result:
         return rms(np.std([each.measured.z for each in self.free], axis=0, ddof=1))
 
 
-def make(experiment: Experiment, tell: Tell = lambda said: None) -> Result:
+def make(experiment: Experiment, tell: Tell = lambda said: None) -> ExperimentResult:
     """Make the HILS runs and the free ones, one after the other, in virtual time.
 
     Args:
@@ -290,7 +290,7 @@ def make(experiment: Experiment, tell: Tell = lambda said: None) -> Result:
         tell(f"free run {number + 1} of {experiment.runs}")
         # Other beds than the HILS runs had, as in a laboratory.
         free.append(free_run(experiment, experiment.seed + experiment.runs + number))
-    return Result(experiment, time, omega, tuple(hils), tuple(free))
+    return ExperimentResult(experiment, time, omega, tuple(hils), tuple(free))
 
 
 def hils_run(experiment: Experiment, seed: int) -> HilsRun:
@@ -298,7 +298,7 @@ def hils_run(experiment: Experiment, seed: int) -> HilsRun:
     start, rows = _made(experiment, seed, free=False)
     online = np.array(rows.ticks)[: shared_physics(experiment.loop).ticks]
     time, zeta, x, z = online[:, :4].T
-    return HilsRun(seed, start, Track(x, z), _measured(rows, time), zeta)
+    return HilsRun(seed, start, Trajectory(x, z), _measured(rows, time), zeta)
 
 
 def free_run(experiment: Experiment, seed: int) -> FreeRun:
@@ -309,16 +309,16 @@ def free_run(experiment: Experiment, seed: int) -> FreeRun:
     return FreeRun(seed, start, _measured(rows, time), predicted)
 
 
-def drft(loop: LoopSetUp, start: Start) -> Track:
+def drft(loop: LoopSetUp, start: Start) -> Trajectory:
     """The loop's simulation over its profile with zeta held, on the ticks."""
     held = TunerSetUp("step", {"zeta_step": 0.0})
     physics = shared_physics(msgspec.structs.replace(loop, tuner=held))
     packed, places = physics.begin(start), []
     for omega in physics.omega:
-        said = physics.step.answer(packed)
+        said = physics.step.compute(packed)
         places.append((said.x, said.z))
         packed = physics.step(packed, NO_READING, omega)
-    return Track(*np.array(places).T)
+    return Trajectory(*np.array(places).T)
 
 
 def by_tick(
@@ -364,12 +364,14 @@ def rms(values: Values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def mean(paths: list[Track]) -> Track:
+def mean(paths: list[Trajectory]) -> Trajectory:
     """The mean place at each time."""
-    return Track(*(np.mean([getattr(path, axis) for path in paths], axis=0) for axis in ("x", "z")))
+    return Trajectory(
+        *(np.mean([getattr(path, axis) for path in paths], axis=0) for axis in ("x", "z"))
+    )
 
 
-def apart(path: Track, other: Track) -> Apart:
+def trajectory_distance(path: Trajectory, other: Trajectory) -> TrajectoryDistance:
     """How far two trajectories are from each other, RMS over the run [m]."""
     dx, dz = path.x - other.x, path.z - other.z
     # Travel the way that the wheel goes farther; what is taken twice, as noise at rest has it, or a
@@ -378,14 +380,14 @@ def apart(path: Track, other: Track) -> Apart:
     travel, others = (np.maximum.accumulate(way * each.x) for each in (path, other))
     place = np.linspace(0.0, min(travel[-1], others[-1]), 1000)
     course = np.interp(place, travel, path.z) - np.interp(place, others, other.z)
-    return Apart(rms(np.hypot(dx, dz)), rms(dz), rms(dx), rms(course))
+    return TrajectoryDistance(rms(np.hypot(dx, dz)), rms(dz), rms(dx), rms(course))
 
 
 # Runs ---------------------------------------------------------------------------------------------
 
 
-def _made(experiment: Experiment, seed: int, free: bool) -> tuple[Start, KeptRows]:
-    soft, rows = soft_rig(experiment.rig, seed=seed), KeptRows()
+def _made(experiment: Experiment, seed: int, free: bool) -> tuple[Start, InMemorySink]:
+    soft, rows = soft_rig(experiment.rig, seed=seed), InMemorySink()
     procedure = Procedure(loop=experiment.loop, free=free)
     report = run(procedure, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
     return _begun(report, seed), rows
@@ -397,6 +399,6 @@ def _begun(report: RunReport, seed: int) -> Start:
     return report.start
 
 
-def _measured(rows: KeptRows, time: Values) -> Track:
+def _measured(rows: InMemorySink, time: Values) -> Trajectory:
     told, x, z = np.array(rows.readings).T
-    return Track(np.interp(time, told, x), np.interp(time, told, z))
+    return Trajectory(np.interp(time, told, x), np.interp(time, told, z))

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hils.experiment.experiment import PAPER_RIPPLE, Result
+from hils.experiment.experiment import PAPER_RIPPLE, ExperimentResult
 from hils.experiment.spectrum import order
 
 MM = 1e3
@@ -16,7 +16,7 @@ COLOURS = {"HILS (sim)": "C0", "HILS (real)": "C1", "DRFT": "C3", "free": "0.2"}
 FASTEST_SHOWN = 6.0
 
 
-def runs_figure(result: Result) -> Figure:
+def runs_figure(result: ExperimentResult) -> Figure:
     """Like fig. 7: z of HILS (sim) and HILS (real), their difference, and zeta, over time."""
     figure = Figure(figsize=(7.5, 7.5), layout="constrained")
     above, middle, below = figure.subplots(3, 1, sharex=True)
@@ -40,11 +40,11 @@ def runs_figure(result: Result) -> Figure:
     return figure
 
 
-def trajectory_figure(result: Result) -> Figure:
+def trajectory_figure(result: ExperimentResult) -> Figure:
     """Like fig. 8: mean trajectories z(x), and the band of the free runs."""
     figure = Figure(figsize=(7.5, 4.2), layout="constrained")
     axes = figure.subplots()
-    means, apart = result.means(), result.apart()
+    means, apart = result.means(), result.distances()
     free = means["free"]
     # Runs are compared at equal time, and drawn at the mean travel of that time.
     heights = MM * np.array([each.measured.z for each in result.free])
@@ -61,7 +61,7 @@ def trajectory_figure(result: Result) -> Figure:
     return figure
 
 
-def ripple_figure(result: Result) -> Figure:
+def ripple_figure(result: ExperimentResult) -> Figure:
     """Amplitude spectra at the steady speed, mean over the HILS runs."""
     _, top = result.steady()
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
@@ -85,7 +85,7 @@ def ripple_figure(result: Result) -> Figure:
     return figure
 
 
-def mark(axes: Axes, result: Result) -> None:
+def mark(axes: Axes, result: ExperimentResult) -> None:
     """Lines where the grousers pass, and at the frequency that the paper reports."""
     _, top = result.steady()
     grousers = result.experiment.rig.wheel.grouser_count * top / (2 * np.pi)
@@ -93,7 +93,7 @@ def mark(axes: Axes, result: Result) -> None:
     axes.axvline(PAPER_RIPPLE, color="k", lw=0.8, ls="--", label=f"the paper's {PAPER_RIPPLE} Hz")
 
 
-def tolerance_of(result: Result) -> float:
+def tolerance_of(result: ExperimentResult) -> float:
     """The tuner's dead band [m]; 0 where it has none."""
     loop = result.experiment.loop
     return float(getattr(loop.tuner.build(loop.tick), "tolerance", 0.0))

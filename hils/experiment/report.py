@@ -4,13 +4,13 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from hils.experiment.experiment import CLOSE, PAPER_DRFT, PAPER_HILS, HilsRun, Result
+from hils.experiment.experiment import CLOSE, PAPER_DRFT, PAPER_HILS, ExperimentResult, HilsRun
 from hils.experiment.spectrum import order
 
 MM = 1e3
 
 
-def report(result: Result, ticks: Mapping[float, HilsRun]) -> str:
+def report(result: ExperimentResult, ticks: Mapping[float, HilsRun]) -> str:
     """Every table.
 
     Args:
@@ -23,7 +23,7 @@ def report(result: Result, ticks: Mapping[float, HilsRun]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def runs_table(result: Result) -> str:
+def runs_table(result: ExperimentResult) -> str:
     """One row for each HILS run."""
     rows = [
         (
@@ -42,7 +42,7 @@ def runs_table(result: Result) -> str:
     return f"{table(head, rows)}\n\n{said}{close} of {len(rows)}."
 
 
-def trajectory_table(result: Result) -> str:
+def trajectory_table(result: ExperimentResult) -> str:
     """Distances of the mean trajectories from the mean free one."""
     paper = {"HILS (sim)": PAPER_HILS, "DRFT": PAPER_DRFT}
     rows = [
@@ -51,14 +51,14 @@ def trajectory_table(result: Result) -> str:
             *(f"{MM * value:.2f}" for value in found),
             f"{MM * paper[name]:.1f}" if name in paper else "-",
         )
-        for name, found in result.apart().items()
+        for name, found in result.distances().items()
     ]
     head = ("mean of", "in the plane, mm", "z(t), mm", "x(t), mm", "z(x), mm", "the paper's, mm")
     scatter = f"Free runs differ from each other by {MM * result.scatter():.2f} mm in z (sd)."
     return f"{table(head, rows)}\n\n{scatter}"
 
 
-def lines_table(result: Result) -> str:
+def lines_table(result: ExperimentResult) -> str:
     """The three strongest lines of each spectrum at the steady speed."""
     _, top = result.steady()
     rows = []

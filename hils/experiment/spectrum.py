@@ -19,7 +19,7 @@ LOBE = 2.0
 TINY = 1e-300
 
 
-class Line(NamedTuple):
+class SpectralLine(NamedTuple):
     """One peak: its frequency [Hz], and the amplitude of the sinusoid that would make it."""
 
     frequency: float
@@ -43,11 +43,11 @@ class Spectrum(NamedTuple):
         """The amplitude at a frequency [Hz]."""
         return float(np.interp(frequency, self.frequency, self.amplitude))
 
-    def lines(self, count: int = 3) -> list[Line]:
+    def lines(self, count: int = 3) -> list[SpectralLine]:
         """The largest peaks, largest first, each at least a resolution from those before it."""
         inner = self.amplitude[1:-1]
         peak = (inner > self.amplitude[:-2]) & (inner >= self.amplitude[2:])
-        found: list[Line] = []
+        found: list[SpectralLine] = []
         for place in sorted(np.flatnonzero(peak) + 1, key=lambda each: -self.amplitude[each]):
             line = self._line(int(place))
             near = [abs(line.frequency - each.frequency) < self.resolution for each in found]
@@ -57,14 +57,14 @@ class Spectrum(NamedTuple):
                 break
         return found
 
-    def _line(self, place: int) -> Line:
+    def _line(self, place: int) -> SpectralLine:
         """The top of the parabola through a peak and its neighbours, in decibels."""
         low, top, high = np.log(np.maximum(self.amplitude[place - 1 : place + 2], TINY))
         bend = low - 2 * top + high
         shift = 0.0 if bend >= 0 else 0.5 * (low - high) / bend
         step = self.frequency[1]
         height = top - 0.25 * (low - high) * shift
-        return Line(float(self.frequency[place] + shift * step), float(np.exp(height)))
+        return SpectralLine(float(self.frequency[place] + shift * step), float(np.exp(height)))
 
 
 def spectrum(values: NDArray[np.floating], interval: float) -> Spectrum:

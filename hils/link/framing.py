@@ -18,7 +18,7 @@ from hils.link.messages import (
 OWN = 16
 
 
-class Splitter:
+class FrameSplitter:
     """Cuts a stream of bytes at its delimiters; keeps no more than one frame's worth of it."""
 
     def __init__(self):
@@ -54,7 +54,7 @@ class Receiver:
 
     def __init__(self, accepts: tuple[type, ...]):
         self._accepts = frozenset(accepts)
-        self._splitter = Splitter()
+        self._splitter = FrameSplitter()
         self._session: int | None = None
         self._last: int | None = None
         self._own: deque[Frame] = deque(maxlen=OWN)

@@ -19,7 +19,7 @@ from hils.link.messages import (
     Message,
     StateReport,
 )
-from hils.link.send_queue import Outbox
+from hils.link.send_queue import SendQueue
 
 # More than a rig says in a session; a rig that babbles loses its oldest words, but no emergency
 # stop: a question to the operator may stay open for long.
@@ -198,7 +198,7 @@ class Inbox:
         del self._reports[0 if all(stops) else stops.index(False)]
 
 
-def quality_of(time: float, inbox: Inbox, outbox: Outbox) -> LinkQuality:
+def quality_of(time: float, inbox: Inbox, outbox: SendQueue) -> LinkQuality:
     """The counts of a link's two ends."""
     receiver = inbox.receiver
     return LinkQuality(
@@ -214,7 +214,7 @@ def quality_of(time: float, inbox: Inbox, outbox: Outbox) -> LinkQuality:
     )
 
 
-class RigInTime(Protocol):
+class SteppedRig(Protocol):
     """A rig, or rig and line, that lives in whatever time it is told.
 
     Times never go back, and the same time may be told again.
@@ -229,7 +229,7 @@ class RigInTime(Protocol):
         ...
 
 
-class SoftLink(AbstractLink):
+class InProcessLink(AbstractLink):
     """A link without threads, in the caller's time: what is sent arrives at once.
 
     Args:
@@ -239,9 +239,9 @@ class SoftLink(AbstractLink):
         name: What errors call it.
     """
 
-    def __init__(self, rig: RigInTime, clock: AbstractClock, name: str = "the virtual rig"):
+    def __init__(self, rig: SteppedRig, clock: AbstractClock, name: str = "the virtual rig"):
         self._rig, self._clock, self._name = rig, clock, name
-        self._inbox, self._outbox = Inbox(), Outbox()
+        self._inbox, self._outbox = Inbox(), SendQueue()
         self._lost: str | None = None
         self._carried = isinstance(clock, VirtualClock)
         if isinstance(clock, VirtualClock):

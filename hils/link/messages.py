@@ -371,7 +371,7 @@ MEANINGS = {
 }
 
 
-def told(rig_id: int, reason: int) -> str:
+def reason_in_words(rig_id: int, reason: int) -> str:
     """A rig's reason, in words where they are known: other rigs have numbers of their own."""
     if rig_id != VIRTUAL_RIG:
         return f"reason {reason} (see its firmware)"

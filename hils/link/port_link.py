@@ -9,7 +9,7 @@ from hils.clock import AbstractClock, MonotonicClock
 from hils.link.link import AbstractLink, Arrival, Inbox, LinkLost, LinkQuality, quality_of
 from hils.link.messages import Message
 from hils.link.ports import AbstractPort
-from hils.link.send_queue import Outbox
+from hils.link.send_queue import SendQueue
 
 CHUNK = 4096  # read at once [bytes]
 
@@ -60,7 +60,7 @@ class PortLink(AbstractLink):
         self._port = port
         self._clock = clock if clock is not None else MonotonicClock()
         self._started = started
-        self._inbox, self._outbox = Inbox(), Outbox(first_number(time.time()))
+        self._inbox, self._outbox = Inbox(), SendQueue(first_number(time.time()))
         self._changed = threading.Condition()
         self._rest = b""
         self._lost: str | None = None

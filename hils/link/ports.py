@@ -368,18 +368,18 @@ def _connected(url: str) -> socket.socket:
         raise LinkLost(f"{url} cannot be opened: {_cause(error)}") from error
 
 
-class Listed(NamedTuple):
+class ListedPort(NamedTuple):
     """A serial port of this machine: its name, and what its adapter says that it is."""
 
     name: str
     description: str
 
 
-def ports() -> list[Listed]:
+def ports() -> list[ListedPort]:
     """The serial ports of this machine, by name."""
     from serial.tools.list_ports import comports
 
-    found = [Listed(each.device, _described(each)) for each in comports()]
+    found = [ListedPort(each.device, _described(each)) for each in comports()]
     return sorted(found)
 
 

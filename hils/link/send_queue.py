@@ -16,7 +16,7 @@ class _Waiting(NamedTuple):
     data: bytes
 
 
-class Outbox:
+class SendQueue:
     """Frames that wait to be sent.
 
     Args:

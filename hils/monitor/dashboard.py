@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hils.events import Phase
-from hils.monitor.status import INTERVAL, Scene
+from hils.monitor.status import INTERVAL, RunStatus
 
 REAL, SIMULATED, BOTH = "bright_cyan", "bright_yellow", "bright_white"
 
@@ -54,15 +54,15 @@ class Point(NamedTuple):
     simulated: float
 
 
-class Picture:
+class Dashboard:
     """The last scene, and those before it."""
 
     def __init__(self):
-        self._scene = Scene()
+        self._scene = RunStatus()
         self._points: deque[Point] = deque(maxlen=2000)
         self._came = -math.inf
 
-    def add(self, scene: Scene, now: float) -> None:
+    def add(self, scene: RunStatus, now: float) -> None:
         """A scene that came at this time [s]."""
         self._scene, self._came = scene, now
         real, simulated = _number(scene.real), _number(scene.simulated)
@@ -202,7 +202,7 @@ def _scale(row: int, height: int, low: float, high: float) -> str:
     return f"{middle * 1e3:6.2f} ┤"
 
 
-def _time(scene: Scene, since: float) -> Text:
+def _time(scene: RunStatus, since: float) -> Text:
     if scene.time is None:
         return Text("")
     time = scene.time
@@ -212,7 +212,7 @@ def _time(scene: Scene, since: float) -> Text:
     return Text(f"{time:.1f}{whole} s", style="bold")
 
 
-def _bar(scene: Scene, width: int) -> Text:
+def _bar(scene: RunStatus, width: int) -> Text:
     done = 0.0
     if scene.time is not None and scene.duration:
         done = min(max(scene.time / scene.duration, 0.0), 1.0)

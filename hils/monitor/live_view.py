@@ -16,9 +16,9 @@ from typing import Final
 import msgspec
 
 from drftjax.common.child_process import program
-from hils.monitor.status import Scene
+from hils.monitor.status import RunStatus
 from hils.monitor.terminal import LEAVE, Keyboard, write
-from hils.procedure.active_runs import UnderWay
+from hils.procedure.active_runs import ActiveRun
 
 PATIENCE: Final = 3.0
 
@@ -39,7 +39,7 @@ class LiveView:
         run: What the stop key ends.
     """
 
-    def __init__(self, run: UnderWay):
+    def __init__(self, run: ActiveRun):
         self._keyboard = Keyboard(_INPUT)
         self._shown = False
         taken, self._pipe = os.pipe()
@@ -63,7 +63,7 @@ class LiveView:
         """The view's process."""
         return self._process.pid
 
-    def show(self, scene: Scene) -> None:
+    def show(self, scene: RunStatus) -> None:
         """Hand a scene over, or drop it."""
         self._shown = True
         if self._pipe >= 0:

@@ -17,12 +17,12 @@ from hils.control.stop_request import StopRequest
 from hils.events import Event, Phase, TickFlag
 from hils.link.link import AbstractLink, LinkQuality
 from hils.monitor.live_view import LiveView
-from hils.monitor.status import INTERVAL, Scene, Words, known, plain
-from hils.procedure.active_runs import UnderWay
-from hils.procedure.operator_prompts import AbstractDialogue
+from hils.monitor.status import INTERVAL, RecentMessages, RunStatus, known, plain
+from hils.procedure.active_runs import ActiveRun
+from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure
 from hils.recording.row_stream import OnlineRow
-from hils.recording.sinks import Rows
+from hils.recording.sinks import RowSink
 
 # A wheel that rolls slower has no slip worth telling [m/s].
 ROLLING = 1e-3
@@ -35,7 +35,7 @@ COUNTED = 1.0
 RAMPING, REFUSED = int(TickFlag.RAMPING), int(TickFlag.REFUSED)
 
 
-class Seen(NamedTuple):
+class RunInfo(NamedTuple):
     """What does not change over a run.
 
     Attributes:
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
     radius: float
 
 
-class Onlooker:
+class RunObserver:
     """Tells a run's scenes.
 
     Args:
@@ -65,8 +65,8 @@ class Onlooker:
 
     def __init__(
         self,
-        run: Seen,
-        show: Callable[[Scene], None],
+        run: RunInfo,
+        show: Callable[[RunStatus], None],
         clock: AbstractClock,
         quality: Callable[[], LinkQuality],
         stop: StopRequest,
@@ -76,7 +76,7 @@ class Onlooker:
         self._quality, self._stop = quality, stop
         self._on = False
         self._due = -math.inf
-        self._words, self._later = Words(), list[str]()
+        self._words, self._later = RecentMessages(), list[str]()
         self._phase, self._time = Phase.CHECKING, math.nan
         self._start = math.nan
         self._counted: LinkQuality | None = None
@@ -87,11 +87,11 @@ class Onlooker:
         self._online: OnlineRow | None = None
         self._latest = 0.0
 
-    def rows(self, rows: Rows) -> Rows:
+    def rows(self, rows: RowSink) -> RowSink:
         """Rows that are recorded as before, and seen."""
         return _SeenRows(rows, self)
 
-    def dialogue(self, dialogue: AbstractDialogue) -> AbstractDialogue:
+    def dialogue(self, dialogue: AbstractPrompts) -> AbstractPrompts:
         """A dialogue that is held on the view while that is there."""
         return _SeenDialogue(dialogue, self)
 
@@ -178,7 +178,7 @@ class Onlooker:
         sent, received, dropped = self._traffic()
         run, online, wish = self._run, self._online, self._stop.wish
         self._show(
-            Scene(
+            RunStatus(
                 phase=self._phase,
                 time=known(self._time),
                 duration=run.duration,
@@ -221,7 +221,7 @@ class Onlooker:
 class _SeenRows:
     """Rows that an onlooker sees."""
 
-    def __init__(self, rows: Rows, onlooker: Onlooker):
+    def __init__(self, rows: RowSink, onlooker: RunObserver):
         self._rows, self._onlooker = rows, onlooker
 
     @property
@@ -259,10 +259,10 @@ class _SeenRows:
         return self._rows.close(end_reason)
 
 
-class _SeenDialogue(AbstractDialogue):
+class _SeenDialogue(AbstractPrompts):
     """A dialogue that goes to the view while that has the terminal."""
 
-    def __init__(self, dialogue: AbstractDialogue, onlooker: Onlooker):
+    def __init__(self, dialogue: AbstractPrompts, onlooker: RunObserver):
         self._dialogue, self._onlooker = dialogue, onlooker
 
     def tell(self, text: str) -> None:
@@ -287,7 +287,7 @@ class _SeenDialogue(AbstractDialogue):
         self._onlooker.settles(sinkage)
 
 
-class Watched(NamedTuple):
+class ObservedRun(NamedTuple):
     """Where a run's rows and words go.
 
     Attributes:
@@ -295,34 +295,34 @@ class Watched(NamedTuple):
         begin: Lets the view have the terminal; no question can be asked from then on.
     """
 
-    rows: Rows
-    dialogue: AbstractDialogue
+    rows: RowSink
+    dialogue: AbstractPrompts
     begin: Callable[[], None]
 
 
-def unwatched(rows: Rows, dialogue: AbstractDialogue) -> Watched:
+def unobserved_run(rows: RowSink, dialogue: AbstractPrompts) -> ObservedRun:
     """Nobody looks on."""
-    return Watched(rows, dialogue, lambda: None)
+    return ObservedRun(rows, dialogue, lambda: None)
 
 
 @contextmanager
-def watched(
-    under_way: UnderWay,
+def observed_run(
+    under_way: ActiveRun,
     output: Path,
     procedure: Procedure,
     link: AbstractLink,
     clock: AbstractClock,
-    rows: Rows,
-    dialogue: AbstractDialogue,
+    rows: RowSink,
+    dialogue: AbstractPrompts,
     stop: StopRequest,
-) -> Iterator[Watched]:
+) -> Iterator[ObservedRun]:
     """Within this there is a live view.
 
     What is told while the view has the terminal is told to the dialogue at the end.
     """
     setup = procedure.loop.setup
     command = setup.command.build()
-    seen = Seen(
+    seen = RunInfo(
         procedure.title or setup.title,
         under_way.port,
         str(output.absolute()),
@@ -330,9 +330,9 @@ def watched(
         setup.wheel.radius,
     )
     view = LiveView(under_way)
-    onlooker = Onlooker(seen, view.show, clock, link.quality, stop)
+    onlooker = RunObserver(seen, view.show, clock, link.quality, stop)
     try:
-        yield Watched(onlooker.rows(rows), onlooker.dialogue(dialogue), onlooker.begin)
+        yield ObservedRun(onlooker.rows(rows), onlooker.dialogue(dialogue), onlooker.begin)
     finally:
         view.close()
         for text in onlooker.end():

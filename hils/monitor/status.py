@@ -27,7 +27,7 @@ WHOLE: Final[int] = getattr(select, "PIPE_BUF", 512)
 MOST_WORDS, LONGEST_WORD = 3, 160
 
 
-class Scene(msgspec.Struct, frozen=True, kw_only=True):
+class RunStatus(msgspec.Struct, frozen=True, kw_only=True):
     """A run at one moment.
 
     Attributes:
@@ -79,13 +79,13 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
         return line if len(line) <= WHOLE else b"\n"
 
 
-class Scenes:
+class StatusReader:
     """Bytes from a pipe into scenes; what is no scene is passed over."""
 
     def __init__(self):
         self._rest = b""
 
-    def feed(self, data: bytes) -> list[Scene]:
+    def feed(self, data: bytes) -> list[RunStatus]:
         """The scenes that are complete with these bytes."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         found = []
@@ -97,7 +97,7 @@ class Scenes:
         return found
 
 
-class Words:
+class RecentMessages:
     """The last sentences that were told, each as one short line of printable text."""
 
     def __init__(self):
@@ -127,4 +127,4 @@ def known(value: float) -> float | None:
 _ENCODER: Final = msgspec.json.Encoder()
 
 
-_DECODER: Final = msgspec.json.Decoder(Scene)
+_DECODER: Final = msgspec.json.Decoder(RunStatus)

@@ -16,10 +16,10 @@ from typing import Final
 import msgspec
 
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
-from hils.monitor.dashboard import Picture
-from hils.monitor.status import Scenes
+from hils.monitor.dashboard import Dashboard
+from hils.monitor.status import StatusReader
 from hils.monitor.terminal import ENTER, LEAVE, Keyboard, write
-from hils.procedure.active_runs import UnderWay, tell
+from hils.procedure.active_runs import ActiveRun, send_signal
 
 STOP, EMERGENCY = b"sSqQ ", b"eE"
 
@@ -68,11 +68,11 @@ class View:
         run: What the stop key ends.
     """
 
-    def __init__(self, scenes: int, run: UnderWay):
+    def __init__(self, scenes: int, run: ActiveRun):
         self._pipe, self._run = scenes, run
         self._keyboard, self._key = Keyboard(_INPUT), StopKey()
         self._heard = [scenes]
-        self._scenes, self._picture = Scenes(), Picture()
+        self._scenes, self._picture = StatusReader(), Dashboard()
         self._on = False
         self._drawn = 0.0
 
@@ -118,7 +118,7 @@ class View:
         if not typed:  # the terminal is gone
             self._heard.remove(_INPUT)
         for kind in self._key.press(typed):
-            tell(self._run, kind)
+            send_signal(self._run, kind)
 
     def _draw(self, now: float) -> None:
         try:
@@ -139,7 +139,7 @@ def main() -> None:
         signal.signal(kind, signal.SIG_IGN)
     for kind in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(kind, _end)
-    View(int(sys.argv[1]), msgspec.json.decode(sys.argv[2], type=UnderWay)).run()
+    View(int(sys.argv[1]), msgspec.json.decode(sys.argv[2], type=ActiveRun)).run()
 
 
 def _end(number: int, frame: object) -> None:

@@ -16,7 +16,7 @@ from drftjax.common.errors import InputError
 BASE = Path("/tmp")
 
 
-class UnderWay(msgspec.Struct, frozen=True):
+class ActiveRun(msgspec.Struct, frozen=True):
     """A program that runs a rig.
 
     Attributes:
@@ -34,12 +34,12 @@ class UnderWay(msgspec.Struct, frozen=True):
 
 
 @contextmanager
-def announced(port: str, outputs: Sequence[Path]) -> Iterator[UnderWay]:
+def registered(port: str, outputs: Sequence[Path]) -> Iterator[ActiveRun]:
     """Within this, the runs of these logs can be found and stopped from another terminal."""
     pid = os.getpid()
     entry = _folder() / f"{pid}.json"
     ends = dict.fromkeys([outputs[0], outputs[-1]])
-    run = UnderWay(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
+    run = ActiveRun(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
     entry.write_bytes(msgspec.json.encode(run))
     try:
         yield run
@@ -47,20 +47,20 @@ def announced(port: str, outputs: Sequence[Path]) -> Iterator[UnderWay]:
         entry.unlink(missing_ok=True)
 
 
-def runs_under_way() -> list[UnderWay]:
+def runs_under_way() -> list[ActiveRun]:
     """Every run of this user's that is alive; what dead ones left behind is removed."""
     found = []
     for entry in sorted(_folder().glob("*.json")):
         with suppress(OSError, msgspec.DecodeError):
-            run = msgspec.json.decode(entry.read_bytes(), type=UnderWay)
-            if alive(run):
+            run = msgspec.json.decode(entry.read_bytes(), type=ActiveRun)
+            if is_alive(run):
                 found.append(run)
             else:
                 entry.unlink(missing_ok=True)
     return found
 
 
-def alive(run: UnderWay) -> bool:
+def is_alive(run: ActiveRun) -> bool:
     """Whether that very process still lives."""
     with suppress(OSError):
         os.kill(run.pid, 0)
@@ -68,17 +68,17 @@ def alive(run: UnderWay) -> bool:
     return False
 
 
-def tell(run: UnderWay, kind: signal.Signals) -> None:
+def send_signal(run: ActiveRun, kind: signal.Signals) -> None:
     """Send it a signal, unless it has ended."""
-    if alive(run):
+    if is_alive(run):
         with suppress(ProcessLookupError):
             os.kill(run.pid, kind)
 
 
-def ended(run: UnderWay, within: float) -> bool:
+def wait_until_ended(run: ActiveRun, within: float) -> bool:
     """Whether it ends within this time [s]."""
     deadline = time.monotonic() + within
-    while alive(run):
+    while is_alive(run):
         if time.monotonic() > deadline:
             return False
         time.sleep(0.02)

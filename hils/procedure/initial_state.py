@@ -15,14 +15,14 @@ from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.runlog.header import Head, OnlineHead
 from drftjax.setups.setup import SetUp
-from drftjax.setups.simulated_run import believed
+from drftjax.setups.simulated_run import with_believed_values
 from drftjax.simulation.statics import zeta_from_sinkage
 from hils.control.limits import CommandLimits, require_profile
 from hils.control.loop_config import LoopRecord, LoopSetUp, Start
 from hils.control.measurements import channels
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS
 from hils.link.messages import VIRTUAL_RIG, HelloAck
-from hils.procedure.settling import Settled
+from hils.procedure.settling import SettledWheel
 
 # zeta(0) outside of this says that something was measured or typed wrongly.
 LEAST_ZETA, MOST_ZETA = 0.05, 10.0
@@ -76,7 +76,7 @@ def zeta_by_sinkage(setup: bytes) -> Callable[[float], float]:
 
 def starting_point(
     loop: LoopSetUp,
-    settled: Settled,
+    settled: SettledWheel,
     zeta: float | None,
     free: bool,
     statics: Callable[[float], float],
@@ -128,7 +128,7 @@ def run_log_head(loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free:
         flag_meanings=FLAG_MEANINGS,
     )
     return Head(
-        setup=believed(loop.setup, start.sinkage, start.zeta),
+        setup=with_believed_values(loop.setup, start.sinkage, start.zeta),
         source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=title,
         channels=channels(ack.x_scale),

@@ -21,7 +21,7 @@ def _nothing() -> None:
     pass
 
 
-class AbstractDialogue(abc.ABC):
+class AbstractPrompts(abc.ABC):
     """Tells what happens and asks for what only hands can do."""
 
     @abc.abstractmethod
@@ -71,7 +71,7 @@ def _say_if_at_once(text: str) -> None:
     _say(text)
 
 
-class Terminal(AbstractDialogue):
+class Terminal(AbstractPrompts):
     """A person at the terminal, who presses Enter."""
 
     def tell(self, text: str) -> None:
@@ -108,7 +108,7 @@ class Terminal(AbstractDialogue):
         pass
 
 
-class Unattended(AbstractDialogue):
+class Unattended(AbstractPrompts):
     """Nobody is asked: a virtual rig, or one that prepares itself."""
 
     def __init__(self, quiet: bool = False):

@@ -21,7 +21,7 @@ from hils.clock import AbstractClock
 from hils.control.event_log import EventLog
 from hils.control.loop import LoopReport, Overruns, TickLoop
 from hils.control.loop_config import LoopSetUp, Start, shared_physics
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.control.tick import AbstractTick, FreeTick, TunedTick
 from hils.events import Event, Phase
 from hils.link.link import AbstractLink, LinkLost, LinkQuality
@@ -36,12 +36,12 @@ from hils.procedure.initial_state import (
     within_limits,
     zeta_by_sinkage,
 )
-from hils.procedure.operator_prompts import AbstractDialogue
+from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.session import STOPPED, RigStopped, Session
-from hils.procedure.settling import Ended, Settled, Standing, touch_down
-from hils.procedure.shutdown import Rest
+from hils.procedure.settling import RunAborted, SettledWheel, StandingWheel, touch_down
+from hils.procedure.shutdown import Shutdown
 from hils.recording.recorder import CLOSE_LIMIT
-from hils.recording.sinks import Rows
+from hils.recording.sinks import RowSink
 
 # A rig may restart when its port is opened [s].
 PATIENCE = 3.0
@@ -112,11 +112,11 @@ class RunReport:
     reason: str
     completed: bool
     rested: bool
-    settled: Settled | None
+    settled: SettledWheel | None
     start: Start | None
     loop: LoopReport | None
     quality: LinkQuality
-    wish: Wish | None = None
+    wish: StopReason | None = None
     unfinished: str = ""
 
 
@@ -124,8 +124,8 @@ def run(
     procedure: Procedure,
     link: AbstractLink,
     clock: AbstractClock,
-    rows: Rows,
-    dialogue: AbstractDialogue,
+    rows: RowSink,
+    dialogue: AbstractPrompts,
     stop: StopRequest,
     before_motion: Callable[[], None] = lambda: None,
 ) -> RunReport:
@@ -168,7 +168,7 @@ def run(
     return replace(report, wish=wish, unfinished=unfinished)
 
 
-def _close(rows: Rows, reason: str, dialogue: AbstractDialogue) -> str:
+def _close(rows: RowSink, reason: str, dialogue: AbstractPrompts) -> str:
     """End the recording; why it could not be finished, empty where it was."""
 
     def tell() -> None:
@@ -191,8 +191,8 @@ def _run(
     procedure: Procedure,
     link: AbstractLink,
     clock: AbstractClock,
-    rows: Rows,
-    dialogue: AbstractDialogue,
+    rows: RowSink,
+    dialogue: AbstractPrompts,
     stop: StopRequest,
     before_motion: Callable[[], None],
 ) -> RunReport:
@@ -211,7 +211,7 @@ def _run(
         statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
         conduct = _conduct(loop, procedure.free)
         if isinstance(conduct, TunedTick):
-            conduct.warm(expected)
+            conduct.precompile(expected)
         if procedure.zero is ZeroAt.HELD:
             dialogue.confirm(
                 "Hold the wheel where its rim just touches the undisturbed sand",
@@ -234,9 +234,9 @@ def _run(
         raise
     valid_ms = watchdog_ms(tick_us)
     driven = not procedure.free
-    standing = Standing(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
+    standing = StandingWheel(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
     ramp = loop.commands.omega / loop.ramp
-    rest = Rest(session, link, clock, ack, stop, log, standing.rest, loop.tick, ramp)
+    rest = Shutdown(session, link, clock, ack, stop, log, standing.rest, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
@@ -260,7 +260,7 @@ def _run(
         )
         looped = ticks.run(state, began)
         reason = looped.reason
-    except (Ended, RigStopped) as ended:
+    except (RunAborted, RigStopped) as ended:
         reason = str(ended)
     except LinkLost as lost:
         reason = f"link lost: {lost}"
@@ -277,7 +277,7 @@ def _run(
     )
 
 
-def _to_rest(session: Session, rest: Rest, log: EventLog, dialogue: AbstractDialogue) -> bool:
+def _to_rest(session: Session, rest: Shutdown, log: EventLog, dialogue: AbstractPrompts) -> bool:
     """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
         try:
@@ -285,7 +285,7 @@ def _to_rest(session: Session, rest: Rest, log: EventLog, dialogue: AbstractDial
             log.event(Event.STOP_SENT)
             dialogue.enter(Phase.STOPPING)
         finally:
-            rested = rest.bring()
+            rested = rest.bring_to_rest()
     except LinkLost:
         log.note(Event.LINK_LOST)
         dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")

@@ -21,7 +21,7 @@ from hils.link.messages import (
     StateReport,
     Stop,
     newer,
-    told,
+    reason_in_words,
 )
 from hils.link.timing import watchdog_us
 
@@ -142,7 +142,7 @@ class Session:
             raise InputError(_unready(self._link.name, self._said, ack.rig_id))
         raise InputError(
             f"the rig on {self._link.name} made an emergency stop, "
-            f"{told(ack.rig_id, halted.reason)}: release it and start again"
+            f"{reason_in_words(ack.rig_id, halted.reason)}: release it and start again"
         )
 
     @property
@@ -172,7 +172,7 @@ class Session:
                 self._link.send(message)
                 raise RigStopped(
                     f"the rig on {self._link.name} made an emergency stop, "
-                    f"{told(ack.rig_id, message.reason)}"
+                    f"{reason_in_words(ack.rig_id, message.reason)}"
                 )
         newest = self._link.newest()
         for each in reports if newest is None else [*reports, newest]:
@@ -238,7 +238,11 @@ class Session:
         if not newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
             return
         message = arrival.frame.message
-        reason = f", {told(rig_id, message.reason)}" if isinstance(message, StateReport) else ""
+        reason = (
+            f", {reason_in_words(rig_id, message.reason)}"
+            if isinstance(message, StateReport)
+            else ""
+        )
         raise RigStopped(f"the rig on {self._link.name} went {state.name} by itself{reason}")
 
     def _ask(
@@ -349,5 +353,5 @@ def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
 def _unready(name: str, said: StateReport | None, rig_id: int) -> str:
     if said is None:
         return f"the rig on {name} does not answer ARM ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
-    reason = told(rig_id, said.reason)
+    reason = reason_in_words(rig_id, said.reason)
     return f"the rig on {name} is not armed: it says {said.state.name}, {reason}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
-from hils.control.measurements import Zero, longest_silence
+from hils.control.measurements import TouchdownZero, longest_silence
 from hils.control.stop_request import StopRequest
 from hils.link.link import AbstractLink, Arrival
 from hils.link.messages import Drive, HelloAck, Measurement
@@ -39,11 +39,11 @@ LONGEST_SETTLING = 20.0
 MOST_CREPT = 2e-3
 
 
-class Ended(Exception):
+class RunAborted(Exception):
     """The run is asked to end, or the rig no longer follows, before the profile has begun."""
 
 
-class Settled(NamedTuple):
+class SettledWheel(NamedTuple):
     """The wheel at rest on the sand.
 
     Attributes:
@@ -57,7 +57,9 @@ class Settled(NamedTuple):
     creep: float
 
 
-def touch_down(session: Session, link: AbstractLink, clock: AbstractClock, ack: HelloAck) -> Zero:
+def touch_down(
+    session: Session, link: AbstractLink, clock: AbstractClock, ack: HelloAck
+) -> TouchdownZero:
     """The counts of a wheel that is held where it just touches the sand.
 
     Raises:
@@ -92,7 +94,7 @@ def touch_down(session: Session, link: AbstractLink, clock: AbstractClock, ack: 
             f"the height varies by {spread * 1e3:.2f} mm (standard deviation) while the wheel is "
             f"held at touch-down, must be under {HELD_STILL * 1e3:g} mm: hold it still"
         )
-    return Zero(float(np.mean(places)), float(np.mean(heights)), ack.x_scale, ack.z_scale)
+    return TouchdownZero(float(np.mean(places)), float(np.mean(heights)), ack.x_scale, ack.z_scale)
 
 
 def _lasts(readings: int) -> float:
@@ -100,7 +102,7 @@ def _lasts(readings: int) -> float:
     return TOUCH_DOWN_TIME if readings >= TOUCH_DOWN_READINGS else LONGEST_TOUCH_DOWN
 
 
-class Standing:
+class StandingWheel:
     """Keeps the wheel standing from ARM on.
 
     Args:
@@ -132,7 +134,7 @@ class Standing:
         self.rest = Drive(0.0, 0.0, driven, valid_ms)
         self._due = self._heard = clock.now()
 
-    def settle(self, zero: Zero) -> Settled:
+    def settle(self, zero: TouchdownZero) -> SettledWheel:
         """Wait until the wheel rests on the sand.
 
         Raises:
@@ -159,13 +161,13 @@ class Standing:
             creep = sunk / SETTLING_WINDOW
             noise = float(height[late].std())
             if abs(sunk) < SETTLED:
-                return Settled(-float(np.median(height[late])), noise, creep)
+                return SettledWheel(-float(np.median(height[late])), noise, creep)
         raise InputError(
             f"the wheel has not come to rest in {LONGEST_SETTLING:g} s: it still sinks by "
             f"{creep * 1e3:.2g} mm/s"
         )
 
-    def hold(self, until: float, zero: Zero, settled: Settled) -> float:
+    def hold(self, until: float, zero: TouchdownZero, settled: SettledWheel) -> float:
         """Stand until this time [s].
 
         Returns:
@@ -184,7 +186,7 @@ class Standing:
         sinkage = -float(np.median(heights)) if heights else settled.sinkage
         sunk = sinkage - settled.sinkage
         if not abs(sunk) <= MOST_CREPT:
-            raise Ended(
+            raise RunAborted(
                 f"the height has changed by {-sunk * 1e3:.4g} mm between rest and start, "
                 f"{MOST_CREPT * 1e3:g} mm at most are believed"
             )
@@ -201,7 +203,7 @@ class Standing:
         self._due = self._heard = self._clock.now()
         while self._clock.now() < until:
             if self._stop.wish is not None:
-                raise Ended(self._stop.reason)
+                raise RunAborted(self._stop.reason)
             self._link.send(self.rest)
             self._due += self._tick
             if self._due < self._clock.now():  # late: no burst of commands to catch up
@@ -215,10 +217,10 @@ class Standing:
                 self._look_at(arrival)
             silent = self._clock.now() - self._heard
             if silent > longest_silence(self._tick):
-                raise Ended(f"the rig has sent no measurement for {silent:.2f} s")
+                raise RunAborted(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 
-    def _height(self, arrival: Arrival, zero: Zero) -> float:
+    def _height(self, arrival: Arrival, zero: TouchdownZero) -> float:
         measurement = arrival.frame.message
         assert isinstance(measurement, Measurement)
         height = zero.reading(measurement, arrival.time).z
@@ -229,7 +231,7 @@ class Standing:
         measurement = arrival.frame.message
         assert isinstance(measurement, Measurement)
         if measurement.fault:
-            raise Ended(f"the rig reports fault {measurement.fault}")
+            raise RunAborted(f"the rig reports fault {measurement.fault}")
 
 
 def _time_of(arrival: Arrival | None) -> float:

@@ -11,7 +11,7 @@ import math
 from hils.clock import AbstractClock
 from hils.control.event_log import EventLog
 from hils.control.measurements import longest_silence
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.link import AbstractLink
 from hils.link.messages import (
@@ -23,7 +23,7 @@ from hils.link.messages import (
     Measurement,
     RigState,
     StateReport,
-    told,
+    reason_in_words,
 )
 from hils.procedure.session import STOPPED, Session
 
@@ -44,7 +44,7 @@ LONGEST_STOP, LONGEST_EMERGENCY_STOP = 5.0, 1.0
 STOP_INTERVAL = 0.05
 
 
-class Rest:
+class Shutdown:
     """Brings a rig to rest, whatever state it is in.
 
     Args:
@@ -75,7 +75,7 @@ class Rest:
         self._log = log
         self._said: int | None = None
 
-    def bring(self) -> bool:
+    def bring_to_rest(self) -> bool:
         """STOP; where the rig is not seen to rest, or its stop is urgent, ESTOP; BYE in any case.
 
         Returns:
@@ -180,8 +180,8 @@ class Rest:
     def _halt(self, message: EmergencyStop) -> None:
         """Whoever pressed the rig's button wants no further run either."""
         self._log.note(Event.EMERGENCY_STOP, message.reason)
-        why = f"the rig made an emergency stop, {told(self._ack.rig_id, message.reason)}"
-        self._stop.ask(Wish(why, Event.EMERGENCY_STOP, message.reason))
+        why = f"the rig made an emergency stop, {reason_in_words(self._ack.rig_id, message.reason)}"
+        self._stop.ask(StopReason(why, Event.EMERGENCY_STOP, message.reason))
 
     def _heed(self, state: RigState, fault: int = 0) -> None:
         if state in STOPPED and not self._log.noted(Event.EMERGENCY_STOP):
@@ -191,7 +191,7 @@ class Rest:
         if self._stop.wish is None and (fault or state is RigState.FAULT):
             why = f"the rig reports fault {fault}" if fault else "the rig went FAULT"
             event, arg = (Event.RIG_FAULT, fault) if fault else (Event.RIG_STATE, state)
-            self._stop.ask(Wish(why, event, arg))
+            self._stop.ask(StopReason(why, event, arg))
 
     def _note_wish(self) -> None:
         wish = self._stop.wish

@@ -17,9 +17,9 @@ from typing import Final
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.recording import Recording
-from drftjax.runlog.recording_lock import claim, give_up, part_path, require_place
+from drftjax.runlog.recording_lock import claim_file, part_path, release_claim, require_place
 from hils.recording.row_stream import Kind, RowStream
-from hils.recording.sanitize import Rows, SoundRows
+from hils.recording.sanitize import Rows, RowSanitizer
 
 PAUSE: Final = 0.02
 
@@ -59,7 +59,7 @@ class RecorderProcess:
         self._path = path
         self._rows, self._answers = rows, answers
         self._stream = RowStream()
-        self._sound = SoundRows()
+        self._sound = RowSanitizer()
         self._claimed: int | None = None
         self._recording: Recording | None = None
         self._host = os.getppid()
@@ -90,7 +90,7 @@ class RecorderProcess:
         """Write rows until the stream ends; the reason why it did."""
         os.set_blocking(self._rows, False)
         require_place(self._path)
-        self._claimed = claim(self._path)
+        self._claimed = claim_file(self._path)
         self._say("ready", "")
         commit_at = sync_at = time.monotonic()
         sync: Future[None] | None = None
@@ -137,7 +137,7 @@ class RecorderProcess:
 
     def _append(self, kind: Kind, rows: Rows) -> None:
         assert self._recording is not None
-        sound, events = self._sound.sound(kind, rows)
+        sound, events = self._sound.sanitized(kind, rows)
         title = kind.name.lower()
         if title in self._recording.rows and len(sound):
             self._recording.append(title, sound)
@@ -149,7 +149,7 @@ class RecorderProcess:
         recording = self._recording
         if recording is None:
             if self._claimed is not None:
-                give_up(self._claimed, self._path)
+                release_claim(self._claimed, self._path)
             return False
         if not recording.rows["command"] or not recording.rows["measured"]:
             recording.drop()

@@ -24,13 +24,13 @@ _INTEGERS = {
 }
 
 
-class SoundRows:
+class RowSanitizer:
     """Remembers the last time of each kind. What it returns can be appended to a run log."""
 
     def __init__(self) -> None:
         self._last = dict.fromkeys(Kind, -np.inf)
 
-    def sound(self, kind: Kind, rows: Rows) -> tuple[Rows, Rows]:
+    def sanitized(self, kind: Kind, rows: Rows) -> tuple[Rows, Rows]:
         """Rows that can be kept, and events that tell of those that cannot.
 
         Args:

@@ -11,7 +11,7 @@ from drftjax.runlog.schema import ONLINE_NUMBERS, UNITS
 from hils.recording.row_stream import OnlineRow
 
 
-class Rows(Protocol):
+class RowSink(Protocol):
     """Takes a run's rows without ever waiting; `hils.recording.recorder.Recorder` is one.
 
     Times are seconds from the run's start, increasing within each kind of row.
@@ -62,7 +62,7 @@ class Rows(Protocol):
         ...
 
 
-class KeptRows:
+class InMemorySink:
     """Keeps a run's rows in memory.
 
     Attributes:
@@ -124,7 +124,9 @@ class KeptRows:
             online = record.Online(**columns, **numbers, **kept)
         return record.RunLog(
             setup=head.setup,
-            command=record.Command(*np.array(self.commands).reshape(len(self.commands), -1).T),
+            command=record.RecordedCommand(
+                *np.array(self.commands).reshape(len(self.commands), -1).T
+            ),
             measured=record.Measured(
                 np.array([row[0] for row in self.readings]),
                 **{

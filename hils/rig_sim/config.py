@@ -13,7 +13,7 @@ import numpy as np
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import read_document, to_structure
-from drftjax.effects.serialization import Entry, built
+from drftjax.effects.serialization import Entry, build_effects
 from drftjax.physics.integrator import HeldPace
 from drftjax.setups.setup import (
     CommandSetUp,
@@ -102,7 +102,7 @@ class VirtualSetUp(msgspec.Struct, forbid_unknown_fields=True):
             # Each command says whether the carriage is driven.
             msgspec.structs.replace(self.rig, carriage="free").build(),
             HeldPace(),
-            tuple(built(entry, place) for place, entry in enumerate(self.effects, start=1)),
+            tuple(build_effects(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
 
     def build(self) -> RigPhysics:

@@ -18,12 +18,12 @@ from hils.rig_sim.faults import (
     Stuck,
     WireFault,
 )
-from hils.rig_sim.firmware import Demand
+from hils.rig_sim.firmware import MotorDemand
 from hils.rig_sim.sensors import Stream
-from hils.rig_sim.serial_line import Packet
+from hils.rig_sim.serial_line import DelayedPacket
 
 
-class FaultRun:
+class FaultInjector:
     """A script of faults over the life of one rig, in explicit time.
 
     Each fault draws from numbers of its own, so that one more fault leaves the others' chances
@@ -59,9 +59,9 @@ class FaultRun:
         self._holding(now)
         return self._held_until
 
-    def packets(self, frames: list[bytes], towards: End, now: float) -> list[Packet]:
+    def packets(self, frames: list[bytes], towards: End, now: float) -> list[DelayedPacket]:
         """What comes of frames that set out now towards one end."""
-        packets = [Packet(now, frame) for frame in frames]
+        packets = [DelayedPacket(now, frame) for frame in frames]
         for number, fault in self._holding(now):
             what = fault.what
             if isinstance(what, WireFault) and what.towards in (towards, "both"):
@@ -77,7 +77,7 @@ class FaultRun:
                 counts = fault.what.read(counts, begun, self._randoms[number])
         return counts
 
-    def demand(self, demand: Demand, now: float) -> Demand:
+    def demand(self, demand: MotorDemand, now: float) -> MotorDemand:
         """What the drive gives instead."""
         for _, fault in self._holding(now):
             if isinstance(fault.what, Saturated):

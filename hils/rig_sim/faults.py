@@ -24,8 +24,8 @@ from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import read_document, to_structure
 from hils.link.messages import DELIMITER
-from hils.rig_sim.firmware import Demand
-from hils.rig_sim.serial_line import Packet
+from hils.rig_sim.firmware import MotorDemand
+from hils.rig_sim.serial_line import DelayedPacket
 
 End = Literal["host", "rig", "both"]
 
@@ -65,7 +65,7 @@ class LostFrames(_Kind, frozen=True, tag="lost_frames"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         return [] if random.random() < self.rate else [packet]
 
 
@@ -75,7 +75,7 @@ class DamagedFrames(_Kind, frozen=True, tag="damaged_frames"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         if random.random() >= self.rate or len(packet.data) < 3:
             return [packet]
         struck = bytearray(packet.data)
@@ -89,7 +89,7 @@ class DuplicatedFrames(_Kind, frozen=True, tag="duplicated_frames"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         return [packet] * (2 if random.random() < self.rate else 1)
 
 
@@ -100,7 +100,7 @@ class ReorderedFrames(_Kind, frozen=True, tag="reordered_frames"):
     towards: End = "both"
     delay: float = 0.03
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         if random.random() >= self.rate:
             return [packet]
         return [replace(packet, due=packet.due + self.delay, in_order=False)]
@@ -113,7 +113,7 @@ class DelayedFrames(_Kind, frozen=True, tag="delayed_frames"):
     towards: End = "both"
     delay: float = 0.03
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         late = self.delay * (random.random() < self.rate)
         return [replace(packet, due=packet.due + late)]
 
@@ -124,7 +124,7 @@ class LostBytes(_Kind, frozen=True, tag="lost_bytes"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         kept = random.random(len(packet.data)) >= self.rate
         return [replace(packet, data=bytes(np.frombuffer(packet.data, np.uint8)[kept]))]
 
@@ -135,7 +135,7 @@ class FlippedBytes(_Kind, frozen=True, tag="flipped_bytes"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         count = len(packet.data)
         struck = random.random(count) < self.rate
         bits = np.left_shift(1, random.integers(0, 8, count)).astype(np.uint8)
@@ -149,7 +149,7 @@ class DuplicatedBytes(_Kind, frozen=True, tag="duplicated_bytes"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         times = 1 + (random.random(len(packet.data)) < self.rate)
         return [
             replace(packet, data=np.repeat(np.frombuffer(packet.data, np.uint8), times).tobytes())
@@ -162,7 +162,7 @@ class ReorderedBytes(_Kind, frozen=True, tag="reordered_bytes"):
     rate: float = 1.0
     towards: End = "both"
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         data = bytearray(packet.data)
         for place in np.flatnonzero(random.random(max(len(data) - 1, 0)) < self.rate).tolist():
             data[place], data[place + 1] = data[place + 1], data[place]
@@ -176,7 +176,7 @@ class DelayedBytes(_Kind, frozen=True, tag="delayed_bytes"):
     towards: End = "both"
     delay: float = 0.03
 
-    def strike(self, packet: Packet, random: np.random.Generator) -> list[Packet]:
+    def strike(self, packet: DelayedPacket, random: np.random.Generator) -> list[DelayedPacket]:
         if random.random() >= self.rate or len(packet.data) < 2:
             return [packet]
         cut = int(random.integers(1, len(packet.data)))
@@ -210,7 +210,7 @@ class Saturated(_Kind, frozen=True, tag="saturated"):
 
     omega: float = 0.1
 
-    def drive(self, demand: Demand) -> Demand:
+    def drive(self, demand: MotorDemand) -> MotorDemand:
         held = math.copysign(min(abs(demand.omega), self.omega), demand.omega)
         return demand._replace(omega=held)
 

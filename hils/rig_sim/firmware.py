@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from hils.link.framing import Splitter
+from hils.link.framing import FrameSplitter
 from hils.link.messages import (
     FROM_HOST,
     READY,
@@ -69,7 +69,7 @@ class RigIdentity(msgspec.Struct, frozen=True):
     vx_slew: float = 2.0
 
 
-class Demand(NamedTuple):
+class MotorDemand(NamedTuple):
     """What the motors are asked for: angular velocity [rad/s], carriage speed [m/s] if driven."""
 
     omega: float
@@ -96,11 +96,11 @@ class RigProtocol:
     def __init__(self, identity: RigIdentity, start: float = 0.0):
         self._identity = identity
         self._omega_max, self._vx_max = _single(identity.omega_max), _single(identity.vx_max)
-        self._splitter = Splitter()
+        self._splitter = FrameSplitter()
         self._drops: Counter[Drop] = Counter()
         self.state = RigState.IDLE
         self.reason: int = Reason.NONE
-        self.demand = self._target = Demand(0.0, 0.0, False)
+        self.demand = self._target = MotorDemand(0.0, 0.0, False)
         self._session: int | None = None
         self._last_heard, self._next_seq = 0, 1
         self._greeted = False
@@ -167,10 +167,10 @@ class RigProtocol:
         target, limits = self._target, self._identity
         omega = _towards(self.demand.omega, target.omega, limits.omega_slew * elapsed)
         vx = _towards(self.demand.vx, target.vx, limits.vx_slew * elapsed) if target.driven else 0.0
-        self.demand = Demand(omega, vx, target.driven)
+        self.demand = MotorDemand(omega, vx, target.driven)
 
-    def _rest(self) -> Demand:
-        return Demand(0.0, 0.0, self._target.driven)
+    def _rest(self) -> MotorDemand:
+        return MotorDemand(0.0, 0.0, self._target.driven)
 
     # What the host says ----------------------------------------------------------------------
 
@@ -248,7 +248,7 @@ class RigProtocol:
         if self.state in READY:
             # Written so that NaN fails both.
             if abs(command.omega) <= self._omega_max and abs(command.vx) <= self._vx_max:
-                self._target = Demand(
+                self._target = MotorDemand(
                     command.omega, command.vx if command.driven else 0.0, command.driven
                 )
                 self._commanded = self._now
@@ -295,7 +295,7 @@ class RigProtocol:
             self._turn(RigState.SAFE, reason)
         self._target = self._rest()
         omega = 0.0 if at_once else self.demand.omega
-        self.demand = Demand(omega, 0.0, self._target.driven)
+        self.demand = MotorDemand(omega, 0.0, self._target.driven)
         self._greeted = False
         self._tell_state()
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import msgspec
 
 from hils.clock import VirtualClock
-from hils.link.link import SoftLink
+from hils.link.link import InProcessLink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
 from hils.rig_sim.faults import FaultScript
 from hils.rig_sim.physics import RigPhysics
@@ -26,7 +26,7 @@ class SoftRig(NamedTuple):
     """
 
     rig: VirtualRig
-    link: SoftLink
+    link: InProcessLink
     clock: VirtualClock
 
 
@@ -50,7 +50,7 @@ def soft_rig(
     setup = setup or VirtualSetUp(physics=QUICK)
     clock = VirtualClock(start, grain)
     rig = VirtualRig(setup, rig_physics(setup), script, seed, baud, latency, start)
-    return SoftRig(rig, SoftLink(rig, clock), clock)
+    return SoftRig(rig, InProcessLink(rig, clock), clock)
 
 
 def rig_physics(setup: VirtualSetUp) -> RigPhysics:

@@ -14,12 +14,19 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import About, AbstractZetaFactor, Memory, MemorylessLoad, Moment, along_z
+from drftjax.effects.base import (
+    AbstractZetaFactor,
+    EffectInfo,
+    Memory,
+    MemorylessLoad,
+    StepContext,
+    along_z,
+)
 from drftjax.physics.command import Command
 from drftjax.physics.rig import AbstractCarriage, DrivenCarriage, FreeCarriage
 from drftjax.physics.state import Output, State
 from drftjax.simulation.simulator import Simulator
-from hils.rig_sim.firmware import Demand
+from hils.rig_sim.firmware import MotorDemand
 
 CHANNELS = ("time", "x", "z", "vx", "vz", "omega", "fx", "fz", "zeta")
 
@@ -32,7 +39,7 @@ LOWERING_SPEED = 0.06
 LOWERING_TIME = 1.5
 
 
-class Motion(NamedTuple):
+class RigMotion(NamedTuple):
     """What the rig's instruments could read, with no noise: seconds, metres, radians, newtons."""
 
     time: float
@@ -46,7 +53,7 @@ class Motion(NamedTuple):
     zeta: float
 
 
-REST = Demand(0.0, 0.0, False)
+REST = MotorDemand(0.0, 0.0, False)
 
 
 class SwitchedCarriage(AbstractCarriage):
@@ -81,14 +88,14 @@ class Damper(MemorylessLoad):
         damping: Force per vertical speed [N s/m]; zero once it has let go.
     """
 
-    about: ClassVar = About("damper", "rig", "F_z = -damping v_z", "lets the wheel down")
+    about: ClassVar = EffectInfo("damper", "rig", "F_z = -damping v_z", "lets the wheel down")
     damping: Float[Array, ""]
 
     def load(
         self,
         position: Float[Array, "2"],
         velocity: Float[Array, "2"],
-        moment: Moment,
+        moment: StepContext,
         memory: Memory,
     ) -> Float[Array, "2"]:
         return along_z(-self.damping * velocity[1])
@@ -101,16 +108,16 @@ class Bed(AbstractZetaFactor):
         firmness: Factor on zeta [-].
     """
 
-    about: ClassVar = About("bed", "terrain", "ζ = firmness ζ", "how the sand was prepared")
+    about: ClassVar = EffectInfo("bed", "terrain", "ζ = firmness ζ", "how the sand was prepared")
     firmness: Float[Array, ""]
 
     def begin(self) -> Memory:
         return ()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return ()
 
-    def factor(self, moment: Moment, memory: Memory) -> Float[Array, ""]:
+    def factor(self, moment: StepContext, memory: Memory) -> Float[Array, ""]:
         return self.firmness
 
 
@@ -154,16 +161,16 @@ class RigPhysics:
         """The packed state of a wheel that hangs at touch-down, at x = 0."""
         return self._held
 
-    def motion(self, packed: Float[Array, " packed"]) -> Motion:
+    def motion(self, packed: Float[Array, " packed"]) -> RigMotion:
         """What could be read of a state."""
-        return Motion(*np.asarray(packed)[: len(CHANNELS)].tolist())
+        return RigMotion(*np.asarray(packed)[: len(CHANNELS)].tolist())
 
     def advance(
         self,
         packed: Float[Array, " packed"],
         steps: int,
-        start: Demand,
-        end: Demand,
+        start: MotorDemand,
+        end: MotorDemand,
         lowering: bool = False,
         firmness: float = 1.0,
     ) -> Float[Array, " packed"]:

@@ -1,7 +1,7 @@
 """A whole rig in explicit time: sand and wheel, firmware, instruments, wire, and faults on order.
 
-Nothing here sleeps or reads a clock: the same object lives in virtual time under a `SoftLink` and
-in real time in a process of its own (`hils.rig_sim.server`).
+Nothing here sleeps or reads a clock: the same object lives in virtual time under an
+`InProcessLink` and in real time in a process of its own (`hils.rig_sim.server`).
 
 From power-up the wheel hangs at touch-down. The first ARM of a session releases it. When a session
 opens while the rig is at rest, somebody has lifted the wheel, moved the carriage back and prepared
@@ -19,12 +19,12 @@ from jaxtyping import Array, Float
 from hils.link.link import LinkLost
 from hils.link.messages import READY, U32, VIRTUAL_RIG, HelloAck, Reason, RigState, wire_bytes
 from hils.rig_sim.config import VirtualSetUp
-from hils.rig_sim.fault_injection import FaultRun
+from hils.rig_sim.fault_injection import FaultInjector
 from hils.rig_sim.faults import FaultScript, split_frames
-from hils.rig_sim.firmware import SILENCE, Demand, RigIdentity, RigProtocol
-from hils.rig_sim.physics import LOWERING_TIME, REST, Motion, RigPhysics
-from hils.rig_sim.sensors import Noise, Stream
-from hils.rig_sim.serial_line import INSTANT, Line, Packet
+from hils.rig_sim.firmware import SILENCE, MotorDemand, RigIdentity, RigProtocol
+from hils.rig_sim.physics import LOWERING_TIME, REST, RigMotion, RigPhysics
+from hils.rig_sim.sensors import SensorNoise, Stream
+from hils.rig_sim.serial_line import INSTANT, DelayedPacket, SerialLine
 
 # The firmware looks at its clock at least this often [s].
 LOOK = 0.002
@@ -44,7 +44,7 @@ class RigFault(enum.IntEnum):
     DIVERGED = 101  # the physics gave a number that is not finite
 
 
-class Change(NamedTuple):
+class RigStateChange(NamedTuple):
     """A change of the rig's state.
 
     Attributes:
@@ -88,9 +88,9 @@ class VirtualRig:
         setup.check()
         self._setup, self._seed = setup, seed
         self._physics = physics or setup.build()
-        self._faults = FaultRun(script or FaultScript())
-        self._noise = Noise(seed)
-        self._inward, self._outward = Line(baud), Line(baud, latency)
+        self._faults = FaultInjector(script or FaultScript())
+        self._noise = SensorNoise(seed)
+        self._inward, self._outward = SerialLine(baud), SerialLine(baud, latency)
         self._fragment = b""
         self._start = self._now = self._heard = self._said = start
         self._boots = boots
@@ -99,7 +99,7 @@ class VirtualRig:
         self._released: float | None = None
         self._synced = start  # the physics has come this far
         self._drive = REST
-        self.changes: deque[Change] = deque(maxlen=MOST_CHANGES)
+        self.changes: deque[RigStateChange] = deque(maxlen=MOST_CHANGES)
         self._protocol: RigProtocol | None = None
         self._faults.mark("power", start)
         self._prepare()
@@ -111,7 +111,7 @@ class VirtualRig:
         return self._protocol.state if self._protocol else None
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> RigMotion:
         """The truth, as far as the physics has come."""
         return self._motion
 
@@ -165,7 +165,7 @@ class VirtualRig:
         frames, rest = split_frames(self._fragment, data)
         packets = self._faults.packets(frames, "rig", now)
         if len(rest) > LONGEST_FRAGMENT:
-            packets.append(Packet(now, rest))
+            packets.append(DelayedPacket(now, rest))
             rest = b""
         self._fragment = rest
         self._inward.send(packets)
@@ -212,7 +212,7 @@ class VirtualRig:
             self._faults.mark("motion", now)
         if protocol.state is before:
             return
-        self.changes.append(Change(now, protocol.state, protocol.reason, now - self._heard))
+        self.changes.append(RigStateChange(now, protocol.state, protocol.reason, now - self._heard))
         if before is RigState.RUNNING:
             self._faults.mark("stop", now)
         if protocol.state in READY:
@@ -240,7 +240,9 @@ class VirtualRig:
         self._protocol = RigProtocol(identity, self._rig_time(self._now))
         motion = self.motion
         self._zero = motion.z, motion.x
-        self.changes.append(Change(self._now, RigState.IDLE, Reason.NONE, self._now - self._heard))
+        self.changes.append(
+            RigStateChange(self._now, RigState.IDLE, Reason.NONE, self._now - self._heard)
+        )
         self._measure(self._protocol, self._now)
 
     def _lose_power(self, now: float) -> None:
@@ -259,7 +261,7 @@ class VirtualRig:
 
     # Physics and instruments -----------------------------------------------------------------
 
-    def _sync(self, now: float, demand: Demand) -> None:
+    def _sync(self, now: float, demand: MotorDemand) -> None:
         """Bring the physics up to now by whole steps, the drive going evenly to its demand."""
         if self._released is None:
             self._synced = now

@@ -8,7 +8,7 @@ import numpy as np
 
 from drftjax.common.arrays import require_between
 from hils.rig_sim.faults import INT32, Counts
-from hils.rig_sim.physics import Motion
+from hils.rig_sim.physics import RigMotion
 
 # The scales are read this often [Hz]; between two readings their noise stays what it is.
 SAMPLING_RATE = 1000.0
@@ -58,7 +58,7 @@ class Instruments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             require_between(name, getattr(self, name), 0.0, 0.1, " m")
         require_between("omega_noise", self.omega_noise, 0.0, 10.0, " rad/s")
 
-    def read(self, motion: Motion, zero: tuple[float, float], noise: np.ndarray) -> Counts:
+    def read(self, motion: RigMotion, zero: tuple[float, float], noise: np.ndarray) -> Counts:
         """Counts of what is.
 
         Args:
@@ -78,7 +78,7 @@ def _counted(value: float) -> int:
     return max(-INT32, min(INT32, round(value))) if math.isfinite(value) else INT32
 
 
-class Noise:
+class SensorNoise:
     """Standard normal numbers for every sample of a run: the same, whoever asks and how often.
 
     Args:

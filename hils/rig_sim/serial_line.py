@@ -23,7 +23,7 @@ INSTANT = 1e-9
 
 
 @dataclass(frozen=True)
-class Packet:
+class DelayedPacket:
     """Bytes that set out together.
 
     Attributes:
@@ -37,7 +37,7 @@ class Packet:
     in_order: bool = True
 
 
-class Line:
+class SerialLine:
     """One direction of the wire, in explicit time.
 
     Args:
@@ -57,7 +57,7 @@ class Line:
         self._rings_at: float | None = None
         self.overflowed = 0
 
-    def send(self, packets: list[Packet]) -> None:
+    def send(self, packets: list[DelayedPacket]) -> None:
         """Put packets on their way; past a full backlog they are lost, and counted."""
         for packet in packets:
             if self._backlog + len(packet.data) > LARGEST_BACKLOG:

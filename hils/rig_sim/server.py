@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from hils.link.messages import Reason, RigState
 from hils.rig_sim.endpoints import AbstractEnd
-from hils.rig_sim.rig import Change, VirtualRig
+from hils.rig_sim.rig import RigStateChange, VirtualRig
 
 # It looks at the time at least this often [s].
 PERIOD = 1e-3
@@ -58,7 +58,7 @@ def serve(
         end.wait(min(PERIOD, rig.next_event() + stood - time.monotonic()))
 
 
-def sentence(change: Change, begun: float) -> str:
+def sentence(change: RigStateChange, begun: float) -> str:
     """A change of the rig's state, as a person is told.
 
     Args:

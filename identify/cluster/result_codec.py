@@ -9,7 +9,7 @@ from identify.results.result import FitResult
 from identify.results.values import RunFit
 
 
-class Lone(msgspec.Struct, frozen=True):
+class SingleRunResult(msgspec.Struct, frozen=True):
     """A run fitted alone.
 
     Attributes:
@@ -24,16 +24,16 @@ class Lone(msgspec.Struct, frozen=True):
     findings: list[str]
 
 
-def encoded(result: FitResult) -> bytes:
+def encode_result(result: FitResult) -> bytes:
     """A fit of one run as bytes."""
     (run,) = result.runs
-    lone = Lone(run, result.status, result.steps, list(result.findings))
+    lone = SingleRunResult(run, result.status, result.steps, list(result.findings))
     return msgspec.msgpack.encode(lone, enc_hook=_packed)
 
 
-def decoded(data: bytes) -> Lone:
+def decode_result(data: bytes) -> SingleRunResult:
     """The result as it was."""
-    return msgspec.msgpack.decode(data, type=Lone, dec_hook=_unpacked)
+    return msgspec.msgpack.decode(data, type=SingleRunResult, dec_hook=_unpacked)
 
 
 def _packed(value: Any) -> Any:

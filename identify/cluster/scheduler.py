@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drftjax.common.errors import InputError
 from drftjax.common.text import printable
-from identify.cluster.store import Finished, Store
-from identify.cluster.worker import Settings, answers, fit_logs
+from identify.cluster.store import FinishedFit, Store
+from identify.cluster.worker import Settings, fit_logs, fit_replies
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -385,12 +385,12 @@ class _Fits:
                 ) from None
         del self._running[future]
         finished = []
-        for (log, _), answer in zip(batch, answers(encoded), strict=True):
+        for (log, _), answer in zip(batch, fit_replies(encoded), strict=True):
             if answer.failure:
                 self._fail(log, answer.failure)
             else:
                 values = {name: _finite(pair) for name, pair in answer.values.items()}
-                finished.append(Finished(log.digest, str(log.path), values, answer.result))
+                finished.append(FinishedFit(log.digest, str(log.path), values, answer.result))
         self._store.append(finished)
         self._dealt_with += len(finished)
 

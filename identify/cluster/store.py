@@ -41,7 +41,7 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     settings: dict[str, Any]
 
 
-class Finished(msgspec.Struct, forbid_unknown_fields=True):
+class FinishedFit(msgspec.Struct, forbid_unknown_fields=True):
     """One fitted run log.
 
     Attributes:
@@ -110,7 +110,7 @@ class Store:
     def __contains__(self, digest: object) -> bool:
         return digest in self._places
 
-    def append(self, finished: Iterable[Finished]) -> None:
+    def append(self, finished: Iterable[FinishedFit]) -> None:
         """Keep fits for good; one that is there already is not kept twice."""
         for each in finished:
             if each.digest not in self:
@@ -122,7 +122,7 @@ class Store:
         """The whole result of one log."""
         place, length = self._places[digest]
         line = os.pread(self._handle, length, place)
-        return msgspec.json.decode(_checked(line), type=Finished).result
+        return msgspec.json.decode(_checked(line), type=FinishedFit).result
 
     def _lock(self) -> None:
         try:
@@ -183,7 +183,7 @@ class Store:
 
     def _learn(self, line: bytes, number: int, place: int) -> None:
         try:
-            digest = msgspec.json.decode(_checked(line), type=Finished).digest
+            digest = msgspec.json.decode(_checked(line), type=FinishedFit).digest
         except ValueError:
             raise InputError(
                 f"{self.path}: is damaged in line {number}; delete that line, and its log is "
@@ -192,7 +192,7 @@ class Store:
         self._places[digest] = place, len(line)
 
 
-def _line(content: Header | Finished) -> bytes:
+def _line(content: Header | FinishedFit) -> bytes:
     body = msgspec.json.encode(content)
     return b'{"crc32":"%08x",' % crc32(body) + body[1:] + b"\n"
 

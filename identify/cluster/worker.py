@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false"
 
 
-class Term(msgspec.Struct, frozen=True):
+class ParameterSpec(msgspec.Struct, frozen=True):
     """A parameter that each log has for itself, as plain values.
 
     Attributes:
@@ -58,7 +58,7 @@ class Settings(msgspec.Struct, frozen=True):
         software: Version of this package.
     """
 
-    parameters: tuple[Term, ...]
+    parameters: tuple[ParameterSpec, ...]
     autoregressive: bool = False
     zeta: float | None = None
     method: str = "held pace"
@@ -76,7 +76,7 @@ class Settings(msgspec.Struct, frozen=True):
         return msgspec.msgpack.encode(self)
 
 
-class Answer(msgspec.Struct, frozen=True):
+class FitReply(msgspec.Struct, frozen=True):
     """What became of one log.
 
     Attributes:
@@ -92,7 +92,7 @@ class Answer(msgspec.Struct, frozen=True):
     failure: str
 
 
-def terms(parameters: Sequence["Parameter"]) -> tuple[Term, ...]:
+def parameter_specs(parameters: Sequence["Parameter"]) -> tuple[ParameterSpec, ...]:
     """Parameters as plain values.
 
     Raises:
@@ -113,7 +113,7 @@ def terms(parameters: Sequence["Parameter"]) -> tuple[Term, ...]:
         prior = (float(each.prior_mean), float(each.prior_error))
         start = float(each.start)
         plain.append(
-            Term(
+            ParameterSpec(
                 each.quantity.name,
                 bounds,
                 prior if np.isfinite(prior[1]) else None,
@@ -145,15 +145,15 @@ def fit_logs(settings: bytes, logs: Sequence[tuple[str, bytes]]) -> list[bytes]:
     return [msgspec.msgpack.encode(_fit_log(settings, how, *log)) for log in logs]
 
 
-def answers(encoded: Sequence[bytes]) -> list[Answer]:
+def fit_replies(encoded: Sequence[bytes]) -> list[FitReply]:
     """What `fit_logs` gave."""
-    return [msgspec.msgpack.decode(each, type=Answer) for each in encoded]
+    return [msgspec.msgpack.decode(each, type=FitReply) for each in encoded]
 
 
-def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer:
-    from drftjax.recorded.prepared_run import candidate
+def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> FitReply:
+    from drftjax.recorded.prepared_run import prepare_run
     from drftjax.runlog.schema import run_from
-    from identify.cluster.result_codec import encoded
+    from identify.cluster.result_codec import encode_result
     from identify.fit_constant import fit
     from identify.uncertainty.noise_model import Autoregressive, White
 
@@ -164,7 +164,7 @@ def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer
             content, violations = _reader().survey(path)
         # Sentences name the log, not where a copy of it lay.
         run = run_from(content, [replace(each, path=digest) for each in violations])
-        each = candidate(
+        each = prepare_run(
             digest,
             run,
             fitted=[term.name for term in how.parameters],
@@ -177,12 +177,12 @@ def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> Answer
         noise = Autoregressive() if how.autoregressive else White()
         result = fit([each], _parameters(settings), noise=noise)
     except InputError as problem:
-        return Answer(digest, {}, b"", _reason(str(problem), digest))
+        return FitReply(digest, {}, b"", _reason(str(problem), digest))
     except Exception as problem:
         # One log among thousands must not take the others with it, whatever it meets.
-        return Answer(digest, {}, b"", f"its fit broke off: {type(problem).__name__}: {problem}")
+        return FitReply(digest, {}, b"", f"its fit broke off: {type(problem).__name__}: {problem}")
     values = {name: (v.value, v.error) for name, v in result.runs[0].values.items()}
-    return Answer(digest, values, encoded(result), "")
+    return FitReply(digest, values, encode_result(result), "")
 
 
 def _reason(text: str, digest: str) -> str:

@@ -54,11 +54,11 @@ def crosscheck(
     from drftjax.common.output_files import require_places
     from drftjax.common.text import printable
     from drftjax.recorded.gather import gather
-    from drftjax.recorded.prepared_run import Candidate, candidate
+    from drftjax.recorded.prepared_run import PreparedRun, prepare_run
     from drftjax.runlog.record import RunLog
     from drftjax.tuning.step_tuner import StepTuner
     from identify.crosscheck.crosscheck import crosscheck as check
-    from identify.crosscheck.replays import Setting
+    from identify.crosscheck.replays import TunerSetting
 
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     if output is not None:
@@ -67,10 +67,10 @@ def crosscheck(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     online = {}
 
-    def ready(name: str, run: RunLog) -> Candidate:
+    def ready(name: str, run: RunLog) -> PreparedRun:
         if run.online is not None:
             online[name] = run.online
-        return candidate(name, run)
+        return prepare_run(name, run)
 
     def say(text: str) -> None:
         # File names may hold brackets, and are to be copied from one line.
@@ -79,13 +79,13 @@ def crosscheck(
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
         gathered = gather(runs, ready, sinkage=True, tell=say)
-        candidates = gathered.candidates
+        candidates = gathered.runs
         bar.update(task, description=f"replaying and fitting {len(candidates)} runs")
-        setting = Setting(tick, zeta_step, tolerance)
+        setting = TunerSetting(tick, zeta_step, tolerance)
         result = check(candidates, setting, online=online, knot_spacing=knots, sweep=sweep)
         for name, why in result.failures.items():
             say(f"left out: {name}: {why}")
-        result = dataclasses.replace(result, failures=gathered.left_out | dict(result.failures))
+        result = dataclasses.replace(result, failures=gathered.skipped | dict(result.failures))
 
     for table in tables(result):
         console.print(table)

@@ -91,7 +91,7 @@ def design(
     from drftjax.setups.generated_files import require_own_setup
     from drftjax.setups.setup import read_setup
     from identify.design.design import design as design_run
-    from identify.design.fisher_information import Instrument
+    from identify.design.fisher_information import InstrumentNoise
     from identify.design.limits import Limits
     from identify.design.search import Search
 
@@ -121,7 +121,7 @@ def design(
             parameter,
             nuisances=nuisance or None,
             limits=limits,
-            instrument=Instrument(noise, tuple(channel or ("x", "z"))),
+            instrument=InstrumentNoise(noise, tuple(channel or ("x", "z"))),
             search=Search(steps=steps),
             wanted=wanted / 100,
             model_error=model_error * 1e-3,

@@ -135,12 +135,12 @@ def fit(
     from drftjax.common.text import printable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
-    from drftjax.recorded.prepared_run import candidate, names_of
+    from drftjax.recorded.prepared_run import names_of, prepare_run
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import each_once, run_files
     from drftjax.runlog.record import CHANNELS
     from drftjax.setups.setup import read_setup
-    from identify.design.required_speed import with_reach
+    from identify.design.required_speed import add_required_speeds
     from identify.fit_constant import fit as fit_runs
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
@@ -165,7 +165,7 @@ def fit(
         require_places([text, binary, picture], runs)
         require_no_recording(binary)
     if cluster is not None:
-        from identify.cluster.worker import Settings, terms
+        from identify.cluster.worker import Settings, parameter_specs
         from identify.commands.fit_cluster import fit_on_cluster
 
         if zeta != "constant" or starts != 1 or profile or bootstrap or model:
@@ -174,7 +174,7 @@ def fit(
                 "--zeta, --starts, --profile, --bootstrap and --model out"
             )
         alone = Settings(
-            terms(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
+            parameter_specs(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
         )
         kept, left_out = each_once(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
@@ -191,7 +191,7 @@ def fit(
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
         ready = partial(
-            candidate,
+            prepare_run,
             model=None if model is None else read_setup(model),
             fitted=[each.quantity.name for each in fitted],
             zeta=start_zeta,
@@ -202,7 +202,7 @@ def fit(
         )
         tell = partial(say, style="yellow")
         gathered = gather(runs, ready, sinkage=path, tell=tell)
-        candidates = gathered.candidates
+        candidates = gathered.runs
         bar.update(task, description=f"compiling for {len(candidates)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
@@ -216,7 +216,7 @@ def fit(
         else:
             if zeta == "phases":
                 fitted = zeta_phases(candidates, fitted)
-            result = with_reach(fit_runs(candidates, fitted, report, noise, starts=starts))
+            result = add_required_speeds(fit_runs(candidates, fitted, report, noise, starts=starts))
         for name in profile or []:
             bar.update(task, description=f"profile of {name}")
             result = result.profile(name)
@@ -229,7 +229,7 @@ def fit(
         console.print(told.table())
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
-    result = result.with_failures(gathered.left_out)
+    result = result.with_failures(gathered.skipped)
     if stem is not None:
         from drftjax.common.figures import save_figure
 
@@ -306,7 +306,7 @@ def _named(
     Raises:
         InputError: for options that contradict one another, or a parameter that cannot be.
     """
-    from identify.fit_path_jointly import require_beside
+    from identify.fit_path_jointly import require_joint_parameters
     from identify.parameters.parameter import parameter, require_once
     from identify.parameters.parameter_file import read_parameters
 
@@ -319,7 +319,7 @@ def _named(
     fitted = fitted if parameters is None else read_parameters(parameters)
     require_once(fitted)
     if path:
-        require_beside(fitted)
+        require_joint_parameters(fitted)
     return fitted
 
 

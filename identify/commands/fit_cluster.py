@@ -126,19 +126,19 @@ def _together(
     encoded: Mapping[str, bytes], digests: Mapping[str, str], failures: Mapping[str, str]
 ) -> "FitResult":
     """Lone fits as one result."""
-    from identify.cluster.result_codec import decoded
-    from identify.results.findings import between
+    from identify.cluster.result_codec import decode_result
+    from identify.results.findings import between_run_sentences
     from identify.results.result import FitResult
 
     runs, told = [], []
     status, steps = WORST_LAST[0], 0
     for name, each in encoded.items():
-        lone = decoded(each)
+        lone = decode_result(each)
         runs.append(replace(lone.run, name=name))
         status = max(status, lone.status, key=WORST_LAST.index)
         steps = max(steps, lone.steps)
         # One run alone has no repeats; all together may.
-        of_one = between([lone.run])
+        of_one = between_run_sentences([lone.run])
         said = [
             finding.replace(digests[name], name)
             for finding in lone.findings
@@ -155,7 +155,7 @@ def _together(
         steps=steps,
         failures=dict(failures),
         # What is said of all stands before what is said of each, which may be cut short.
-        findings=[*between(runs), *told],
+        findings=[*between_run_sentences(runs), *told],
     )
 
 

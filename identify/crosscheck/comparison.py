@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.commanded_motion import asked_to_move
+from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.simulation.trial import Trial
 
 RIPPLE_WINDOW = 1.0
@@ -65,7 +65,7 @@ class Comparison:
     from_truth: float | None = None
 
 
-def comparison(
+def compare_series(
     time: np.ndarray,
     zeta: np.ndarray,
     direction: np.ndarray,
@@ -98,8 +98,8 @@ def comparison(
         up=float(np.mean(steps > 0)),
         down=float(np.mean(steps < 0)),
         idle=float(np.mean(steps == 0)),
-        slew_limit=sustained(steps, steps != 0),
-        dead_band=sustained(steps, steps == 0),
+        slew_limit=sustained_part(steps, steps != 0),
+        dead_band=sustained_part(steps, steps == 0),
         from_truth=None if truth is None else root_mean_square(zeta[moving] - truth(at)),
     )
 
@@ -147,7 +147,7 @@ def ripple(zeta: np.ndarray, tick: float) -> tuple[float, float | None]:
     return float(left.std()), float(np.fft.rfftfreq(len(left), tick)[1 + np.argmax(power[1:])])
 
 
-def sustained(steps: np.ndarray, counted: np.ndarray) -> float:
+def sustained_part(steps: np.ndarray, counted: np.ndarray) -> float:
     """Share of the ticks that are counted and lie in a row of at least `SUSTAINED` equal ones."""
     ends = np.flatnonzero(np.diff(steps)) + 1
     rows = np.split(np.arange(len(steps)), ends)
@@ -165,7 +165,7 @@ def moving_part(trial: Trial, time: np.ndarray) -> np.ndarray:
     Raises:
         InputError: where it is so short that nothing can be said of it.
     """
-    at = np.flatnonzero(asked_to_move(trial, time))
+    at = np.flatnonzero(is_commanded_to_move(trial, time))
     if len(at) < 2 * SUSTAINED:
         raise InputError(
             f"the wheel moves over {len(at)} ticks, too few to compare; give a shorter tick"

@@ -14,17 +14,17 @@ import numpy as np
 
 from drftjax import __version__
 from drftjax.common.errors import InputError, RunError
-from drftjax.recorded.compatible import of_usable
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.compatible import retry_without_failures
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.runlog.record import Online
 from identify.crosscheck.comparison import (
     Comparison,
     Path,
-    comparison,
+    compare_series,
     moving_part,
     root_mean_square,
 )
-from identify.crosscheck.replays import Replayed, Setting, replays
+from identify.crosscheck.replays import ReplayedTuner, TunerSetting, replay_settings
 from identify.zeta_path.path import ZetaPath
 from identify.zeta_path.smoother import KNOT_SPACING, zeta_paths
 
@@ -45,7 +45,7 @@ TOLERANCE_FACTORS = (0.0, 0.3, 3.0, 10.0)
 class SweepRow:
     """One setting of the tuner on one run."""
 
-    setting: Setting
+    setting: TunerSetting
     comparison: Comparison
 
 
@@ -97,7 +97,7 @@ class RunCheck:
 class CrossCheck:
     """The tuner and the offline zeta(t) of many runs."""
 
-    setting: Setting
+    setting: TunerSetting
     runs: list[RunCheck]
     failures: Mapping[str, str]
 
@@ -123,7 +123,7 @@ def _run_document(run: RunCheck) -> dict:
             "time": path.time,
             "zeta": path.value,
             "error": path.error,
-            "told": path.told,
+            "told": path.identified,
             "smoothness_weight": path.weight,
             "noise": {c: {"spread": s, "correlation": r} for c, (s, r) in path.noise.items()},
             "converged": path.converged,
@@ -151,8 +151,8 @@ def _plain(value: Any) -> Any:
 
 
 def crosscheck(
-    candidates: Sequence[Candidate],
-    setting: Setting,
+    candidates: Sequence[PreparedRun],
+    setting: TunerSetting,
     *,
     online: Mapping[str, Online] | None = None,
     truths: Mapping[str, Path] | None = None,
@@ -175,35 +175,37 @@ def crosscheck(
     """
     settings = [setting, *(_sweep(setting) if sweep else [])]
 
-    def both_ways(runs: list[Candidate]) -> list[RunCheck]:
-        made = zip(runs, zeta_paths(runs, knot_spacing), replays(runs, settings), strict=True)
+    def both_ways(runs: list[PreparedRun]) -> list[RunCheck]:
+        made = zip(
+            runs, zeta_paths(runs, knot_spacing), replay_settings(runs, settings), strict=True
+        )
         return [told(*each) for each in made]
 
-    def told(each: Candidate, path: ZetaPath, replayed: Replayed) -> RunCheck:
+    def told(each: PreparedRun, path: ZetaPath, replayed: ReplayedTuner) -> RunCheck:
         logged, truth = (online or {}).get(each.name), (truths or {}).get(each.name)
         try:
             return _check(each, path, settings, replayed, logged, truth)
         except InputError as problem:
             raise RunError(each.name, str(problem)) from None
 
-    _, runs, left_out = of_usable(candidates, both_ways)
+    _, runs, left_out = retry_without_failures(candidates, both_ways)
     return CrossCheck(setting, runs, left_out)
 
 
-def _sweep(setting: Setting) -> list[Setting]:
+def _sweep(setting: TunerSetting) -> list[TunerSetting]:
     tick, step, tolerance = setting.tick, setting.zeta_step, setting.tolerance
     return [
-        *(Setting(tick * factor, step, tolerance) for factor in TICK_FACTORS),
-        *(Setting(tick, step * factor, tolerance) for factor in STEP_FACTORS),
-        *(Setting(tick, step, tolerance * factor) for factor in TOLERANCE_FACTORS),
+        *(TunerSetting(tick * factor, step, tolerance) for factor in TICK_FACTORS),
+        *(TunerSetting(tick, step * factor, tolerance) for factor in STEP_FACTORS),
+        *(TunerSetting(tick, step, tolerance * factor) for factor in TOLERANCE_FACTORS),
     ]
 
 
 def _check(
-    each: Candidate,
+    each: PreparedRun,
     path: ZetaPath,
-    settings: Sequence[Setting],
-    replayed: Replayed,
+    settings: Sequence[TunerSetting],
+    replayed: ReplayedTuner,
     online: Online | None,
     truth: Path | None,
 ) -> RunCheck:
@@ -216,7 +218,7 @@ def _check(
         if settings[number].zeta_step == 0:
             direction = 0 * direction
         moving = moving_part(each.trial, time)
-        return comparison(time, replayed.zeta[pick], direction, moving, path.at, truth)
+        return compare_series(time, replayed.zeta[pick], direction, moving, path.at, truth)
 
     time = replayed.time[:: replayed.every[0]]
     moving = moving_part(each.trial, time)
@@ -227,7 +229,7 @@ def _check(
         online_zeta = online.zeta
         direction = np.sign(np.diff(online_zeta, prepend=online_zeta[0])).astype(int)
         when = moving_part(each.trial, online_time)
-        logged = comparison(online_time, online_zeta, direction, when, path.at, truth)
+        logged = compare_series(online_time, online_zeta, direction, when, path.at, truth)
     return RunCheck(
         name=each.name,
         offline=path,
@@ -252,7 +254,7 @@ def _check(
     )
 
 
-def _replay_rmse(each: Candidate, replayed: Replayed) -> dict[str, float]:
+def _replay_rmse(each: PreparedRun, replayed: ReplayedTuner) -> dict[str, float]:
     observation = each.observation
     ends = replayed.time + replayed.time[1]
     when = observation.counts & (observation.time >= ends[0]) & (observation.time <= ends[-1])

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from drftjax.common.errors import RunError
 from drftjax.physics.command import Command
 from drftjax.recorded.batch import make_batch
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 from drftjax.tuning.step_tuner import Loop, StepTuner, known_sinkage, replay, tick_commands
 
@@ -22,7 +22,7 @@ FINER = 4
 
 
 @dataclass(frozen=True)
-class Setting:
+class TunerSetting:
     """A tuner's numbers [s], [-], [m]."""
 
     tick: float
@@ -31,7 +31,7 @@ class Setting:
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class ReplayedTuner:
     """One run under every setting, on the finest tick; arrays of shape (settings, ticks)."""
 
     time: np.ndarray
@@ -42,7 +42,9 @@ class Replayed:
     every: list[int]
 
 
-def replays(candidates: Sequence[Candidate], settings: Sequence[Setting]) -> list[Replayed]:
+def replay_settings(
+    candidates: Sequence[PreparedRun], settings: Sequence[TunerSetting]
+) -> list[ReplayedTuner]:
     """Every run under every setting.
 
     All settings are stepped on one fine tick. A tick in between, on which a setting does not
@@ -74,12 +76,12 @@ def replays(candidates: Sequence[Candidate], settings: Sequence[Setting]) -> lis
                 "a replay of the tuner diverges; give a shorter tick or a smaller step",
             )
     return [
-        Replayed(starts[:n], zeta[i, :, :n], error[i, :, :n], z[i, :, :n], x[i, :, :n], every)
+        ReplayedTuner(starts[:n], zeta[i, :, :n], error[i, :, :n], z[i, :, :n], x[i, :, :n], every)
         for i, n in enumerate(lengths)
     ]
 
 
-def _recorded(each: Candidate, starts: np.ndarray, every: Sequence[int]) -> np.ndarray:
+def _recorded(each: PreparedRun, starts: np.ndarray, every: Sequence[int]) -> np.ndarray:
     """Sinkage known on the fine ticks that a setting measures on, shape (settings, ticks)."""
     observation = each.observation
     if "z" not in observation.channels:

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
     from identify.crosscheck.comparison import Comparison
     from identify.crosscheck.crosscheck import CrossCheck, RunCheck
-    from identify.crosscheck.replays import Setting
+    from identify.crosscheck.replays import TunerSetting
 
 MM = 1e3
 
@@ -115,7 +115,7 @@ def _sweep(result: "CrossCheck") -> "Table":
     return table
 
 
-def _varied(setting: "Setting", base: "Setting") -> str:
+def _varied(setting: "TunerSetting", base: "TunerSetting") -> str:
     """What a setting has that the one asked for has not."""
     if setting.tick != base.tick:
         return f"tick {setting.tick * MM:g} ms"
@@ -168,7 +168,7 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
         axes.plot(run.online_time, run.online_zeta, color="C2", lw=0.8, label="tuner, as logged")
     low, high = axes.get_ylim()
     curve = between(path.time)
-    told = np.interp(curve, path.time, path.told.astype(float)) == 1.0
+    told = np.interp(curve, path.time, path.identified.astype(float)) == 1.0
     axes.plot(
         curve,
         np.where(told, path.at(curve), np.nan),
@@ -182,7 +182,7 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
     error = np.minimum(1.645 * path.error, 10.0)
     band = (path.value - error, path.value + error)
     axes.fill_between(path.time, *band, color="C0", alpha=0.2, lw=0, label="90 % band")
-    inside = np.r_[low, high, path.value[path.told]]
+    inside = np.r_[low, high, path.value[path.identified]]
     axes.set_ylim(inside.min() - 0.01, inside.max() + 0.01)
     axes.set_ylabel("zeta [-]")
     late = "-" if run.tuner.lag is None else f"{run.tuner.lag:.2f} s"

@@ -12,12 +12,17 @@ import numpy as np
 
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
-from drftjax.setups.command_knots import thinned
+from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.setup import CommandSetUp, SetUp
-from identify.design.fisher_information import SMALLEST_EFFECT, Instrument, Knowledge, Objective
+from identify.design.fisher_information import (
+    SMALLEST_EFFECT,
+    InstrumentNoise,
+    Objective,
+    ParameterInformation,
+)
 from identify.design.limits import Limits
-from identify.design.options import Judge, Option, quantities_named
-from identify.design.search import Progress, Search, descended, objective_of
+from identify.design.options import RunEvaluator, RunOption, quantities_named
+from identify.design.search import Progress, Search, local_optimum, objective_of
 
 DESIGN_SCHEMA = "drft-design"
 
@@ -47,13 +52,13 @@ class Design:
     parameter: str
     unit: str
     nuisances: tuple[str, ...]
-    now: Option
+    now: RunOption
     beyond: tuple[str, ...]
-    best: Option
-    found: tuple[Option, ...]
-    scan: tuple[Option, ...]
+    best: RunOption
+    found: tuple[RunOption, ...]
+    scan: tuple[RunOption, ...]
     peaks: tuple[float, ...]
-    others: tuple[Option, ...]
+    others: tuple[RunOption, ...]
     wanted: float
     model_error: float
     noise: dict[str, float]
@@ -62,16 +67,16 @@ class Design:
     @property
     def seen(self) -> bool:
         """Whether any run within the limits tells the parameter from its nuisances."""
-        return math.isfinite(self.best.knows.error)
+        return math.isfinite(self.best.information.error)
 
     @property
     def factor(self) -> float:
         """How many times smaller the standard error of the best run is [-]."""
-        return self.now.knows.error / self.best.knows.error if self.seen else 1.0
+        return self.now.information.error / self.best.information.error if self.seen else 1.0
 
-    def shift(self, option: Option) -> float:
+    def shift(self, option: RunOption) -> float:
         """Largest shift of the fitted value by the model error."""
-        return option.knows.shift * self.model_error
+        return option.information.shift * self.model_error
 
     def speed_needed(self, with_model_error: bool = False) -> float | None:
         """Peak speed [rad/s] from which the parameter is identified, or None within the limits.
@@ -81,10 +86,10 @@ class Design:
         Args:
             with_model_error: Whether the shift by the model error counts as well.
         """
-        value = abs(self.now.knows.value)
+        value = abs(self.now.information.value)
 
-        def error(each: Option) -> float:
-            return each.knows.error + (self.shift(each) if with_model_error else 0.0)
+        def error(each: RunOption) -> float:
+            return each.information.error + (self.shift(each) if with_model_error else 0.0)
 
         shares = np.array([error(each) / value if value else np.inf for each in self.scan])
         below = shares <= self.wanted
@@ -100,7 +105,7 @@ class Design:
 
     def summary(self) -> str:
         """The outcome in a few sentences."""
-        name, now, best = self.parameter, self.now.knows, self.best.knows
+        name, now, best = self.parameter, self.now.information, self.best.information
         if not self.seen:
             if best.effect <= SMALLEST_EFFECT:
                 return f"{name} moves no measured channel: no run within the limits can tell it."
@@ -141,7 +146,7 @@ class Design:
         return "\n".join(lines)
 
 
-def _percent(knows: Knowledge) -> str:
+def _percent(knows: ParameterInformation) -> str:
     return f" ({knows.relative:.2%})" if math.isfinite(knows.relative) else ""
 
 
@@ -172,7 +177,7 @@ def design(
     *,
     nuisances: Sequence[str] | None = None,
     limits: Limits | None = None,
-    instrument: Instrument | None = None,
+    instrument: InstrumentNoise | None = None,
     search: Search | None = None,
     wanted: float = 0.1,
     model_error: float = 5e-5,
@@ -194,7 +199,11 @@ def design(
     Raises:
         InputError: for names, limits or set-ups that cannot be.
     """
-    limits, instrument, search = limits or Limits(), instrument or Instrument(), search or Search()
+    limits, instrument, search = (
+        limits or Limits(),
+        instrument or InstrumentNoise(),
+        search or Search(),
+    )
     report = progress or (lambda what: None)
     quantities = quantities_named(parameter_name, nuisances)
     if setup.rig.carriage != "free":
@@ -207,29 +216,29 @@ def design(
     require_between("the scanned speeds", search.scan, 2, 40)
     require_between("the starts", search.starts, 1, search.scan)
 
-    judge = Judge(setup, quantities, instrument, limits)
+    judge = RunEvaluator(setup, quantities, instrument, limits)
     for load in limits.loads or ():
         judge.deeper(load)  # refuses what the sand does not bear, before the search
     radius = setup.wheel.radius
     fastest = max(trapezoid(limits, radius, limits.speed).omega)
     peaks = np.geomspace(fastest / 12, fastest, search.scan).tolist()
-    given = judge.setup_of(thinned(setup.command))
+    given = judge.setup_of(decimate_command(setup.command))
     ramps = [judge.setup_of(trapezoid(limits, radius, peak)) for peak in peaks]
     report(f"the given profile and {search.scan} peak speeds")
     now, *scan = judge.options(["given profile", *map(_trapezoid_name, peaks)], [given, *ramps])
 
-    unseen = not any(math.isfinite(each.knows.error) for each in scan)
-    found: list[Option] = []
+    unseen = not any(math.isfinite(each.information.error) for each in scan)
+    found: list[RunOption] = []
     if not unseen:
-        order = np.argsort([each.knows.error for each in scan])[: search.starts]
-        found = descended(judge, search, [scan[index] for index in order], report)
+        order = np.argsort([each.information.error for each in scan])[: search.starts]
+        found = local_optimum(judge, search, [scan[index] for index in order], report)
         report("the profiles found, on the real plates")
         found = judge.options([each.name for each in found], [each.setup for each in found])
     # A long plateau at the limit may be best: the search must not lose to where it began, nor to
     # what is run already.
     beyond = tuple(limits.beyond(given.command.build(), radius))
     able = [*found, *scan] if beyond else [*found, *scan, now]
-    best = min(able, key=lambda each: each.knows.error)
+    best = min(able, key=lambda each: each.information.error)
     report("other loads and start angles")
     others = [] if unseen else judge.options(*_variations(judge, best.setup))
     return Design(
@@ -254,13 +263,13 @@ def promised(
     setup: SetUp,
     parameter_name: str,
     nuisances: Sequence[str] | None = None,
-    instrument: Instrument | None = None,
-) -> Option:
+    instrument: InstrumentNoise | None = None,
+) -> RunOption:
     """What one run of a set-up as it stands would tell of a parameter; see `design`."""
-    instrument = instrument or Instrument()
+    instrument = instrument or InstrumentNoise()
     instrument.check()
-    judge = Judge(setup, quantities_named(parameter_name, nuisances), instrument, Limits())
-    return judge.options([setup.title], [judge.setup_of(thinned(setup.command))])[0]
+    judge = RunEvaluator(setup, quantities_named(parameter_name, nuisances), instrument, Limits())
+    return judge.options([setup.title], [judge.setup_of(decimate_command(setup.command))])[0]
 
 
 def search_objective(
@@ -269,7 +278,7 @@ def search_objective(
     nuisances: Sequence[str] | None = None,
     *,
     limits: Limits | None = None,
-    instrument: Instrument | None = None,
+    instrument: InstrumentNoise | None = None,
     search: Search | None = None,
 ) -> Objective:
     """What a search goes down: the logarithm of a standard error, on coarse rounded plates.
@@ -280,8 +289,8 @@ def search_objective(
     Raises:
         InputError: for names that cannot be.
     """
-    instrument, limits = instrument or Instrument(), limits or Limits()
-    judge = Judge(setup, quantities_named(parameter_name, nuisances), instrument, limits)
+    instrument, limits = instrument or InstrumentNoise(), limits or Limits()
+    judge = RunEvaluator(setup, quantities_named(parameter_name, nuisances), instrument, limits)
     return objective_of(judge, search or Search())
 
 
@@ -289,7 +298,7 @@ def _trapezoid_name(peak: float) -> str:
     return f"trapezoid to {math.degrees(peak):.0f} deg/s"
 
 
-def _variations(judge: Judge, best: SetUp) -> tuple[list[str], list[SetUp]]:
+def _variations(judge: RunEvaluator, best: SetUp) -> tuple[list[str], list[SetUp]]:
     """The best run under other loads, and from other start angles."""
     own = best.rig.mass_z * best.rig.gravity
     names, setups = [], []

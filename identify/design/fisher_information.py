@@ -104,7 +104,7 @@ def log_error(fisher: Float[Array, "parameters parameters"]) -> Float[Array, ""]
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class ParameterInformation:
     """What one run would tell of the first of its parameters.
 
     Attributes:
@@ -131,14 +131,14 @@ class Knowledge:
         return self.error / abs(self.value) if self.value else float("inf")
 
 
-def knowledge(
+def parameter_information(
     derivatives: np.ndarray,
     weight: np.ndarray,
     counts: np.ndarray,
     quantities: Sequence[Quantity],
     value: float,
     scale: float,
-) -> Knowledge:
+) -> ParameterInformation:
     """What a run's derivatives say of the first parameter.
 
     By a QR decomposition rather than the information, which has only half the digits.
@@ -169,7 +169,7 @@ def knowledge(
     remains = float(np.linalg.norm(left))
     share = remains / effect if effect > SMALLEST_EFFECT else 0.0
     if share <= SMALLEST_SHARE:
-        return Knowledge(value, np.inf, np.inf, share, imitator, effect, np.inf)
+        return ParameterInformation(value, np.inf, np.inf, share, imitator, effect, np.inf)
     # Fitted change = gain . whitened error; the worst error of a channel lies along its gain.
     gain = (left / remains**2).reshape(whitened.shape[:2])
     number = float(counts.sum())
@@ -178,13 +178,13 @@ def knowledge(
         for index, channel in enumerate(CHANNELS)
         if channel in POSITIONS
     )
-    return Knowledge(
+    return ParameterInformation(
         value, scale / remains, scale / effect, share, imitator, effect, scale * float(worst)
     )
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentNoise:
     """What is measured, and how finely.
 
     Attributes:
@@ -240,7 +240,7 @@ def _at_most_farthest(turn: float) -> Float[Array, ""]:
     return jnp.minimum(as_real(turn), FARTHEST)
 
 
-class Profile(eqx.Module):
+class SpeedProfile(eqx.Module):
     """Speeds at even knots, as a smooth function of free coordinates, inside a rig's limits.
 
     Each knot lies between the lowest and the highest speed that the last one, the acceleration
@@ -312,7 +312,7 @@ class Objective(eqx.Module):
     """
 
     trial: Trial
-    profile: Profile
+    profile: SpeedProfile
     loads: Float[Array, " bounds"]
     depths: Float[Array, " bounds"]
     scale: Float[Array, " parameters"]

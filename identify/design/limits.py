@@ -8,7 +8,7 @@ import numpy as np
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.physics.integrator import sharpest_ramp
-from drftjax.runlog.record import Command
+from drftjax.runlog.record import RecordedCommand
 
 # A limit is kept where it is exceeded by no more than this share of it, which files round by.
 ROUNDED = 1e-3
@@ -37,7 +37,7 @@ class Limits:
         """Rest before and after the motion [s]."""
         return min(1.0, self.duration / 20)
 
-    def beyond(self, command: Command, radius: float) -> list[str]:
+    def beyond(self, command: RecordedCommand, radius: float) -> list[str]:
         """What of a profile goes beyond the rig, in words; nothing where it can be run.
 
         Args:
@@ -50,7 +50,7 @@ class Limits:
             ("speed", math.degrees(float(np.abs(omega).max())), math.degrees(self.speed), "deg/s"),
             ("acceleration", math.degrees(fastest), math.degrees(self.acceleration), "deg/s2"),
             ("duration", float(time[-1] - time[0]), self.duration, "s"),
-            ("way", way(command, radius), self.travel, "m"),
+            ("way", travel_of(command, radius), self.travel, "m"),
         )
         return [
             f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
@@ -80,7 +80,7 @@ class Limits:
                 raise InputError(f"the loads are {low:g} to {high:g} N; the first must be less")
 
 
-def way(command: Command, radius: float) -> float:
+def travel_of(command: RecordedCommand, radius: float) -> float:
     """Way of the rim [m], which the wheel's travel falls short of by slip.
 
     Args:

@@ -16,15 +16,15 @@ from drftjax.simulation.ensemble import map_runs, stack
 from drftjax.simulation.statics import standing_sinkage
 from drftjax.simulation.trial import Trial
 from identify.design.fisher_information import (
-    Instrument,
-    Knowledge,
+    InstrumentNoise,
+    ParameterInformation,
     counted,
-    knowledge,
+    parameter_information,
     scales,
     sensitivities,
     stackable,
 )
-from identify.design.limits import Limits, way
+from identify.design.limits import Limits, travel_of
 from identify.parameters.parameter import Quantity, parameter
 
 # Runs evaluated in one call: so many are padded to, and only one program is compiled.
@@ -32,7 +32,7 @@ TOGETHER = 4
 
 
 @dataclass(frozen=True)
-class Option:
+class RunOption:
     """One run that could be made.
 
     Attributes:
@@ -44,13 +44,13 @@ class Option:
 
     name: str
     setup: SetUp
-    knows: Knowledge
-    added: dict[str, Knowledge]
+    information: ParameterInformation
+    added: dict[str, ParameterInformation]
 
     @property
     def way(self) -> float:
         """Of the rim [m], which the wheel's travel falls short of by slip."""
-        return way(self.setup.command.build(), self.setup.wheel.radius)
+        return travel_of(self.setup.command.build(), self.setup.wheel.radius)
 
 
 def quantities_named(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:
@@ -75,11 +75,11 @@ def _derived(trials: Trial, quantities: list[Quantity], scale: Array) -> Array:
     return map_runs(lambda trial, scale: sensitivities(trial, quantities, scale), trials, scale)
 
 
-class Judge:
+class RunEvaluator:
     """Evaluates set-ups: what a run of each would tell."""
 
     def __init__(
-        self, setup: SetUp, quantities: list[Quantity], instrument: Instrument, limits: Limits
+        self, setup: SetUp, quantities: list[Quantity], instrument: InstrumentNoise, limits: Limits
     ):
         self.base = setup
         self.quantities = quantities
@@ -111,7 +111,7 @@ class Judge:
         depths = [standing_sinkage(simulator, factor, each) for each in (load, self.load())]
         return depths[0] - depths[1]
 
-    def options(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[Option]:
+    def options(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[RunOption]:
         """What a run of each set-up would tell, on the set-up's own plates."""
         finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
@@ -127,12 +127,14 @@ class Judge:
                 options.append(self._option(names[place], setups[place], derivatives, scale[0]))
         return options
 
-    def _option(self, name: str, setup: SetUp, derivatives: np.ndarray, scale: float) -> Option:
+    def _option(self, name: str, setup: SetUp, derivatives: np.ndarray, scale: float) -> RunOption:
         counts = counted(setup, derivatives.shape[1])
         value = float(self.quantities[0].read(setup.trial()))
 
-        def told(extra: str | None = None) -> Knowledge:
+        def told(extra: str | None = None) -> ParameterInformation:
             weight = self.instrument.weight(extra)
-            return knowledge(derivatives, weight, counts, self.quantities, value, scale)
+            return parameter_information(derivatives, weight, counts, self.quantities, value, scale)
 
-        return Option(name, setup, told(), {each: told(each) for each in self.instrument.additions})
+        return RunOption(
+            name, setup, told(), {each: told(each) for each in self.instrument.additions}
+        )

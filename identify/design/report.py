@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from identify.design.design import Design
-    from identify.design.fisher_information import Knowledge
-    from identify.design.options import Option
+    from identify.design.fisher_information import ParameterInformation
+    from identify.design.options import RunOption
 
 # What the titles of designed runs hold.
 DESIGNED = ", designed for "
@@ -24,18 +24,18 @@ def plot_design(result: "Design") -> "Figure":
     profile, scan = figure.subplots(1, 2)
     for each, name, colour in ((result.now, "given", "0.4"), (result.best, "best", "C0")):
         command = each.setup.command.build()
-        label = f"{name}: ±{each.knows.error:.2g}"
+        label = f"{name}: ±{each.information.error:.2g}"
         profile.plot(command.time, np.degrees(command.omega), ".-", color=colour, label=label)
     profile.set_xlabel("time [s]")
     profile.set_ylabel("angular velocity [deg/s]")
     profile.legend(title=f"standard error of {result.parameter}", fontsize=8)
     peaks = np.degrees(result.peaks)
-    errors = np.array([each.knows.error for each in result.scan])
+    errors = np.array([each.information.error for each in result.scan])
     shifts = np.array([result.shift(each) for each in result.scan])
     scan.loglog(peaks, errors, "o-", label="standard error, white noise")
     label = f"shift by a model error of {result.model_error * 1e3:.3g} mm"
     scan.loglog(peaks, shifts, "s--", label=label)
-    value = abs(result.now.knows.value)
+    value = abs(result.now.information.value)
     if value:
         label = f"{result.wanted:.0%} of the value"
         scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":", label=label)
@@ -64,8 +64,8 @@ def design_table(result: "Design") -> "Table":
     table.add_column("factor gained", justify="right")
     table.add_column(f"shift by {result.model_error * 1e3:.3g} mm", justify="right")
 
-    def add(name: str, knows: "Knowledge") -> None:
-        factor = result.now.knows.error / knows.error if math.isfinite(knows.error) else 0.0
+    def add(name: str, knows: "ParameterInformation") -> None:
+        factor = result.now.information.error / knows.error if math.isfinite(knows.error) else 0.0
         shift = knows.shift * result.model_error
         share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
         table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
@@ -73,13 +73,13 @@ def design_table(result: "Design") -> "Table":
     units = UNITS["measured"]
     for head, options in (("", [result.now]), ("best: ", [result.best])):
         for each in options:
-            add(head + each.name, each.knows)
+            add(head + each.name, each.information)
             for channel, more in each.added.items():
                 add(f"  with {channel} ({result.noise[channel]:g} {units[channel]})", more)
         table.add_section()
     for group in (result.others, result.found, result.scan):
         for each in group:
-            add(each.name, each.knows)
+            add(each.name, each.information)
         table.add_section()
     return table
 
@@ -91,10 +91,10 @@ def design_document(result: "Design") -> dict:
     from drftjax import __version__
     from identify.design.design import DESIGN_SCHEMA
 
-    def plain(option: "Option") -> dict:
+    def plain(option: "RunOption") -> dict:
         return {
             "name": option.name,
-            **_numbers(option.knows),
+            **_numbers(option.information),
             "way": option.way,
             "added": {name: _numbers(each) for name, each in option.added.items()},
             "setup": msgspec.to_builtins(option.setup),
@@ -127,7 +127,7 @@ def design_document(result: "Design") -> dict:
     }
 
 
-def _numbers(knows: "Knowledge") -> dict[str, float | str | None]:
+def _numbers(knows: "ParameterInformation") -> dict[str, float | str | None]:
     """What a run tells; None where it tells nothing, as JSON has no infinity."""
     import math
 

@@ -25,15 +25,15 @@ from drftjax.simulation.trial import Trial
 from identify.parameters.phase_zeta import PhaseZeta
 from identify.results.result import FitResult
 from identify.results.values import UNTOLD
-from identify.solver.problem import Problem, linearised
+from identify.solver.problem import Problem, linearize
 from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import covariance
-from identify.uncertainty.estimate import Optimum
+from identify.uncertainty.estimate import Estimate
 
 FACTORS = (2.0, 4.0, 8.0, 16.0)
 
 
-def with_reach(result: FitResult) -> FitResult:
+def add_required_speeds(result: FitResult) -> FitResult:
     """The same, with a finding for every shared value that the runs do not tell."""
     optimum = result.optimum
     if optimum is None:
@@ -41,15 +41,15 @@ def with_reach(result: FitResult) -> FitResult:
     setups = [run.setup for run in result.runs]
     told = []
     for name, value in result.shared.items():
-        if value.told:
+        if value.identified:
             continue
         # What other runs would tell is no reason to lose what these do.
         with suppress(InputError):
-            told.append(reach(optimum, setups, name))
+            told.append(required_speed(optimum, setups, name))
     return replace(result, findings=[*result.findings, *(each for each in told if each)])
 
 
-def reach(optimum: Optimum, setups: Sequence[SetUp], name: str) -> str | None:
+def required_speed(optimum: Estimate, setups: Sequence[SetUp], name: str) -> str | None:
     """A sentence on the speed from which a shared parameter could be identified.
 
     Args:
@@ -106,10 +106,10 @@ def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
     return float(a * (b / a) ** way)
 
 
-def _by_phase(trial: Trial, optimum: Optimum, run: int, name: str, stretch: float) -> Trial:
+def _by_phase(trial: Trial, optimum: Estimate, run: int, name: str, stretch: float) -> Trial:
     """The trial with the fit's zeta by phase, if that was fitted; the named one's as believed."""
     given, (shared, own) = optimum.candidates[run].trial, optimum.solution.coordinates
-    zeta = optimum.problem.placed(given, shared, own[run]).simulator.terrain.zeta
+    zeta = optimum.problem.trial_at(given, shared, own[run]).simulator.terrain.zeta
     if not isinstance(zeta, PhaseZeta):
         return trial
     zeta = eqx.tree_at(lambda z: z.time, zeta, stretch * zeta.time)
@@ -118,7 +118,7 @@ def _by_phase(trial: Trial, optimum: Optimum, run: int, name: str, stretch: floa
     return quantity.write(trial, quantity.read(given))
 
 
-def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -> float | None:
+def _error(optimum: Estimate, run: int, setup: SetUp, name: str, factor: float) -> float | None:
     """Standard error of the parameter by one run so many times as fast; None if it cannot be."""
     setup = copy.deepcopy(setup)
     setup.command.omega = [factor * value for value in setup.command.omega]
@@ -157,7 +157,7 @@ def _error(optimum: Optimum, run: int, setup: SetUp, name: str, factor: float) -
         problem,
         (jnp.asarray(weight), optimum.problem.correlation[jnp.asarray(kept)]),
     )
-    _, blocks = linearised(problem, problem.start())
+    _, blocks = linearize(problem, problem.start())
     if not np.isfinite(blocks).all():
         return None
 

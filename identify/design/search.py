@@ -16,8 +16,14 @@ from drftjax.physics.stress import Rounded
 from drftjax.setups.setup import CommandSetUp
 from drftjax.simulation.rollout import step_times
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
-from identify.design.fisher_information import MARGIN, Objective, Profile, scales, with_gradient
-from identify.design.options import Judge, Option
+from identify.design.fisher_information import (
+    MARGIN,
+    Objective,
+    SpeedProfile,
+    scales,
+    with_gradient,
+)
+from identify.design.options import RunEvaluator, RunOption
 
 # Share of the run at its end that the search leaves out.
 LEFT_OUT = 0.08
@@ -60,7 +66,7 @@ def _rounded(trial: Trial) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
 
 
-def objective_of(judge: Judge, search: Search, duration: float | None = None) -> Objective:
+def objective_of(judge: RunEvaluator, search: Search, duration: float | None = None) -> Objective:
     """The standard error around the given set-up, on coarse plates with rounded corners.
 
     Args:
@@ -73,7 +79,7 @@ def objective_of(judge: Judge, search: Search, duration: float | None = None) ->
     limit = judge.limits
     lasts = limit.duration if duration is None else duration
     turn = limit.travel / setup.wheel.radius
-    profile = Profile(search.knots, limit.speed, limit.acceleration, lasts, limit.rest, turn)
+    profile = SpeedProfile(search.knots, limit.speed, limit.acceleration, lasts, limit.rest, turn)
     setup.command = CommandSetUp(profile.time.tolist(), np.zeros(search.knots + 4).tolist())
     # The whole step is fast, and the rows of the last slow-down, where it is too long, are not
     # needed to tell profiles apart.
@@ -103,7 +109,9 @@ def objective_of(judge: Judge, search: Search, duration: float | None = None) ->
     )
 
 
-def descended(judge: Judge, search: Search, starts: list[Option], report: Progress) -> list[Option]:
+def local_optimum(
+    judge: RunEvaluator, search: Search, starts: list[RunOption], report: Progress
+) -> list[RunOption]:
     """What each descent came to, where it came to anything; judged as it was at its start.
 
     Args:
@@ -140,5 +148,5 @@ def descended(judge: Judge, search: Search, starts: list[Option], report: Progre
             low, high = judge.limits.loads
             chosen["load"] = low + (high - low) / (1 + math.exp(-end[knots]))
         name = f"descended from {start.name}"
-        options.append(Option(name, judge.setup_of(command, **chosen), start.knows, {}))
+        options.append(RunOption(name, judge.setup_of(command, **chosen), start.information, {}))
     return options

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import catalogue, effect_class, numbers
+from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
 from drftjax.simulation.trial import Trial
 from identify.parameters.bijector import AbstractBijector, Interval, Positive, Scaled
 from identify.parameters.quantity import Quantity
@@ -16,7 +16,11 @@ from identify.parameters.quantity import Quantity
 
 def effect_numbers() -> list[str]:
     """Every number of every effect, as a fit calls it."""
-    return [f"{name}.{field}" for name, effect in catalogue().items() for field in numbers(effect)]
+    return [
+        f"{name}.{field}"
+        for name, effect in catalogue().items()
+        for field in field_metadata(effect)
+    ]
 
 
 @cache  # programs are compiled for the very functions in it
@@ -30,7 +34,7 @@ def effect_quantity(name: str) -> Quantity | None:
     if title not in catalogue():
         return None
     effect = effect_class(title)
-    about = numbers(effect)
+    about = field_metadata(effect)
     if field not in about:
         has = ", ".join(f"{title}.{each} [{known['unit']}]" for each, known in about.items())
         raise InputError(f"the effect {title!r} has no number {field!r} to fit; it has {has}")

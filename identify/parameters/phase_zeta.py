@@ -13,8 +13,8 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command, with_zeros
 from drftjax.physics.terrain import AbstractZeta, ConstantZeta
 from drftjax.recorded.observation import ROUNDING
-from drftjax.recorded.prepared_run import Candidate
-from drftjax.setups.command_knots import SCATTER, cornered
+from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.setups.command_knots import SCATTER, simplify_command
 from drftjax.setups.setup import SetUp, ZetaKnots
 from identify.parameters.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
@@ -58,7 +58,7 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
     The wheel's speed decides, either way, or the carriage's where the wheel never turns. One that
     turns back slows down and speeds up again. What a measured speed scatters by is no phase.
     """
-    command = cornered(setup.command).build()
+    command = simplify_command(setup.command).build()
     turns = command.omega.any() or command.vx is None
     moving = command.omega if turns else command.vx
     assert moving is not None
@@ -85,7 +85,7 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
 
 
 def zeta_phases(
-    candidates: Sequence[Candidate], parameters: Sequence[Parameter] = ()
+    candidates: Sequence[PreparedRun], parameters: Sequence[Parameter] = ()
 ) -> list[Parameter]:
     """One zeta for each phase in which any run has samples to compare, before the parameters.
 
@@ -100,7 +100,7 @@ def zeta_phases(
     return [*new, *others.values()]
 
 
-def _compared(each: Candidate) -> set[str]:
+def _compared(each: PreparedRun) -> set[str]:
     # A sample at the end of a phase belongs to it, whatever its clock rounds.
     time = each.observation.time[each.observation.counts] - ROUNDING
     return {
@@ -114,8 +114,8 @@ def by_phase(parameters: Sequence[Parameter]) -> bool:
 
 
 def with_phases(
-    candidates: Sequence[Candidate], parameters: Sequence[Parameter]
-) -> list[Candidate]:
+    candidates: Sequence[PreparedRun], parameters: Sequence[Parameter]
+) -> list[PreparedRun]:
     """The runs with zeta by phase, all phases at the run's own to begin with.
 
     Raises:
@@ -132,7 +132,7 @@ def with_phases(
     return [_with_phases(each, *grid, most) for each, grid in zip(candidates, grids, strict=True)]
 
 
-def _grid(each: Candidate) -> tuple[np.ndarray, np.ndarray]:
+def _grid(each: PreparedRun) -> tuple[np.ndarray, np.ndarray]:
     phases = phases_of(each.setup)
     time, number = [0.0], [PHASES.index(phases[0][2])]
     for (begin, middle, before), (_, end, after) in pairwise(phases):
@@ -142,7 +142,7 @@ def _grid(each: Candidate) -> tuple[np.ndarray, np.ndarray]:
     return np.array(time), np.array(number)
 
 
-def _with_phases(each: Candidate, time: np.ndarray, phase: np.ndarray, most: int) -> Candidate:
+def _with_phases(each: PreparedRun, time: np.ndarray, phase: np.ndarray, most: int) -> PreparedRun:
     zeta = each.trial.simulator.terrain.zeta
     if not isinstance(zeta, ConstantZeta):
         raise InputError(f"{each.name}: its zeta is not constant, must be to be fitted by phase")

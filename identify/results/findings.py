@@ -9,10 +9,10 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.observation import SHOWN
 from identify.parameters.parameter import Parameter
 from identify.results.noise_floor import fast_scatter, noise_floor
-from identify.results.outliers import begun_in_motion, odd_readings
+from identify.results.outliers import begun_in_motion, outlier_sentences
 from identify.results.values import RunFit, Value
 from identify.solver.problem import coordinates_of
-from identify.uncertainty.random_effects import spread_of
+from identify.uncertainty.random_effects import paule_mandel
 
 # Two parameters closer than this move the runs alike.
 ALIKE = 0.999
@@ -55,7 +55,7 @@ def findings(
         for name, each in scatter.items()
         if each > 0
     ]
-    return [*told, *between(runs)]
+    return [*told, *between_run_sentences(runs)]
 
 
 def unidentified(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
@@ -63,13 +63,13 @@ def unidentified(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[st
     told = [
         f"{value.label} cannot be identified from these runs: {value}"
         for value in shared.values()
-        if not value.told
+        if not value.identified
     ]
     told += [
         f"{run.name}: {value.label} cannot be identified from this run: {value}"
         for run in runs
         for value in run.values.values()
-        if not value.told
+        if not value.identified
     ]
     return told
 
@@ -96,13 +96,13 @@ def _impossible(runs: Sequence[RunFit]) -> list[str]:
     return [*told]
 
 
-def between(runs: Sequence[RunFit]) -> list[str]:
+def between_run_sentences(runs: Sequence[RunFit]) -> list[str]:
     """Sentences on odd readings, and on what runs differ by: by own values, and repeats beyond.
 
     Runs that could not be simulated to the end are left out.
     """
     runs = [run for run in runs if run.status != "diverged"]
-    told = [*begun_in_motion(runs), *odd_readings(runs), *_scatter(runs)]
+    told = [*begun_in_motion(runs), *outlier_sentences(runs), *_scatter(runs)]
     if not runs:
         return told
     floor = noise_floor(runs)
@@ -181,10 +181,10 @@ def _scatter(runs: Sequence[RunFit]) -> list[str]:
     told = []
     for name in runs[0].values if runs else ():
         values_of_runs = [run.values[name] for run in runs]
-        known = [each for each in values_of_runs if each.told and not each.at_bound]
+        known = [each for each in values_of_runs if each.identified and not each.at_bound]
         values = np.array([each.value for each in known])
-        found = spread_of(values, np.array([each.error for each in known]))
-        if found.told and found.mean != 0:
+        found = paule_mandel(values, np.array([each.error for each in known]))
+        if found.identified and found.mean != 0:
             share = 100 * np.sqrt(found.variance) / abs(found.mean)
             told.append(
                 f"{known[0].label} is {found.mean:.4g} on average and scatters by {share:.2g} % "

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drftjax.recorded.observation import white_noise
-from drftjax.recorded.repeats import noise_kept, recorded_at
-from drftjax.runlog.record import Command
+from drftjax.recorded.repeats import interpolate_recorded, noise_after_interpolation
+from drftjax.runlog.record import RecordedCommand
 from identify.results.values import RunFit
 
 # Numbers of set-ups and commands are the same within this share of their size, and within so much
@@ -27,7 +27,7 @@ LEAST_SAMPLES = 5
 PARTNERS = 10
 
 
-def repeated(runs: Sequence[RunFit]) -> list[list[int]]:
+def repeated_runs(runs: Sequence[RunFit]) -> list[list[int]]:
     """Groups of two or more runs with the same command and believed set-up, by index.
 
     Clocks may differ, and one run may have been stopped a little earlier than another. Each is held
@@ -62,7 +62,7 @@ def _same_built(run: RunFit, other: RunFit) -> bool:
     )
 
 
-def _same_command(a: Command, b: Command) -> bool:
+def _same_command(a: RecordedCommand, b: RecordedCommand) -> bool:
     """Whether two commands agree for as long as both go on."""
     if (a.vx is None) != (b.vx is None):
         return False
@@ -90,17 +90,17 @@ def noise_floor(runs: Sequence[RunFit]) -> dict[str, float]:
     averages some of its white noise away: that is put back. Empty where no run was repeated.
     """
     powers: dict[str, list[float]] = {}
-    for group in repeated(runs):
+    for group in repeated_runs(runs):
         for first, second in _pairs(group):
             a, b = runs[first], runs[second]
             # A copy of a run repeats nothing.
             if np.ptp(a.recorded) > 0 and np.array_equal(a.recorded, b.recorded):
                 continue
             told = b.time[b.counts]
-            both = a.counts & recorded_at(told, a.time)
+            both = a.counts & interpolate_recorded(told, a.time)
             if both.sum() < LEAST_SHARED * max(a.counts.sum(), len(told)):
                 continue
-            kept = noise_kept(told, a.time[both])
+            kept = noise_after_interpolation(told, a.time[both])
             for channel, residual in a.residuals.items():
                 beside = np.interp(a.time[both], told, b.residuals[channel][b.counts])
                 power = float(np.mean((residual[both] - beside) ** 2))

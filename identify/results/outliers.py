@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from drftjax.recorded.commanded_motion import STANDS, pace
+from drftjax.recorded.commanded_motion import STANDS, commanded_speed
 from drftjax.recorded.observation import white_noise
 from identify.results.values import RunFit
 
@@ -18,7 +18,7 @@ STANDS_OUT, AROUND = 20.0, 5
 LEAST = {"x": 2e-5, "z": 2e-5, "fx": 1.0, "fz": 1.0, "torque": 0.1}
 
 
-def outlying(run: RunFit) -> dict[str, np.ndarray]:
+def outlier_times(run: RunFit) -> dict[str, np.ndarray]:
     """Times of readings that stand out from their neighbours [s], by channel; only those with some.
 
     Args:
@@ -36,11 +36,11 @@ def outlying(run: RunFit) -> dict[str, np.ndarray]:
     return found
 
 
-def odd_readings(runs: Sequence[RunFit]) -> list[str]:
+def outlier_sentences(runs: Sequence[RunFit]) -> list[str]:
     """Sentences on runs whose readings hold outliers."""
     told = []
     for run in runs:
-        for channel, times in outlying(run).items():
+        for channel, times in outlier_times(run).items():
             number = f"{len(times)} readings" if len(times) > 1 else "one reading"
             stand, first = ("stand", ", the first") if len(times) > 1 else ("stands", "")
             told.append(
@@ -57,7 +57,7 @@ def begun_in_motion(runs: Sequence[RunFit]) -> list[str]:
     for run in runs:
         setup, fitted = run.setup, {each.split(".", 1)[-1] for each in run.values}
         command = setup.command.build()
-        rim = pace(setup.wheel.radius, command.omega)
+        rim = commanded_speed(setup.wheel.radius, command.omega)
         free = setup.rig.carriage == "free"
         if free and rim[0] > STANDS * rim.max() and not setup.start.speed and "speed" not in fitted:
             names.append(run.name)

@@ -20,7 +20,7 @@ from drftjax.common.text import printable
 from drftjax.recorded.observation import SHOWN
 from drftjax.runlog.hdf5.api import write_result
 from drftjax.runlog.schema import UNITS
-from drftjax.setups.command_knots import thinned
+from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
 from drftjax.setups.setup import SetUp
 from identify.results.values import RunFit, Value
@@ -28,10 +28,10 @@ from identify.results.values import RunFit, Value
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from identify.solver.multistart import Starts
+    from identify.solver.multistart import MultistartSummary
     from identify.uncertainty.bootstrap import Bootstrap
-    from identify.uncertainty.estimate import Optimum
-    from identify.uncertainty.profile_likelihood import Profile
+    from identify.uncertainty.estimate import Estimate
+    from identify.uncertainty.profile_likelihood import ProfileLikelihood
     from identify.zeta_path.path import ZetaPath
 
 
@@ -62,10 +62,10 @@ class FitResult:
     findings: list[str] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    starts: "Starts | None" = None
-    profiles: tuple["Profile", ...] = ()
+    starts: "MultistartSummary | None" = None
+    profiles: tuple["ProfileLikelihood", ...] = ()
     bootstraps: tuple["Bootstrap", ...] = ()
-    optimum: "Optimum | None" = field(default=None, repr=False)
+    optimum: "Estimate | None" = field(default=None, repr=False)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """The same with further runs named as left out."""
@@ -201,10 +201,10 @@ class FitResult:
 
     def profile(self, name: str, **options: Any) -> "FitResult":
         """The same with the profile likelihood of a value; see `profile_likelihood.profiles`."""
-        from identify.uncertainty.profile_likelihood import profiles
+        from identify.uncertainty.profile_likelihood import profile_likelihoods
 
         with jax.enable_x64(True):
-            found = profiles(self._settled(), name, **options)
+            found = profile_likelihoods(self._settled(), name, **options)
         return replace(self, profiles=(*self.profiles, *found))
 
     def bootstrap(self, count: int, **options: Any) -> "FitResult":
@@ -215,7 +215,7 @@ class FitResult:
             found = bootstrap(self._settled(), count, **options)
         return replace(self, bootstraps=tuple(found))
 
-    def _settled(self) -> "Optimum":
+    def _settled(self) -> "Estimate":
         if self.optimum is None:
             raise InputError("this result holds no solved fit to go on from")
         return self.optimum
@@ -272,12 +272,12 @@ def result_files(stem: Path) -> tuple[Path, Path, Path]:
 def _path(path: "ZetaPath | None") -> dict | None:
     if path is None:
         return None
-    columns = {name: getattr(path, name).tolist() for name in ("time", "value", "error", "told")}
-    return columns | {"weight": path.weight}
+    columns = {name: getattr(path, name).tolist() for name in ("time", "value", "error")}
+    return columns | {"told": path.identified.tolist(), "weight": path.weight}
 
 
 def _slim(setup: SetUp) -> SetUp:
-    return msgspec.structs.replace(setup, command=thinned(setup.command))
+    return msgspec.structs.replace(setup, command=decimate_command(setup.command))
 
 
 def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):

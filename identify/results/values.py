@@ -45,7 +45,7 @@ class Value:
         return max(abs(self.value), typical(self.label))
 
     @property
-    def told(self) -> bool:
+    def identified(self) -> bool:
         """Whether the runs tell more than its order of size."""
         return self.error <= UNTOLD * self.size
 

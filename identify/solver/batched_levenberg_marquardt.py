@@ -44,7 +44,7 @@ LONGEST_STEP = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class BatchedSolution:
     """Where each point came to.
 
     Attributes:
@@ -55,7 +55,7 @@ class Ends:
 
     points: np.ndarray
     loss: np.ndarray
-    settled: np.ndarray
+    converged: np.ndarray
 
 
 @eqx.filter_jit
@@ -70,7 +70,7 @@ def _blocks_at(problem: Problem, points: Coordinates) -> tuple[jax.Array, ...]:
     return tuple(each[None] for each in problem.blocks(points[0][0], points[1][0]))
 
 
-class Descent:
+class BatchedLevenbergMarquardt:
     """A batch of runs, ready to be fitted from many points.
 
     Args:
@@ -125,7 +125,7 @@ class Descent:
         held: np.ndarray | None = None,
         shift: np.ndarray | None = None,
         progress: Callable[[int, int], None] | None = None,
-    ) -> Ends:
+    ) -> BatchedSolution:
         """Lower the sum of squares from every point.
 
         Args:
@@ -164,7 +164,7 @@ class Descent:
                 loss[point], information[point], slope[point] = ours
                 damping[point] /= DAMPING_FACTOR
                 refused[point] = 0
-        return Ends(here, loss, settled & np.isfinite(loss))
+        return BatchedSolution(here, loss, settled & np.isfinite(loss))
 
     def _equations(
         self, points: np.ndarray, shift: np.ndarray | None

@@ -3,7 +3,7 @@
 import numpy as np
 from jax import numpy as jnp
 
-from identify.solver.problem import Coordinates, Problem, predicted
+from identify.solver.problem import Coordinates, Problem, predict
 
 # Secant steps; the solver goes on from what they leave.
 TURNS = 3
@@ -13,7 +13,7 @@ TURNS = 3
 FIRST, LONGEST = 0.03, 0.25
 
 
-def met_sinkage(problem: Problem, start: Coordinates) -> Coordinates:
+def zeta_from_mean_sinkage(problem: Problem, start: Coordinates) -> Coordinates:
     """Coordinates at which each run's own zeta about meets its mean recorded sinkage.
 
     Costs a few simulations and no derivative, and spares the solver the long first steps on which
@@ -36,7 +36,7 @@ def met_sinkage(problem: Problem, start: Coordinates) -> Coordinates:
 
     def miss(zeta: np.ndarray) -> np.ndarray:
         at = own.at[:, column].set(bijector.coordinate(jnp.asarray(zeta)))
-        found = predicted(problem, problem.everywhere((shared, at)))[:, z]
+        found = predict(problem, problem.everywhere((shared, at)))[:, z]
         return np.where(counts, found - recorded, 0).sum(axis=1) / number
 
     first = np.asarray(bijector.value(own[:, column]))

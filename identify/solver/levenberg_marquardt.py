@@ -238,7 +238,7 @@ Task = tuple[Problem, Bool[Array, " runs"]]
 
 def _function(coordinates: Coordinates, task: Task) -> tuple[tuple[Array, ...], None]:
     problem, _ = task
-    return (structured_residual(task, coordinates), *problem.beliefs(*coordinates)), None
+    return (structured_residual(task, coordinates), *problem.prior_residuals(*coordinates)), None
 
 
 @eqx.filter_jit

@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from drftjax.common.errors import InputError
 from identify.parameters.bijector import Interval, Positive, Scaled
 from identify.parameters.parameter import Parameter
-from identify.solver.batched_levenberg_marquardt import Descent
+from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import Coordinates, Problem
 
 # Starting points scatter by a factor of e^0.5 either way (positive numbers), over the middle of
@@ -25,7 +25,7 @@ MOST_STARTS = 1000
 
 
 @dataclass(frozen=True)
-class Starts:
+class MultistartSummary:
     """What became of several starting points.
 
     Attributes:
@@ -65,7 +65,7 @@ def best_start(
     count: int,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Coordinates, Starts]:
+) -> tuple[Coordinates, MultistartSummary]:
     """Fit from `count` points at once and keep the best.
 
     Args:
@@ -73,26 +73,28 @@ def best_start(
         runs: Number of true runs.
         count: Starting points, the problem's own among them.
         seed: Of the others' places.
-        progress: See `Descent.run`.
+        progress: See `BatchedLevenbergMarquardt.run`.
 
     Returns:
         Coordinates of the best end, and what became of all.
     """
     require_starts(count)
-    descent = Descent(problem, runs)
+    descent = BatchedLevenbergMarquardt(problem, runs)
     points = starting_points(descent, count, np.random.default_rng(seed))
     ends = descent.run(points, progress=progress)
     best = int(np.argmin(ends.loss))
     # An end that has not settled may still be the best one on its way.
     near = ends.loss <= (1 + SAME_OPTIMUM) * ends.loss[best]
-    other = ends.settled & ~near
-    told = Starts(
+    other = ends.converged & ~near
+    told = MultistartSummary(
         count, int(near.sum()), int(other.sum()), int((~near & ~other).sum()), bool(near[0])
     )
     return descent.coordinates(ends.points[best]), told
 
 
-def starting_points(descent: Descent, count: int, random: np.random.Generator) -> np.ndarray:
+def starting_points(
+    descent: BatchedLevenbergMarquardt, count: int, random: np.random.Generator
+) -> np.ndarray:
     """The problem's own start, then others about it: a Latin hypercube over all coordinates."""
     usual = descent.start()
     points = np.tile(usual, (count, 1))

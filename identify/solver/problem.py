@@ -7,7 +7,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from drftjax.recorded.batch import Batch, Observed, Values, between_rows, over_runs
+from drftjax.recorded.batch import Batch, PaddedObservations, Values, between_rows, map_over_runs
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 
@@ -54,7 +54,7 @@ class Problem(eqx.Module):
         """`values` on every device; where they lie is part of what a program is compiled for."""
         return eqx.filter_shard(values, NamedSharding(self.mesh, PartitionSpec()))
 
-    def placed(
+    def trial_at(
         self, trial: Trial, shared: Float[Array, " shared"], own: Float[Array, " own"]
     ) -> Trial:
         """One run's trial with the parameters' values put in."""
@@ -64,7 +64,7 @@ class Problem(eqx.Module):
             trial = parameter.quantity.write(trial, parameter.bijector.value(coordinate))
         return trial
 
-    def beliefs(
+    def prior_residuals(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
         """Residuals of the priors, shaped like the coordinates; zero where there is none."""
@@ -84,7 +84,7 @@ class Problem(eqx.Module):
     ) -> Float[Array, "runs channels samples"]:
         """Simulated channels at the recorded times [m, N, N m]."""
 
-        def one(trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
+        def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array) -> Array:
             return self._predict_one(trial, observed, shared, own, observed.all_rows)
 
         return self._over_runs(one, shared, own)
@@ -106,7 +106,7 @@ class Problem(eqx.Module):
         parameters give the whole Jacobian of any number of runs.
         """
 
-        def one(trial: Trial, observed: Observed, shared: Array, own: Array):
+        def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array):
             def joint(both: Array) -> tuple[Array, Array]:
                 residual = self._residual_one(
                     trial, observed, both[: len(self.shared)], both[len(self.shared) :]
@@ -118,27 +118,34 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
-    def carried(self, observed: Observed) -> Float[Array, "channels samples"]:
+    def ar1_coefficients(self, observed: PaddedObservations) -> Float[Array, "channels samples"]:
         """Share of the last sample's residual that each carries on [-]: the less, the later."""
         counts = observed.weight > 0
         follows = jnp.pad(counts[:, :-1], ((0, 0), (1, 0))) & counts
         return jnp.where(follows, self.correlation[:, None] ** observed.intervals, 0)
 
     def _predict_one(
-        self, trial: Trial, observed: Observed, shared: Array, own: Array, rows: Int[Array, ""]
+        self,
+        trial: Trial,
+        observed: PaddedObservations,
+        shared: Array,
+        own: Array,
+        rows: Int[Array, ""],
     ) -> Array:
-        table = self.placed(trial, shared, own).run_to(rows, self.batch.channels)
+        table = self.trial_at(trial, shared, own).run_to(rows, self.batch.channels)
         return between_rows(table, observed)
 
-    def _residual_one(self, trial: Trial, observed: Observed, shared: Array, own: Array) -> Array:
+    def _residual_one(
+        self, trial: Trial, observed: PaddedObservations, shared: Array, own: Array
+    ) -> Array:
         simulated = self._predict_one(trial, observed, shared, own, observed.compared_rows)
         raw = observed.weight * (simulated - observed.values)
         before = jnp.pad(raw[:, :-1], ((0, 0), (1, 0)))
-        carried = self.carried(observed)
+        carried = self.ar1_coefficients(observed)
         return jnp.where(carried > 0, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
 
     def _over_runs(self, one, shared: Array, own: Array):
-        return over_runs(self.batch, self.mesh, one, shared, own)
+        return map_over_runs(self.batch, self.mesh, one, shared, own)
 
 
 Coordinates = tuple[Float[Array, " shared"], Float[Array, "runs own"]]
@@ -171,12 +178,12 @@ def normal_equations(
     return information, slope
 
 
-def predicted(problem: Problem, coordinates: Coordinates) -> np.ndarray:
+def predict(problem: Problem, coordinates: Coordinates) -> np.ndarray:
     """Simulated channels of every run at its recorded times [m, N, N m]."""
     return np.asarray(problem.predicted(*coordinates))
 
 
-def linearised(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+def linearize(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     """Weighted residuals of every run, and their derivative by (shared, own) coordinates."""
     residual, blocks = problem.blocks(*coordinates)
     return np.asarray(residual), np.asarray(blocks)

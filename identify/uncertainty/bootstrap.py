@@ -20,11 +20,11 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.common.memory import piece_bytes
-from identify.solver.batched_levenberg_marquardt import Descent
-from identify.solver.problem import linearised, normal_equations
+from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
+from identify.solver.problem import linearize, normal_equations
 from identify.solver.whitening import FINEST_RUN, lag_one_correlation
 from identify.uncertainty.covariance import inverse
-from identify.uncertainty.estimate import Optimum
+from identify.uncertainty.estimate import Estimate
 
 LEVEL = 0.90
 
@@ -98,7 +98,7 @@ def require_draws(count: int) -> None:
 
 
 def bootstrap(
-    optimum: Optimum, count: int, *, seed: int = 0, refit: bool = False
+    optimum: Estimate, count: int, *, seed: int = 0, refit: bool = False
 ) -> list[Bootstrap]:
     """Draw values over the noise, and over the runs where there are enough of them.
 
@@ -120,7 +120,7 @@ def bootstrap(
     believing = np.random.default_rng([seed, 3])
     points = np.concatenate(
         [
-            refitted(optimum, noise) if refit else stepped(optimum, noise, believing)
+            refit_draws(optimum, noise) if refit else one_step_draws(optimum, noise, believing)
             for noise in noise_chunks(optimum, count, np.random.default_rng(seed))
         ]
     )
@@ -130,7 +130,7 @@ def bootstrap(
     active = np.flatnonzero(optimum.solution.active[: len(optimum.candidates)])
     # Between runs drawn again and a prior nothing says how the one outweighs the other.
     if optimum.shared and len(active) >= FEWEST_RUNS and optimum.share is None:
-        moves = over_runs(optimum, count, np.random.default_rng([seed, 2]))
+        moves = resample_runs(optimum, count, np.random.default_rng([seed, 2]))
         flat = np.tile(optimum.flat, (count, 1))
         flat[:, : optimum.shared] += moves
         values = optimum.values(flat)[:, : optimum.shared]
@@ -142,7 +142,9 @@ def bootstrap(
 # Draws ------------------------------------------------------------------------------------------
 
 
-def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
+def noise_chunks(
+    optimum: Estimate, count: int, random: np.random.Generator
+) -> Iterator[np.ndarray]:
     """Noise like the residuals', a bounded number of draws at a time.
 
     Yields:
@@ -154,13 +156,13 @@ def noise_chunks(optimum: Optimum, count: int, random: np.random.Generator) -> I
         end = min(count, begin + step)
         yield np.concatenate(
             [
-                noise_like(optimum, min(DRAWN_TOGETHER, end - at), random)
+                simulated_noise(optimum, min(DRAWN_TOGETHER, end - at), random)
                 for at in range(begin, end, DRAWN_TOGETHER)
             ]
         )
 
 
-def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
+def simulated_noise(optimum: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
     """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
     zeta scatters by from run to run."""
     residual, whitening = optimum.left, optimum.whitening
@@ -199,7 +201,7 @@ def noise_like(optimum: Optimum, count: int, random: np.random.Generator) -> np.
     return noise
 
 
-def stepped(optimum: Optimum, noise: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def one_step_draws(optimum: Estimate, noise: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Coordinates after one Gauss-Newton step towards recordings with this noise.
 
     Args:
@@ -225,15 +227,17 @@ def stepped(optimum: Optimum, noise: np.ndarray, random: np.random.Generator) ->
     return optimum.flat + along @ inverse(information)
 
 
-def refitted(optimum: Optimum, noise: np.ndarray) -> np.ndarray:
+def refit_draws(optimum: Estimate, noise: np.ndarray) -> np.ndarray:
     """Coordinates after a whole fit to the simulation at the optimum with this noise on it."""
-    descent = Descent(optimum.problem, len(optimum.candidates), None, optimum.solution.active)
+    descent = BatchedLevenbergMarquardt(
+        optimum.problem, len(optimum.candidates), None, optimum.solution.active
+    )
     shift = -optimum.solution.residual - noise
     ends = descent.run(np.tile(optimum.flat, (len(noise), 1)), shift=shift)
     return np.where(np.isfinite(ends.loss)[:, None], ends.points, np.nan)
 
 
-def over_runs(optimum: Optimum, count: int, random: np.random.Generator) -> np.ndarray:
+def resample_runs(optimum: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
     """Changes of the shared coordinates as runs are drawn with replacement, one step each.
 
     Each run's own coordinates follow the shared ones; what is left of its information and slope
@@ -260,7 +264,7 @@ def over_runs(optimum: Optimum, count: int, random: np.random.Generator) -> np.n
 
 
 def predictive_bands(
-    optimum: Optimum, moves: np.ndarray, random: np.random.Generator
+    optimum: Estimate, moves: np.ndarray, random: np.random.Generator
 ) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """Where readings are expected: the simulation over the draws, with noise on it.
 
@@ -272,7 +276,7 @@ def predictive_bands(
     plain = eqx.tree_at(
         lambda p: p.correlation, optimum.problem, jnp.zeros_like(optimum.problem.correlation)
     )
-    residual, blocks = linearised(plain, optimum.solution.coordinates)
+    residual, blocks = linearize(plain, optimum.solution.coordinates)
     weight = np.asarray(plain.batch.observed.weight)
     recorded = np.asarray(plain.batch.observed.values)
     moves = moves[np.isfinite(moves).all(axis=1)]

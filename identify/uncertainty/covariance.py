@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.solver.problem import coordinates_of, normal_equations
 from identify.solver.whitening import FINEST_RUN, Whitening
-from identify.uncertainty.random_effects import spread_of
+from identify.uncertainty.random_effects import paule_mandel
 
 # A direction is seen where its information is over so many times what rounding leaves of none.
 LEAST_TOLD = 100.0
@@ -47,7 +47,7 @@ def covariance(
     return spread @ spread.T
 
 
-def rescaled(
+def rescaled_covariance(
     blocks: np.ndarray, whitening: "Whitening", shared: int, scatter: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Information that is the inverse of `covariance` without priors, and what makes it.
@@ -66,7 +66,7 @@ def rescaled(
     return shrink @ (outer @ along).T, shrink @ (inner @ along).T
 
 
-def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
+def null_directions(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
     """Directions that neither data nor priors see, in columns.
 
     A coordinate's unit is what these would tell it to, were all others known.
@@ -80,7 +80,7 @@ def unseen(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndar
     return vectors[:, unseen]
 
 
-def each_alone(
+def per_run_steps(
     blocks: np.ndarray, residual: np.ndarray, kept: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each run with values of its own, one straight-line step away.
@@ -100,7 +100,7 @@ def each_alone(
     return moves, residual + np.einsum("rcsp,rp->rcs", blocks[..., kept], moves)
 
 
-def from_run_to_run(
+def between_run_variance(
     moves: np.ndarray, blocks: np.ndarray, whitening: "Whitening", scattered: int
 ) -> np.ndarray:
     """Variance from run to run of coordinates, beyond what each run can tell of them.
@@ -118,7 +118,7 @@ def from_run_to_run(
         for run in told
     ]
     errors = np.sqrt(np.reshape(spread, (len(told), blocks.shape[-1])))
-    return np.array([spread_of(moves[told, k], errors[:, k]).variance for k in range(scattered)])
+    return np.array([paule_mandel(moves[told, k], errors[:, k]).variance for k in range(scattered)])
 
 
 def _noise(

@@ -7,24 +7,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.recorded.prepared_run import Candidate
-from drftjax.setups.command_knots import cornered
+from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.setups.command_knots import simplify_command
 from identify.parameters.parameter import Parameter
 from identify.solver.levenberg_marquardt import Solution
 from identify.solver.problem import Coordinates, Problem
 from identify.solver.whitening import Whitening
-from identify.uncertainty.covariance import covariance, each_alone, from_run_to_run
+from identify.uncertainty.covariance import between_run_variance, covariance, per_run_steps
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Estimate:
     """A solved problem, and the scatter of its residuals.
 
     Attributes:
         problem: Runs and parameters, with the weights of the last solve.
         solution: Where the solver stopped.
         candidates: The runs; the batch may hold more, which weigh nothing.
-        model_error: What the simulation may be off by [m, N, N m]; see `Optimum.of`.
+        model_error: What the simulation may be off by [m, N, N m]; see `Estimate.of`.
         left: What is left of the residuals where each run has its own zeta, if they share one: it
             scatters, and the rest is noise. Shaped like the solution's residuals.
         whitening: Of that.
@@ -37,7 +37,7 @@ class Optimum:
 
     problem: Problem
     solution: Solution
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[PreparedRun, ...]
     model_error: Mapping[str, float]
     left: np.ndarray
     whitening: Whitening
@@ -50,13 +50,13 @@ class Optimum:
         cls,
         problem: Problem,
         solution: Solution,
-        candidates: tuple[Candidate, ...],
+        candidates: tuple[PreparedRun, ...],
         model_error: Mapping[str, float],
-    ) -> "Optimum":
+    ) -> "Estimate":
         """Covariance and whitening of a solved problem.
 
         Args:
-            problem, solution, candidates: See `Optimum`.
+            problem, solution, candidates: See `Estimate`.
             model_error: Standard deviation of a constant that the simulation may be off by over a
                 phase of the command, by channel [m, N, N m].
         """
@@ -71,10 +71,10 @@ class Optimum:
         left = solution.residual
         moves = np.zeros((len(blocks), len(alone)))
         if sands:
-            moves, left = each_alone(blocks, left, alone)
+            moves, left = per_run_steps(blocks, left, alone)
         whitening = Whitening.of(left, counts, offset, phases, intervals)
         scatter = np.zeros(shared)
-        scatter[sands] = from_run_to_run(moves, blocks[..., alone], whitening, len(sands))
+        scatter[sands] = between_run_variance(moves, blocks[..., alone], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
         return cls(problem, solution, candidates, model_error, left, whitening, scatter, spread)
 
@@ -141,16 +141,16 @@ class Optimum:
 def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
     """Weighted residual that the simulation's own error makes, held over a phase."""
     error = np.array([model_error.get(channel, 0.0) for channel in problem.batch.channels])
-    carried = np.asarray(jax.vmap(problem.carried)(problem.batch.observed))
+    carried = np.asarray(jax.vmap(problem.ar1_coefficients)(problem.batch.observed))
     whitened = (1 - carried) / np.sqrt(1 - carried**2)
     return np.asarray(problem.batch.observed.weight) * error[:, None] * whitened
 
 
-def phases_of(candidates: tuple[Candidate, ...], counts: np.ndarray) -> np.ndarray:
+def phases_of(candidates: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:
     """Number of the phase of the command (a straight piece of it) that each sample falls in."""
     phases = np.zeros((counts.shape[0], counts.shape[2]), int)
     for index, each in enumerate(candidates):
-        knots = np.asarray(cornered(each.setup.command).time)
+        knots = np.asarray(simplify_command(each.setup.command).time)
         time = each.observation.time + knots[0]
         phases[index, : len(time)] = np.searchsorted(knots, time, side="right")
     return phases

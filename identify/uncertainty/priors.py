@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from identify.solver.levenberg_marquardt import Solution
-from identify.solver.problem import linearised, normal_equations
-from identify.uncertainty.covariance import inverse, rescaled
-from identify.uncertainty.estimate import Optimum
+from identify.solver.problem import linearize, normal_equations
+from identify.uncertainty.covariance import inverse, rescaled_covariance
+from identify.uncertainty.estimate import Estimate
 
 MOST_STEPS = 40
 
@@ -28,7 +28,9 @@ MOST_STEPS = 40
 LONGEST_STEP, SMALL_STEP = 0.3, 0.03
 
 
-def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = None) -> Optimum:
+def apply_priors(
+    optimum: Estimate, progress: Callable[[int, float], None] | None = None
+) -> Estimate:
     """The most probable values by runs and priors.
 
     Args:
@@ -60,19 +62,21 @@ def weighed(optimum: Optimum, progress: Callable[[int, float], None] | None = No
     return replace(optimum, solution=solution, covariance=inverse(total), share=share)
 
 
-def _rescaled(optimum: Optimum, at: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _rescaled(optimum: Estimate, at: Solution) -> tuple[np.ndarray, np.ndarray]:
     """What rescales the runs' slope, and the information of runs and priors together."""
-    information, share = rescaled(at.blocks, optimum.whitening, optimum.shared, optimum.scatter)
+    information, share = rescaled_covariance(
+        at.blocks, optimum.whitening, optimum.shared, optimum.scatter
+    )
     return share, information + np.diag(at.belief_slope**2)
 
 
-def _at(optimum: Optimum, flat: np.ndarray) -> Solution:
+def _at(optimum: Estimate, flat: np.ndarray) -> Solution:
     """The solution moved to other coordinates."""
     problem, coordinates = optimum.problem, optimum.coordinates(flat)
-    residual, blocks = linearised(problem, coordinates)
+    residual, blocks = linearize(problem, coordinates)
     counts = optimum.whitening.scale > 0
     ones = jax.tree.map(jnp.ones_like, coordinates)
-    beliefs, slopes = jax.jvp(problem.beliefs, coordinates, ones)
+    beliefs, slopes = jax.jvp(problem.prior_residuals, coordinates, ones)
     belief, slope = (np.concatenate([np.ravel(p) for p in part]) for part in (beliefs, slopes))
     return replace(
         optimum.solution,
@@ -93,7 +97,7 @@ CONTRADICT = 3.0
 LEAST_SHARE = 1e-3
 
 
-def contradicted(optimum: Optimum) -> list[str]:
+def prior_conflicts(optimum: Estimate) -> list[str]:
     """Sentences on priors that lie far from what the runs alone would tell.
 
     With a prior of error p the value has the error v, and the runs alone e: 1/v² = 1/p² + 1/e².

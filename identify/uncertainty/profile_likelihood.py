@@ -2,8 +2,8 @@ r"""Profile likelihood: how much worse a fit becomes as one value is held elsewh
 
 At each place of the value all others are fitted anew. The runs' sum of squares is scaled so that it
 curves as the value's standard error without a prior asks for (see
-`identify.uncertainty.covariance.rescaled`). With the priors' added, its rise is a chi-squared of
-one degree of freedom: the interval of a level is where it has risen by less than that level's
+`identify.uncertainty.covariance.rescaled_covariance`). With the priors' added, its rise
+is a chi-squared of one degree of freedom: the interval of a level is where it has risen by less than that level's
 quantile. Unlike a standard error it follows a bend, and it says where there is no end to one side.
 """
 
@@ -21,11 +21,11 @@ from drftjax.common.errors import InputError
 from drftjax.common.text import printable
 from identify.parameters.bijector import Interval, Positive
 from identify.parameters.parameter import PHASES, SHORT_NAMES, Parameter
-from identify.solver.batched_levenberg_marquardt import Descent
+from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import normal_equations
 from identify.solver.whitening import Whitening
-from identify.uncertainty.covariance import inverse, rescaled
-from identify.uncertainty.estimate import Optimum
+from identify.uncertainty.covariance import inverse, rescaled_covariance
+from identify.uncertainty.estimate import Estimate
 
 # Places to either side of the fitted value, and how far out the last is in standard errors.
 PLACES = 5
@@ -46,7 +46,7 @@ MARGIN = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class ProfileLikelihood:
     """The profile of one value.
 
     Attributes:
@@ -96,12 +96,12 @@ def require_fitted(name: str, parameters: Sequence[Parameter], by_phase: bool = 
         )
 
 
-def profiles(
-    optimum: Optimum,
+def profile_likelihoods(
+    optimum: Estimate,
     name: str,
     level: float = LEVEL,
     progress: Callable[[str, int, int], None] | None = None,
-) -> list[Profile]:
+) -> list[ProfileLikelihood]:
     """The profile of a shared value, or one for each run that has the value for itself.
 
     Args:
@@ -123,9 +123,9 @@ def profiles(
     return [_profile(optimum, n, level, progress) for n in numbers]
 
 
-def _profile(optimum: Optimum, number: int, level: float, progress) -> Profile:
+def _profile(optimum: Estimate, number: int, level: float, progress) -> ProfileLikelihood:
     runs, active = len(optimum.candidates), optimum.solution.active
-    descent = Descent(optimum.problem, runs, _scaled(optimum, number), active)
+    descent = BatchedLevenbergMarquardt(optimum.problem, runs, _scaled(optimum, number), active)
     at_optimum = descent.run(optimum.flat[None])
     parameter, _ = optimum.ordered[number]
     best, least = at_optimum.points[0], at_optimum.loss[0]
@@ -152,14 +152,18 @@ def _profile(optimum: Optimum, number: int, level: float, progress) -> Profile:
         return optimum.values(full)[:, number]
 
     bounds = [float(value(np.array([e]))[0]) if np.isfinite(e) else e for e in (low, high)]
-    return Profile(label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], level)
+    return ProfileLikelihood(
+        label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], level
+    )
 
 
-def _scaled(optimum: Optimum, number: int) -> Whitening:
+def _scaled(optimum: Estimate, number: int) -> Whitening:
     """One scale for all residuals, at which the runs tell of a coordinate what they do tell."""
     solution, counts = optimum.solution, optimum.whitening.scale > 0
     alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
-    told, _ = rescaled(solution.blocks, optimum.whitening, optimum.shared, optimum.scatter)
+    told, _ = rescaled_covariance(
+        solution.blocks, optimum.whitening, optimum.shared, optimum.scatter
+    )
     share = inverse(alike)[number, number] / inverse(told)[number, number]
     even = counts * np.sqrt(share)
     return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)

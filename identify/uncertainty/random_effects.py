@@ -11,7 +11,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Spread:
+class RandomEffect:
     """Of some runs' values.
 
     Attributes:
@@ -22,10 +22,10 @@ class Spread:
 
     mean: float
     variance: float
-    told: bool
+    identified: bool
 
 
-def spread_of(values: np.ndarray, errors: np.ndarray) -> Spread:
+def paule_mandel(values: np.ndarray, errors: np.ndarray) -> RandomEffect:
     """The scatter for which the weighed squares are as many as are free.
 
     R. C. Paule, J. Mandel: Consensus values and weighting factors, J. Res. NBS 87:377, 1982.
@@ -42,12 +42,12 @@ def spread_of(values: np.ndarray, errors: np.ndarray) -> Spread:
         return mean, float(np.sum(weight * (values - mean) ** 2))
 
     if free < 1:
-        return Spread(float(values.sum()), 0.0, told=False)
+        return RandomEffect(float(values.sum()), 0.0, identified=False)
     mean, squares = weighed(0.0)
     if squares <= free:
-        return Spread(mean, 0.0, told=False)
+        return RandomEffect(mean, 0.0, identified=False)
     # The plain variance is never less.
     most = float(values.var(ddof=1))
     found = root_scalar(lambda each: weighed(each)[1] - free, bracket=(0.0, most))
     told = bool(squares > chi2.ppf(LEVEL, free))
-    return Spread(weighed(found.root)[0], float(found.root), told)
+    return RandomEffect(weighed(found.root)[0], float(found.root), told)

@@ -27,7 +27,7 @@ LEVEL_SPREAD = 5.0
 
 
 @dataclass(frozen=True)
-class Noise:
+class AR1Noise:
     """First-order autoregressive noise of one channel: standard deviation [m], correlation [-]."""
 
     spread: float
@@ -35,7 +35,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentFloor:
     """What one channel's noise may be.
 
     Attributes:
@@ -46,13 +46,13 @@ class Instrument:
     floor: float
     longest: float
 
-    def white(self, spread: float) -> Noise:
+    def white(self, spread: float) -> AR1Noise:
         """White noise of this standard deviation [m], or of the smallest."""
-        return Noise(max(float(spread), self.floor), 0.0)
+        return AR1Noise(max(float(spread), self.floor), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Products:
+class LaggedProducts:
     """Sums of products of one channel's columns [derivative | data], of shape (n, n) each.
 
     Of samples that lie k intervals after the one before, for every k that occurs (the first sample
@@ -76,7 +76,7 @@ class Products:
     before: np.ndarray
 
     @classmethod
-    def of(cls, columns: np.ndarray, intervals: np.ndarray) -> "Products":
+    def of(cls, columns: np.ndarray, intervals: np.ndarray) -> "LaggedProducts":
         """Of columns in time.
 
         Args:
@@ -95,22 +95,24 @@ class Products:
             np.stack([last.T @ last for _, last in pairs]),
         )
 
-    def whitened(self, noise: Noise) -> np.ndarray:
+    def whitened(self, noise: AR1Noise) -> np.ndarray:
         """columns^T C^-1 columns."""
-        rho = self.carried(noise)[:, None, None]
+        rho = self.ar1_coefficient(noise)[:, None, None]
         bare = (self.own - rho * self.lagged + rho**2 * self.before) / (1 - rho**2)
         return bare.sum(axis=0) / noise.spread**2
 
-    def volume(self, noise: Noise) -> float:
+    def volume(self, noise: AR1Noise) -> float:
         """Logarithm of the determinant of the noise's covariance."""
-        fresh = np.log1p(-(self.carried(noise) ** 2))
+        fresh = np.log1p(-(self.ar1_coefficient(noise) ** 2))
         return float((self.samples * (np.log(noise.spread**2) + fresh)).sum())
 
-    def carried(self, noise: Noise) -> np.ndarray:
+    def ar1_coefficient(self, noise: AR1Noise) -> np.ndarray:
         """What a sample keeps of the one before, by kind: nothing where that is infinitely far."""
         return np.where(np.isfinite(self.intervals), noise.correlation**self.intervals, 0.0)
 
-    def noise(self, residual: np.ndarray, covariance: np.ndarray, instrument: Instrument) -> Noise:
+    def noise(
+        self, residual: np.ndarray, covariance: np.ndarray, instrument: InstrumentFloor
+    ) -> AR1Noise:
         """The noise that makes this residual, known to a covariance, most probable.
 
         Neighbours alone tell the correlation.
@@ -131,9 +133,9 @@ class Products:
             power(self.lagged[near].sum(axis=0)) / max(both, 1e-300), 0, instrument.longest
         )
         # Rounding can make nothing of it where the derivative is many times what is left.
-        left = max(power(self.whitened(Noise(1.0, float(rho)))), 0.0)
+        left = max(power(self.whitened(AR1Noise(1.0, float(rho)))), 0.0)
         spread = np.sqrt(left / self.samples.sum())
-        return Noise(max(float(spread), instrument.floor), float(rho))
+        return AR1Noise(max(float(spread), instrument.floor), float(rho))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +147,15 @@ class Posterior:
     information: np.ndarray
     evidence: float
     weight: float
-    noise: tuple[Noise, ...]
+    noise: tuple[AR1Noise, ...]
 
 
 def posterior(
-    products: Sequence[Products], knots: int, level: float, weight: float, noise: Sequence[Noise]
+    products: Sequence[LaggedProducts],
+    knots: int,
+    level: float,
+    weight: float,
+    noise: Sequence[AR1Noise],
 ) -> Posterior:
     """Gaussian posterior of a linearised run.
 
@@ -186,10 +192,10 @@ def smoothness_prior(knots: int, size: int, weight: float) -> np.ndarray:
 
 
 def smoothest_given(
-    products: Sequence[Products],
+    products: Sequence[LaggedProducts],
     knots: int,
     level: float,
-    noise: Sequence[Noise],
+    noise: Sequence[AR1Noise],
     least: float,
 ) -> Posterior:
     """The posterior at the weight of largest evidence, no less than `least`, for a given noise."""
@@ -199,11 +205,11 @@ def smoothest_given(
 
 
 def most_probable(
-    products: Sequence[Products],
+    products: Sequence[LaggedProducts],
     knots: int,
     level: float,
-    noise: Sequence[Noise],
-    instruments: Sequence[Instrument],
+    noise: Sequence[AR1Noise],
+    instruments: Sequence[InstrumentFloor],
     kept: float | None = None,
 ) -> Posterior:
     """The posterior at the weight and noise of largest evidence, over `WEIGHTS`.

@@ -11,21 +11,21 @@ from msgspec.structs import replace as replace_struct
 from drftjax.common.errors import RunError
 from drftjax.physics.command import Command
 from drftjax.recorded.batch import Batch
-from drftjax.recorded.commanded_motion import asked_to_move
+from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.recorded.observation import SMALLEST_NOISE, Observation, intervals_of, white_noise
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.setup import ZetaKnots
 from drftjax.simulation.trial import Trial
 from identify.zeta_path.evidence import (
-    Instrument,
+    InstrumentFloor,
+    LaggedProducts,
     Posterior,
-    Products,
     most_probable,
     smoothest_given,
     smoothness_prior,
 )
 from identify.zeta_path.path import CHANNELS, ZetaPath, between, cardinal
-from identify.zeta_path.simulate import in_lines, placed
+from identify.zeta_path.simulate import placed, with_zeta_knots
 
 # A step of log zeta that the linearisation is trusted for.
 LONGEST_MOVE = 0.3
@@ -74,7 +74,7 @@ SUMMED_CORRELATION = 0.9999
 TELLS_NOTHING = 1.0
 
 
-class PathSteps:
+class ZetaPathSolver:
     """One run on its way: where it is, and what its last linearisation said.
 
     Args:
@@ -92,12 +92,12 @@ class PathSteps:
 
     def __init__(
         self,
-        candidate: Candidate,
+        candidate: PreparedRun,
         batch: Batch,
         number: int,
         grid: np.ndarray,
         curve: Float[Array, "ends knots"],
-        begun: "PathSteps | None" = None,
+        begun: "ZetaPathSolver | None" = None,
     ):
         self.candidate = candidate
         self.grid, self.knots, self.curve = grid, len(grid), curve
@@ -204,7 +204,9 @@ class PathSteps:
         # Of what is left, not of what was read: a wheel that speeds up scatters from sample to
         # sample by more than its instruments do.
         instruments = [
-            Instrument(max(white_noise(self.residual[n]), SMALLEST_NOISE[name]), self.lasting[name])
+            InstrumentFloor(
+                max(white_noise(self.residual[n]), SMALLEST_NOISE[name]), self.lasting[name]
+            )
             for name, n in zip(self.followed, picked, strict=True)
         ]
         products = [
@@ -302,8 +304,8 @@ class PathSteps:
         away = self.coordinates - centre
         return smoothness_prior(self.knots, len(centre), self.posterior.weight), away
 
-    def _products(self, columns: np.ndarray) -> Products:
-        return Products.of(columns, self.intervals)
+    def _products(self, columns: np.ndarray) -> LaggedProducts:
+        return LaggedProducts.of(columns, self.intervals)
 
     def _own_error(self) -> np.ndarray:
         own = np.diag(self.posterior.information)[: self.knots]
@@ -319,7 +321,7 @@ class PathSteps:
         value = np.exp(self.coordinates[: self.knots])
         ends = between(self.grid)
         curve, coordinates = map(jnp.asarray, (cardinal(self.grid, ends), self.coordinates))
-        trial = placed(in_lines(self.trial, ends), curve, coordinates)
+        trial = placed(with_zeta_knots(self.trial, ends), curve, coordinates)
         place = np.asarray(trial.start.position)
         lines = np.asarray(trial.simulator.terrain.zeta.value)  # pyright: ignore
         terrain = replace_struct(
@@ -335,7 +337,7 @@ class PathSteps:
             time=self.grid,
             value=value,
             error=np.where(spread < 1e6, value * spread, np.inf),
-            told=told,
+            identified=told,
             weight=float(self.posterior.weight),
             noise=dict(zip(self.followed, noise, strict=True)),
             rmse=dict(zip(self.channels, rmse, strict=True)),
@@ -346,7 +348,7 @@ class PathSteps:
         )
 
 
-def sinkage_and_travel(each: Candidate) -> Observation:
+def sinkage_and_travel(each: PreparedRun) -> Observation:
     """Sinkage and travel of a run, where it has them."""
     observation = each.observation
     channels = tuple(name for name in CHANNELS if name in observation.channels)
@@ -384,4 +386,4 @@ def _moves(trial: Trial, grid: np.ndarray) -> np.ndarray:
     """Whether wheel or carriage is asked to move anywhere between a knot's two neighbours."""
     edges = np.r_[grid[0], grid, grid[-1]]
     inside = np.linspace(edges[:-2], edges[2:], 65)[1:-1]
-    return np.asarray(asked_to_move(trial, inside).any(axis=0))
+    return np.asarray(is_commanded_to_move(trial, inside).any(axis=0))

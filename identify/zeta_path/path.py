@@ -61,7 +61,7 @@ class ZetaPath:
     time: np.ndarray
     value: np.ndarray
     error: np.ndarray
-    told: np.ndarray
+    identified: np.ndarray
     weight: float
     noise: dict[str, tuple[float, float]]
     rmse: dict[str, float]

@@ -8,7 +8,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from drftjax.physics.terrain import KnotZeta
-from drftjax.recorded.batch import Batch, Observed, between_rows, over_runs
+from drftjax.recorded.batch import Batch, PaddedObservations, between_rows, map_over_runs
 from drftjax.simulation.trial import Trial
 
 # Standard deviation of the start's sinkage and travel about their recorded means [m].
@@ -18,7 +18,7 @@ START_SPREAD = 1e-3
 START_COORDINATES = 2
 
 
-def in_lines(trial: Trial, ends: np.ndarray) -> Trial:
+def with_zeta_knots(trial: Trial, ends: np.ndarray) -> Trial:
     """The trial with straight lines of zeta that end here [s]; `placed` says at which zeta."""
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, 1 + 0 * ends))
 
@@ -41,9 +41,9 @@ def placed(
     return eqx.tree_at(lambda t: t.start.position, trial, moved)
 
 
-def predicted(
+def predict_path(
     trial: Trial,
-    observed: Observed,
+    observed: PaddedObservations,
     channels: tuple[str, ...],
     curve: Float[Array, "ends knots"],
     coordinates: Float[Array, " all"],
@@ -54,7 +54,7 @@ def predicted(
 
 
 @eqx.filter_jit
-def simulated(
+def predict_with_jacobian(
     batch: Batch,
     mesh: Mesh,
     curves: Float[Array, "runs ends knots"],
@@ -65,14 +65,14 @@ def simulated(
     As `predicted`; zero for a run of which no row is compared.
     """
 
-    def one(trial: Trial, observed: Observed, _, own: tuple[Array, Array]):
+    def one(trial: Trial, observed: PaddedObservations, _, own: tuple[Array, Array]):
         curve, at = own
 
         def both(at: Array) -> tuple[Array, Array]:
-            values = predicted(trial, observed, batch.channels, curve, at)
+            values = predict_path(trial, observed, batch.channels, curve, at)
             return values, values
 
         derivative, values = jax.jacfwd(both, has_aux=True)(at)
         return values, derivative
 
-    return over_runs(batch, mesh, one, (), (curves, coordinates))
+    return map_over_runs(batch, mesh, one, (), (curves, coordinates))

@@ -23,16 +23,16 @@ import numpy as np
 
 from drftjax.common.errors import InputError, RunError
 from drftjax.recorded.batch import device_mesh, make_batch
-from drftjax.recorded.prepared_run import Candidate
-from identify.zeta_path.gauss_newton import PathSteps, sinkage_and_travel
+from drftjax.recorded.prepared_run import PreparedRun
+from identify.zeta_path.gauss_newton import ZetaPathSolver, sinkage_and_travel
 from identify.zeta_path.path import ZetaPath, between, cardinal
-from identify.zeta_path.simulate import START_COORDINATES, in_lines, simulated
+from identify.zeta_path.simulate import START_COORDINATES, predict_with_jacobian, with_zeta_knots
 
 KNOT_SPACING = 1.0
 
 
 def zeta_paths(
-    candidates: Sequence[Candidate], knot_spacing: float = KNOT_SPACING
+    candidates: Sequence[PreparedRun], knot_spacing: float = KNOT_SPACING
 ) -> list[ZetaPath]:
     """zeta(t) of each run; the runs are simulated side by side.
 
@@ -45,14 +45,14 @@ def zeta_paths(
         RunError: where a run has no sinkage, is too short, or cannot be simulated.
         InputError: for a knot spacing that is none.
     """
-    return [each.path() for each in path_steps(candidates, knot_spacing)]
+    return [each.path() for each in path_solvers(candidates, knot_spacing)]
 
 
-def path_steps(
-    candidates: Sequence[Candidate],
+def path_solvers(
+    candidates: Sequence[PreparedRun],
     knot_spacing: float,
-    begun: Sequence[PathSteps] | None = None,
-) -> list[PathSteps]:
+    begun: Sequence[ZetaPathSolver] | None = None,
+) -> list[ZetaPathSolver]:
     """`zeta_paths` with the linearisations that they ended at.
 
     Args:
@@ -60,7 +60,7 @@ def path_steps(
         begun: The same runs' paths to go on from, at other values of what is not fitted here.
     """
     channels = [sinkage_and_travel(each).channels for each in candidates]
-    found: dict[int, PathSteps] = {}
+    found: dict[int, ZetaPathSolver] = {}
     for kind in dict.fromkeys(channels):
         alike = [number for number, own in enumerate(channels) if own == kind]
         steps = _steps_of_alike(
@@ -73,14 +73,14 @@ def path_steps(
 
 
 def _steps_of_alike(
-    candidates: Sequence[Candidate], knot_spacing: float, begun: Sequence[PathSteps | None]
-) -> list[PathSteps]:
+    candidates: Sequence[PreparedRun], knot_spacing: float, begun: Sequence[ZetaPathSolver | None]
+) -> list[ZetaPathSolver]:
     """`path_steps` of runs that have the same channels."""
     grids = [_knots(each, knot_spacing) for each in candidates]
     longest = max(grids, key=len)
     most, lines = len(longest), len(between(longest))
     trials = [
-        in_lines(each.trial, _padded(between(grid), lines))
+        with_zeta_knots(each.trial, _padded(between(grid), lines))
         for each, grid in zip(candidates, grids, strict=True)
     ]
     observations = [sinkage_and_travel(each) for each in candidates]
@@ -91,7 +91,7 @@ def _steps_of_alike(
         curve[: len(drawn), : len(grid)] = drawn
     curves = jnp.asarray(curves)
     fits = [
-        PathSteps(each, batch, number, grid, curves[number], last)
+        ZetaPathSolver(each, batch, number, grid, curves[number], last)
         for number, (each, grid, last) in enumerate(zip(candidates, grids, begun, strict=True))
     ]
     compared = batch.observed.compared_rows
@@ -102,7 +102,7 @@ def _steps_of_alike(
             if fit.settled:
                 compared = compared.at[number].set(0)
         left = eqx.tree_at(lambda b: b.observed.compared_rows, batch, compared)
-        found = simulated(left, mesh, curves, jnp.asarray(coordinates))
+        found = predict_with_jacobian(left, mesh, curves, jnp.asarray(coordinates))
         predicted, derivative = (np.asarray(each)[: len(fits)] for each in found)
         for fit, values, slopes in zip(fits, predicted, derivative, strict=True):
             if not fit.settled:
@@ -110,7 +110,7 @@ def _steps_of_alike(
     return fits
 
 
-def _knots(each: Candidate, spacing: float) -> np.ndarray:
+def _knots(each: PreparedRun, spacing: float) -> np.ndarray:
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"the knot spacing is {spacing:g} s, must be positive")
     duration = float(each.observation.time[each.observation.counts].max(initial=0.0))

@@ -21,13 +21,20 @@ sys.path.append(str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from rich.progress import Progress
 
-from identify.cluster.result_codec import decoded, encoded
+from identify.cluster.result_codec import decode_result, encode_result
 from identify.cluster.scheduler import Local, Log, connected, fit_on
 from identify.cluster.store import Store
-from identify.cluster.worker import Answer, Settings, Term, _set_up, answers, fit_logs
+from identify.cluster.worker import (
+    FitReply,
+    ParameterSpec,
+    Settings,
+    _set_up,
+    fit_logs,
+    fit_replies,
+)
 
 # The step is the one that a fit takes by itself.
-SETTINGS = Settings((Term("terrain.zeta", None, None, None),), step=5e-4)
+SETTINGS = Settings((ParameterSpec("terrain.zeta", None, None, None),), step=5e-4)
 SANDS = 50
 PROFILE = ([0.0, 0.2, 0.7, 1.0], [0.0, 0.0, 0.5, 0.5])
 
@@ -53,12 +60,12 @@ def write_logs(folder: Path, count: int) -> list[Log]:
     return logs
 
 
-def one_process(logs: Sequence[Log]) -> tuple[float, list[Answer]]:
+def one_process(logs: Sequence[Log]) -> tuple[float, list[FitReply]]:
     """Time [s] and results of logs fitted one after the other, here."""
     settings = SETTINGS.encoded()
     fit_logs(settings, [(logs[0].digest, logs[0].read())])
     begin = time.perf_counter()
-    found = [answers(fit_logs(settings, [(log.digest, log.read())]))[0] for log in logs]
+    found = [fit_replies(fit_logs(settings, [(log.digest, log.read())]))[0] for log in logs]
     return time.perf_counter() - begin, found
 
 
@@ -81,14 +88,14 @@ def on_cluster(logs: Sequence[Log], workers: int, store: Store) -> tuple[float, 
 
 def plainly(logs: Sequence[Log]) -> list:
     """The same logs fitted as a program of one's own would, without what makes tasks of them."""
-    from drftjax.recorded.prepared_run import candidate
+    from drftjax.recorded.prepared_run import prepare_run
     from drftjax.runlog.hdf5.api import read_run
     from identify.fit_constant import fit
     from identify.parameters.parameter import parameter
 
     zeta = [parameter("zeta", shared=False)]
-    runs = [candidate(log.path.stem, read_run(log.path), step=SETTINGS.step) for log in logs]
-    return [decoded(encoded(fit([run], zeta))) for run in runs]
+    runs = [prepare_run(log.path.stem, read_run(log.path), step=SETTINGS.step) for log in logs]
+    return [decode_result(encode_result(fit([run], zeta))) for run in runs]
 
 
 def largest_difference(found: Sequence, others: Sequence) -> float:
@@ -128,8 +135,10 @@ def main() -> None:
         path = Path(folder) / "fit.store"
         with Store(path, SETTINGS.named()) as store:
             start, rest = on_cluster(logs, options.workers, store)
-            everything = [decoded(store.result(log.digest)) for log in logs if log.digest in store]
-            on_workers = [decoded(store.result(log.digest)) for log in some]
+            everything = [
+                decode_result(store.result(log.digest)) for log in logs if log.digest in store
+            ]
+            on_workers = [decode_result(store.result(log.digest)) for log in some]
         size = path.stat().st_size
         plain = plainly(some[:20])
     fitted = len(logs) - 4 * options.workers
@@ -144,7 +153,7 @@ def main() -> None:
     print(f"store: {size / 2**20:.1f} MiB of {len(everything)} fits")
     ends = [each.run.status for each in everything]
     print("ends:", ", ".join(f"{ends.count(end)} {end}" for end in sorted(set(ends))))
-    apart = largest_difference(on_workers, [decoded(each.result) for each in found])
+    apart = largest_difference(on_workers, [decode_result(each.result) for each in found])
     print(f"largest difference, cluster and one process, {len(some)} logs: {apart:.2g}")
     apart = largest_difference(on_workers[: len(plain)], plain)
     print(f"largest difference, cluster and plain fits, {len(plain)} logs: {apart:.2g}")

@@ -27,17 +27,17 @@ def main() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from diagnose.dataset import Case
+    from diagnose.dataset import RigDataset
     from diagnose.pipeline import diagnose
     from drftjax.effects.catalogue import catalogue
-    from drftjax.recorded.prepared_run import candidates_of
+    from drftjax.recorded.prepared_run import prepare_runs
 
     effects = tuple(catalogue().values())
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
     table = Table("runs of", "verdict", "time, s", "CPU time, s", "of simulating them once")
     for folder, when in itertools.product(folders, ("the first time", "again")):
         begun, worked = time.perf_counter(), time.process_time()
-        found = diagnose(Case.of(candidates_of(sorted(folder.glob("*.h5")))), effects)
+        found = diagnose(RigDataset.of(prepare_runs(sorted(folder.glob("*.h5")))), effects)
         seconds, work = time.perf_counter() - begun, time.process_time() - worked
         ratio = f"{seconds / _simulated_once(found.case):.0f}"
         verdict = " + ".join(found.verdict)
@@ -51,12 +51,12 @@ def _simulated_once(case) -> float:
     """Seconds that the runs take one after another, compiled; the shortest of a few."""
     import numpy as np
 
-    from diagnose.model.augmented_model import Model
+    from diagnose.model.augmented_model import AugmentedModel
 
     def once() -> float:
         begun = time.perf_counter()
-        for run in range(len(case.candidates)):
-            case.predicted(Model(), run, 0.0, np.zeros(0))
+        for run in range(len(case.runs)):
+            case.predicted(AugmentedModel(), run, 0.0, np.zeros(0))
         return time.perf_counter() - begun
 
     return min(once() for _ in range(3))

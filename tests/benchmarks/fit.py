@@ -22,7 +22,7 @@ def main() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from drftjax.recorded.prepared_run import candidates_of
+    from drftjax.recorded.prepared_run import prepare_runs
     from identify.fit_constant import fit
     from identify.parameters.parameter import parameter
 
@@ -33,7 +33,7 @@ def main() -> None:
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
     table = Table("runs of", "runs", "time, s", "solver steps", "programs compiled", "status")
     for folder in (folders[0], *folders):
-        candidates = candidates_of(sorted(folder.glob("*.h5")))
+        candidates = prepare_runs(sorted(folder.glob("*.h5")))
         compiled.clear()
         steps = []
         begun = time.perf_counter()

@@ -32,13 +32,13 @@ TICK_MS, WATCHDOG_MS = 10, 50
 
 def physics_speed(setup) -> tuple[float, float]:
     """Times real time at a tick of 10 ms, and a single step's call [us]."""
-    from hils.rig_sim.physics import REST, Demand
+    from hils.rig_sim.physics import REST, MotorDemand
 
     physics = setup.build()
     packed, last, steps = physics.held(), REST, round(0.01 / setup.physics.step)
     begun = time.perf_counter()
     for tick in range(1000):
-        demand = Demand(math.radians(30) * min(1.0, tick / 300), 0.0, False)
+        demand = MotorDemand(math.radians(30) * min(1.0, tick / 300), 0.0, False)
         packed = physics.advance(packed, steps, last, demand, tick < 150)
         last, _ = demand, physics.motion(packed)
     speed = 10.0 / (time.perf_counter() - begun)

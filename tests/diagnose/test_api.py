@@ -18,7 +18,7 @@ from diagnose.gap.zeta_matching import MET
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import run_rows
 from drftjax.common.errors import InputError, RunError
-from drftjax.effects.base import About, MemorylessSurface, strength
+from drftjax.effects.base import EffectInfo, MemorylessSurface, strength
 from drftjax.effects.sensor import SinkageDrift, TravelGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.runlog.hdf5.api import write_run
@@ -47,7 +47,7 @@ ROUNDED = 5.1e-5
 class Tilt(MemorylessSurface):
     """A slope by a name that no catalogue has."""
 
-    about: ClassVar = About("tilt", "terrain", "h = slope x", "the bed is tilted")
+    about: ClassVar = EffectInfo("tilt", "terrain", "h = slope x", "the bed is tilted")
     slope: Float[Array, ""] = strength("-", 0.01, "rise of the surface along x")
 
     def height(self, axle, ahead, memory):
@@ -57,7 +57,7 @@ class Tilt(MemorylessSurface):
 class Shifted(Tilt):
     """Acts where its strength is zero: no effect."""
 
-    about: ClassVar = About("shifted", "terrain", "h = 1 mm + slope x", "the bed lies higher")
+    about: ClassVar = EffectInfo("shifted", "terrain", "h = 1 mm + slope x", "the bed lies higher")
 
     def height(self, axle, ahead, memory):
         return 1e-3 + super().height(axle, ahead, memory)
@@ -66,7 +66,7 @@ class Shifted(Tilt):
 class Namesake(Tilt):
     """An effect by the name of one of the list."""
 
-    about: ClassVar = About("surface_slope", "terrain", "h = slope x", "the bed is tilted")
+    about: ClassVar = EffectInfo("surface_slope", "terrain", "h = slope x", "the bed is tilted")
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def test_the_zeta_of_the_run_table_meets_each_runs_mean_sinkage(found):
     case, z = found.case, found.case.channels.index("z")
     for number, row in enumerate(run_rows(found)):
         zeta = float(row[3])
-        each, near = found.added.met[number], case.candidates[number].setup.terrain.zeta
-        assert each.met
+        each, near = found.selected.matches[number], case.runs[number].setup.terrain.zeta
+        assert each.matched
         assert zeta == pytest.approx(near * np.exp(each.log_zeta), abs=ROUNDED)
         assert abs(each.residual[z].mean()) < MET
 
@@ -176,7 +176,7 @@ def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
     write_run(tmp_path / "good.h5", next(iter(runs.values())))
     (tmp_path / "bad.h5").write_text("not a run log")
     found = drftjax.evaluate((tmp_path,), [])
-    assert [each.name for each in found.case.candidates] == ["good"]
+    assert [each.name for each in found.case.runs] == ["good"]
     assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
 
 
@@ -185,7 +185,7 @@ def test_runs_without_sinkage_are_left_out_and_alone_refused(runs):
     blind = dataclasses.replace(runs[lacking].measured, z=None)
     given = {kept: runs[kept], lacking: dataclasses.replace(runs[lacking], measured=blind)}
     found = drftjax.evaluate(given, [])
-    assert [each.name for each in found.case.candidates] == [kept]
+    assert [each.name for each in found.case.runs] == [kept]
     assert f"Left out: {lacking}: has no z, so its sinkage is not known" in found.notes
     with pytest.raises(InputError, match="has no z"):
         drftjax.evaluate([given[lacking]], [])
@@ -201,7 +201,7 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
         notes: list[str]
 
     def search(case, effects, report):
-        names = [each.name for each in case.candidates]
+        names = [each.name for each in case.runs]
         for name in names:
             if name in lost:
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
@@ -209,8 +209,8 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
 
     monkeypatch.setattr(interface, "diagnose_case", search)
     told = []
-    found = interface.diagnosed(
-        interface.gathered_from(runs), (SurfaceSlope,), lambda stage: None, told.append
+    found = interface.diagnose_gathered(
+        interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
     )
     assert found.names == [name for name in runs if name not in lost]
     assert [each.removeprefix("left out: ") for each in told] == [
@@ -219,8 +219,8 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
     assert len(told) == 2
     lost |= set(runs)
     with pytest.raises(RunError, match="no zeta"):
-        interface.diagnosed(
-            interface.gathered_from(runs), (SurfaceSlope,), lambda stage: None, told.append
+        interface.diagnose_gathered(
+            interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
         )
 
 
@@ -236,12 +236,12 @@ def test_a_run_log_that_cannot_be_used_is_left_out(runs):
             runs[name], measured=dataclasses.replace(measured, z=-measured.z)
         ),
     }
-    found = interface.gathered_from(given)
-    assert [each.name for each in found.candidates] == [name]
-    assert found.left_out["torque alone"].startswith("torque alone: nothing to compare")
-    assert found.left_out["downward"].startswith("downward: measured z stands")
+    found = interface.gather_inputs(given)
+    assert [each.name for each in found.runs] == [name]
+    assert found.skipped["torque alone"].startswith("torque alone: nothing to compare")
+    assert found.skipped["downward"].startswith("downward: measured z stands")
     with pytest.raises(InputError, match=r"torque alone: nothing to compare.*; downward: measured"):
-        interface.gathered_from({key: given[key] for key in ("torque alone", "downward")})
+        interface.gather_inputs({key: given[key] for key in ("torque alone", "downward")})
 
 
 def test_a_set_up_that_somebody_wrote_is_not_replaced(found, tmp_path):
@@ -275,7 +275,7 @@ def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope, why):
 def test_a_run_that_the_model_throws_away_is_left_out_and_the_others_are_told(runs):
     *longer, shortest = runs
     found = drftjax.evaluate(runs, [SinkageDrift(rate=DRIFT)])
-    assert [each.name for each in found.case.candidates] == [shortest]
+    assert [each.name for each in found.case.runs] == [shortest]
     assert len(found.before) == len(found.after) == 1
     said = [note for note in found.notes if note.startswith("Left out: ")]
     for name, why in zip(longer, said, strict=True):
@@ -286,16 +286,16 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
     name = next(iter(runs))
     deeper = dataclasses.replace(runs[name].measured, z=runs[name].measured.z - 0.1)
     found = drftjax.evaluate({name: dataclasses.replace(runs[name], measured=deeper)}, [])
-    assert not found.before[0].met
+    assert not found.before[0].matched
     said = f"{name}: no zeta was found at which the reference model meets its mean sinkage"
     assert [note for note in found.notes if note.startswith(said)]
     assert not any("with the effects" in note for note in found.notes)
-    assert all(each.met for each in drftjax.evaluate(runs, []).before)
+    assert all(each.matched for each in drftjax.evaluate(runs, []).before)
 
 
 def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatch):
     def not_one(bench, unseen):
-        return [dataclasses.replace(each, met=False) for each in at_mean_sinkage(bench, unseen)]
+        return [dataclasses.replace(each, matched=False) for each in at_mean_sinkage(bench, unseen)]
 
     monkeypatch.setattr("diagnose.pipeline.at_mean_sinkage", not_one)
     found = drftjax.diagnose(runs, ["surface_slope"])
@@ -308,7 +308,7 @@ def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatc
 def test_effects_of_the_set_up_itself_are_told_in_the_model_file(found, monkeypatch):
     own = [{"name": "drawbar", "force": 3.0}]
     assert "had effects" not in model_toml(found)
-    monkeypatch.setattr(found.case.candidates[0].setup, "effects", own)
+    monkeypatch.setattr(found.case.runs[0].setup, "effects", own)
     assert "had effects, which are not in this file: drawbar." in model_toml(found)
 
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.api import gathered_from
+from diagnose.api import gather_inputs
 from diagnose.checks.caveats import caveats
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.evaluation.model_reader import read_model_file
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup_toml import setup_toml
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
@@ -32,8 +32,8 @@ def from_x(run: RunLog, start: float) -> RunLog:
 
 
 def test_runs_that_start_elsewhere_count_from_there_and_keep_their_places(run):
-    at_zero = gathered_from({"a": run, "b": from_x(run, 0.3)}).candidates
-    away = gathered_from({"a": from_x(run, 2.0), "b": from_x(run, 2.3)}).candidates
+    at_zero = gather_inputs({"a": run, "b": from_x(run, 0.3)}).runs
+    away = gather_inputs({"a": from_x(run, 2.0), "b": from_x(run, 2.3)}).runs
     assert away[0].setup.start.x == pytest.approx(0.0, abs=ROUNDING)
     assert away[1].setup.start.x == pytest.approx(0.3, abs=ROUNDING)
     for one, other in zip(at_zero, away, strict=True):
@@ -47,7 +47,7 @@ def test_a_driven_carriage_starts_where_its_x_was_recorded():
     """Though x is given there and not compared: a patch of the bed lies at one place."""
     setup = setup_of(SLOW, vx=[0.0, 0.0, 0.06, 0.06])
     one, other = (recorded(setup, channels=("x", "z"), seed=seed) for seed in (0, 1))
-    found = gathered_from({"a": from_x(one, 2.0), "b": from_x(other, 2.3)}).candidates
+    found = gather_inputs({"a": from_x(one, 2.0), "b": from_x(other, 2.3)}).runs
     assert "x" not in found[0].observation.channels
     starts = [each.trial.start.position[0] for each in found]
     assert starts == pytest.approx([0.0, 0.3], abs=SET_OFF)
@@ -64,9 +64,9 @@ def test_a_model_counts_other_runs_from_where_its_own_started(run, tmp_path):
     path.write_text(setup_toml(model))
     assert read_model_file(path).origin == 2.0
     for start in (2.0, 2.3, 0.0):
-        (each,) = gathered_from({"b": from_x(run, start)}, read_model_file(path).origin).candidates
+        (each,) = gather_inputs({"b": from_x(run, start)}, read_model_file(path).origin).runs
         assert each.setup.start.origin == 2.0
-        recorded_start = candidate("b", from_x(run, start)).setup.start.x
+        recorded_start = prepare_run("b", from_x(run, start)).setup.start.x
         assert each.setup.start.x == pytest.approx(recorded_start - 2.0, abs=ROUNDING)
         assert each.trial.start.position[0] == each.setup.start.x
     path.write_text(setup_toml(setup_of()))
@@ -79,31 +79,33 @@ def test_a_run_without_x_leaves_the_others_where_they_are(run):
         return dataclasses.replace(one, measured=dataclasses.replace(one.measured, x=None))
 
     given = {"a": from_x(run, 3.0), "b": from_x(run, 3.2), "c": blind(from_x(run, 3.0))}
-    found = gathered_from(given).candidates
+    found = gather_inputs(given).runs
     starts = [each.setup.start.x for each in found]
     assert starts == pytest.approx([0.0, 0.2, 0.0], abs=ROUNDING)
     assert {each.setup.start.origin for each in found} == {found[0].setup.start.origin}
-    assert any("c lacks x" in note and "start at x = 0" in note for note in caveats(Case.of(found)))
+    assert any(
+        "c lacks x" in note and "start at x = 0" in note for note in caveats(RigDataset.of(found))
+    )
 
 
 def test_a_copy_of_a_run_is_no_repeat(run):
     again = dataclasses.replace(run, title="saved anew")
-    told = gathered_from({"a": run, "b": again, "c": from_x(run, 0.3)})
-    assert [each.name for each in told.candidates] == ["a", "c"]
-    assert told.left_out == {"b": "b: has the very readings of a"}
+    told = gather_inputs({"a": run, "b": again, "c": from_x(run, 0.3)})
+    assert [each.name for each in told.runs] == ["a", "c"]
+    assert told.skipped == {"b": "b: has the very readings of a"}
 
 
 def test_where_x_counts_from_is_told(run):
-    (away,) = gathered_from({"a": from_x(run, 2.0)}).candidates
+    (away,) = gather_inputs({"a": from_x(run, 2.0)}).runs
     assert any(
-        note.startswith("x = 0 is 2 m of the recorded x") for note in caveats(Case.of([away]))
+        note.startswith("x = 0 is 2 m of the recorded x") for note in caveats(RigDataset.of([away]))
     )
-    (here,) = gathered_from({"a": run}).candidates
-    assert not any("recorded x" in note for note in caveats(Case.of([here])))
+    (here,) = gather_inputs({"a": run}).runs
+    assert not any("recorded x" in note for note in caveats(RigDataset.of([here])))
 
 
 def test_runs_that_start_at_zero_stay_as_they_are(run):
-    (each,) = gathered_from({"a": run}).candidates
-    plain = candidate("a", run)
+    (each,) = gather_inputs({"a": run}).runs
+    plain = prepare_run("a", run)
     assert each.setup.start.x == plain.setup.start.x
     np.testing.assert_array_equal(each.observation.values, plain.observation.values)

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.dataset import FASTEST, Case, _early, thinned
-from diagnose.model.augmented_model import COVERED, Model, predict
+from diagnose.dataset import FASTEST, RigDataset, _early, decimate
+from diagnose.model.augmented_model import COVERED, AugmentedModel, predict
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from tests.helpers.rig_datasets import case_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
@@ -19,14 +19,14 @@ ROUNDING = 1e-9
 SLOW_RUNS = (0, 1)
 
 
-def logged(rate: float) -> Candidate:
+def logged(rate: float) -> PreparedRun:
     return coarse("fast", recorded(setup_of(), rate=rate))
 
 
 @pytest.mark.parametrize(("rate", "kept"), [(100.0, 1), (150.0, 1), (200.0, 2), (1000.0, 10)])
 def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(rate, kept):
     fast = logged(rate)
-    (each,) = Case.of([fast]).candidates
+    (each,) = RigDataset.of([fast]).runs
     seen, whole = each.observation, fast.observation
     assert np.array_equal(seen.time, whole.time[::kept])
     assert np.array_equal(seen.values, whole.values[:, ::kept])
@@ -34,7 +34,7 @@ def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(
     assert 1 / np.diff(seen.time).min() < 2 * FASTEST
     if kept > 1:
         assert seen.noise.tolist() == [white_noise(row) for row in seen.values]
-    assert thinned(each) is each
+    assert decimate(each) is each
 
 
 def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
@@ -45,18 +45,18 @@ def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
         seen, time=seen.time[late], values=seen.values[:, late], counts=seen.counts[late]
     )
     few = dataclasses.replace(rest, counts=rest.counts & (np.arange(len(rest.time)) < 1))
-    case = Case.of([dataclasses.replace(each, observation=few)])
+    case = RigDataset.of([dataclasses.replace(each, observation=few)])
     assert _early(case, 0).all()
     assert len(_early(case, 0)) == 1
 
 
 def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
     case = case_with()
-    filtering = Model((effect_class("measurement_filter"),))
-    case.warm(predict, [filtering])
+    filtering = AugmentedModel((effect_class("measurement_filter"),))
+    case.precompile(predict, [filtering])
     assert compiled
     compiled.clear()
-    for run in range(len(case.candidates)):
+    for run in range(len(case.runs)):
         # As a secant step gives it, and as numpy does.
         for log_zeta in (0.0, np.float64(0.01)):
             case.predicted(filtering, run, log_zeta, np.array([0.02]))
@@ -68,10 +68,10 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
 )
 def test_plates_that_stay_above_the_sand_change_no_number(name):
     case = case_with()
-    narrow = case.narrowed()
+    narrow = case.with_fewer_plates()
     carried, whole = (each.trials[0].simulator.wheel.cut() for each in (narrow, case))
     assert carried.outline.x.size < whole.outline.x.size
-    model = Model((effect_class(name),))
+    model = AugmentedModel((effect_class(name),))
     at = model.null() + np.array([float(each.scale is not None) for each in model.free])
     for run in SLOW_RUNS:
         ours, theirs = (each.predicted(model, run, -0.05, at) for each in (narrow, case))
@@ -80,16 +80,16 @@ def test_plates_that_stay_above_the_sand_change_no_number(name):
 
 def test_what_sinks_past_the_plates_carried_has_no_numbers():
     case = case_with()
-    narrow = case.narrowed()
+    narrow = case.with_fewer_plates()
     limit = COVERED * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
     z, nothing = case.channels.index("z"), np.zeros(0)
     for log_zeta in (0.0, -1.0):
-        deepest = -case.predicted(Model(), 0, log_zeta, nothing)[z].min()
-        told = narrow.predicted(Model(), 0, log_zeta, nothing)
+        deepest = -case.predicted(AugmentedModel(), 0, log_zeta, nothing)[z].min()
+        told = narrow.predicted(AugmentedModel(), 0, log_zeta, nothing)
         assert np.isnan(told).all() == (deepest > limit) == (log_zeta < 0)
 
 
 def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
     each = coarse("deep", recorded(setup_of(zeta=0.2)))
-    case = Case.of([each])
-    assert case.narrowed() is case
+    case = RigDataset.of([each])
+    assert case.with_fewer_plates() is case

@@ -36,7 +36,7 @@ def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
 
 
 def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
-    pair = next(each for each in fast.found.pairs if set(each.names) == set(TERMS))
+    pair = next(each for each in fast.screening.pairs if set(each.names) == set(TERMS))
     x = fast.case.channels.index("x")
     left = np.concatenate([run[x] for run in pair.residual])
     assert np.sqrt(np.mean(left**2)) < CLOSED * fast.floors["x"]
@@ -45,7 +45,7 @@ def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
 
 
 def test_the_pair_has_the_strengths_of_the_dynamic_theory(fast):
-    pair = next(each for each in fast.found.pairs if set(each.names) == set(TERMS))
+    pair = next(each for each in fast.screening.pairs if set(each.names) == set(TERMS))
     values = {
         pair.names[free.index]: float(free.value(at))
         for free, at in zip(pair.model.free, pair.coordinates, strict=True)

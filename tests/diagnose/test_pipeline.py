@@ -6,25 +6,31 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case, baseline
-from diagnose.gap.cross_validation import predicted_unseen
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.gap.cross_validation import predict_held_out
 from diagnose.gap.gap import gaps, shrinkage
-from diagnose.hypotheses.hypothesis import proposed, refreshed, settled
-from diagnose.hypotheses.pair_screening import proposals
-from diagnose.hypotheses.screening import search
-from diagnose.linear.linear_fit import Products, fit_line
-from diagnose.linear.regressors import Bench
+from diagnose.hypotheses.hypothesis import linear_start, refine, relinearize
+from diagnose.hypotheses.pair_screening import pair_candidates
+from diagnose.hypotheses.screening import screen_effects
+from diagnose.linear.linear_fit import GramMatrices, fit_linear
+from diagnose.linear.regressors import Regressors
 from diagnose.pipeline import diagnose
 from diagnose.report.text import step_sentences
-from diagnose.selection.model_weights import NONE, UNKNOWN, Judged, Scale, weights
-from diagnose.selection.verdict import rivals_of, verdict_of
+from diagnose.selection.model_weights import (
+    NONE,
+    UNKNOWN,
+    ScoredHypothesis,
+    WeightSettings,
+    weights,
+)
+from diagnose.selection.verdict import competing_hypotheses, decide
 from drftjax.effects.catalogue import effect_class
 from drftjax.effects.drive import SpeedGain, SpeedRipple
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import SlipSoftening
-from drftjax.recorded.repeats import conditions
+from drftjax.recorded.repeats import group_by_condition
 from tests.helpers.rig_datasets import case_with
 
 # One node's map stands for several steps, which is 2 to 5 % here.
@@ -46,22 +52,22 @@ CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
 
 
 @pytest.fixture(scope="module")
-def sloping() -> Case:
+def sloping() -> RigDataset:
     return case_with({"name": "surface_slope", "slope": 0.02})
 
 
 @pytest.fixture(scope="module")
-def sloping_bench(sloping) -> Bench:
-    return Bench.of(sloping, baseline(sloping), CATALOGUE)
+def sloping_bench(sloping) -> Regressors:
+    return Regressors.of(sloping, match_initial_zeta(sloping), CATALOGUE)
 
 
-def variant(bench: Bench, effect):
+def variant(bench: Regressors, effect):
     return next(v for v in bench.variants if v.effect is effect)
 
 
 def test_a_lines_column_is_what_a_small_strength_does(sloping_bench):
     case, column = sloping_bench.case, variant(sloping_bench, Drawbar).columns[0]
-    model = proposed(sloping_bench, [variant(sloping_bench, Drawbar)]).model
+    model = linear_start(sloping_bench, [variant(sloping_bench, Drawbar)]).model
     for run, log_zeta in enumerate(sloping_bench.log_zeta):
         both = [case.predicted(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
         change = (both[1] - both[0]) / 0.1
@@ -71,9 +77,9 @@ def test_a_lines_column_is_what_a_small_strength_does(sloping_bench):
 
 
 def test_a_wrong_scales_column_knows_that_the_wheel_starts_elsewhere(sloping):
-    bench = Bench.of(sloping, baseline(sloping), (SinkageGain,))
-    start = proposed(bench, [variant(bench, SinkageGain)])
-    exact = refreshed(bench, start)
+    bench = Regressors.of(sloping, match_initial_zeta(sloping), (SinkageGain,))
+    start = linear_start(bench, [variant(bench, SinkageGain)])
+    exact = relinearize(bench, start)
     z = sloping.channels.index("z")
     for line, true in zip(bench.columns, exact.columns, strict=True):
         # A column that forgets the start is 23 % off.
@@ -82,8 +88,8 @@ def test_a_wrong_scales_column_knows_that_the_wheel_starts_elsewhere(sloping):
 
 
 def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(sloping_bench):
-    slope = settled(
-        sloping_bench, proposed(sloping_bench, [variant(sloping_bench, SurfaceSlope)]), 8
+    slope = refine(
+        sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, SurfaceSlope)]), 8
     )
     true = 0.02 / slope.model.free[0].scale
     assert slope.coordinates[0] == pytest.approx(true, rel=TOLD)
@@ -93,13 +99,13 @@ def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(sloping_bench):
 
 def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
     slope, gain = (
-        settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, effect)]), 8)
+        refine(sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, effect)]), 8)
         for effect in (SurfaceSlope, TravelGain)
     )
     z = sloping_bench.case.channels.index("z")
 
     def missed(hypothesis) -> float:
-        unseen = predicted_unseen(sloping_bench, hypothesis).residual
+        unseen = predict_held_out(sloping_bench, hypothesis).residual
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < UNSEEN < 10 * UNSEEN < missed(gain)
@@ -109,15 +115,17 @@ def test_two_forms_of_one_effect_are_no_pair():
     """The verdict would name one effect, and its numbers stand twice."""
     case = case_with({"name": "drawbar", "force": 4.0})
     forms = [SpeedRipple, effect_class("speed_harmonics")]
-    assert search(case, forms).pairs == ()
-    with_another = search(case, [*forms, SurfaceSlope]).pairs
+    assert screen_effects(case, forms).pairs == ()
+    with_another = screen_effects(case, [*forms, SurfaceSlope]).pairs
     assert with_another
     assert all("surface_slope" in each.names for each in with_another)
 
 
 def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
-    gain = settled(sloping_bench, proposed(sloping_bench, [variant(sloping_bench, TravelGain)]), 3)
-    proposal = next(proposals(sloping_bench, [gain]))
+    gain = refine(
+        sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, TravelGain)]), 3
+    )
+    proposal = next(pair_candidates(sloping_bench, [gain]))
     assert proposal.names == {"travel_gain", "surface_slope"}
     pair = proposal.build()
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
@@ -128,7 +136,7 @@ def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
 
 
 def test_repeats_are_one_condition(sloping):
-    assert conditions(sloping.candidates) == [[0, 1], [2]]
+    assert group_by_condition(sloping.runs) == [[0, 1], [2]]
 
 
 def test_a_slope_is_named_and_its_gap_closed(sloping):
@@ -150,13 +158,13 @@ def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
     sloping, monkeypatch
 ):
     def lost(bench, hypothesis):
-        unseen = predicted_unseen(bench, hypothesis)
+        unseen = predict_held_out(bench, hypothesis)
         if hypothesis.names != ("surface_slope",):
             return unseen
         first, *others = unseen.residual
         return dataclasses.replace(unseen, residual=[np.full_like(first, np.nan), *others])
 
-    monkeypatch.setattr("diagnose.pipeline.predicted_unseen", lost)
+    monkeypatch.setattr("diagnose.pipeline.predict_held_out", lost)
     found = diagnose(sloping, (SurfaceSlope, TravelGain))
     assert "surface_slope" not in found.weights
     assert all(np.isfinite(gap.after) for gap in found.gap.values())
@@ -169,7 +177,7 @@ def test_nothing_added_is_none():
 
 
 def test_one_run_says_what_cannot_be_concluded(sloping):
-    alone = Case.of([sloping.candidates[0]])
+    alone = RigDataset.of([sloping.runs[0]])
     found = diagnose(alone, (SurfaceSlope, TravelGain))
     assert any("One run only" in note for note in found.notes)
     assert any("No run was repeated" in note for note in found.notes)
@@ -178,21 +186,21 @@ def test_one_run_says_what_cannot_be_concluded(sloping):
 # Numbers by hand ---------------------------------------------------------------------------------
 
 
-def made_products() -> Products:
+def made_products() -> GramMatrices:
     """One run and block: zeta moves nothing, a column of ones misses a residual of -2."""
     columns = np.stack([np.zeros(4), np.ones(4), np.full(4, -2.0)], axis=1)
     gram = (columns.T @ columns)[None, None]
-    return Products((("z", "slow"),), gram, np.array([[4]]), np.zeros(1))
+    return GramMatrices((("z", "slow"),), gram, np.array([[4]]), np.zeros(1))
 
 
 def test_a_line_takes_away_what_its_column_can():
-    line = fit_line(made_products(), [0], trust=0.0)
+    line = fit_linear(made_products(), [0], trust=0.0)
     assert line.strengths[0] == pytest.approx(2.0, rel=HELD_BACK)
     assert line.left[0] == pytest.approx(0.0, abs=HELD_BACK)
 
 
 def test_a_line_stays_at_its_least():
-    line = fit_line(made_products(), [0], least=np.array([3.0]), trust=0.0)
+    line = fit_linear(made_products(), [0], least=np.array([3.0]), trust=0.0)
     assert line.strengths[0] == pytest.approx(3.0)
     assert line.left[0] == pytest.approx(1.0, rel=HELD_BACK)
 
@@ -200,9 +208,9 @@ def test_a_line_stays_at_its_least():
 def test_a_bound_of_a_strength_counts_in_its_own_unit():
     # A loss of 0.3 is three typical sizes, and may be one, or ten sizes, at most.
     case = case_with({"name": "slip_softening", "loss": 0.3, "half": 0.01})
-    bench = Bench.of(case, baseline(case), (SlipSoftening,))
-    start = proposed(bench, [bench.variants[2]])
-    found = settled(bench, start, 4)
+    bench = Regressors.of(case, match_initial_zeta(case), (SlipSoftening,))
+    start = linear_start(bench, [bench.variants[2]])
+    found = refine(bench, start, 4)
     assert found.coordinates[0] * found.model.free[0].scale == pytest.approx(0.3, abs=STEPS)
 
 
@@ -222,13 +230,13 @@ def test_shrinkage_counts_from_the_floor():
 def test_weights_follow_what_is_left():
     blocks = (("z", "slow"),)
     scale = dataclasses.replace(
-        Scale(), none=0.0, number=0.0, floor=0.0, form=0.0, slow=2.0, unknown=-50.0
+        WeightSettings(), none=0.0, number=0.0, floor=0.0, form=0.0, slow=2.0, unknown=-50.0
     )
 
     def ratio(unseen: float, fitted: float) -> float:
         gap = np.array([4e-8])
-        drawbar = Judged(("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1)
-        judged = [Judged((), gap, gap, 0.0, 0), drawbar]
+        drawbar = ScoredHypothesis(("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1)
+        judged = [ScoredHypothesis((), gap, gap, 0.0, 0), drawbar]
         found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
         return found[("drawbar",)] / found[("none",)]
 
@@ -240,28 +248,28 @@ def test_weights_follow_what_is_left():
 
 def test_effects_that_share_their_weight_speak_together():
     share = {("none",): 0.02, ("unknown",): 0.4, ("drawbar",): 0.3, ("bulldozing",): 0.28}
-    assert verdict_of(share) == (("drawbar",), [["drawbar", "bulldozing"]])
-    assert verdict_of(share | {("unknown",): 0.6})[0] == ("unknown",)
-    assert verdict_of({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
+    assert decide(share) == (("drawbar",), [["drawbar", "bulldozing"]])
+    assert decide(share | {("unknown",): 0.6})[0] == ("unknown",)
+    assert decide({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
 
 
 def test_none_stands_until_it_is_far_outweighed():
     """An alarm takes more than being likelier: the rate of false ones is held down."""
     faint = {("drawbar",): 0.35, ("none",): 0.3, ("backlash",): 0.2, ("unknown",): 0.15}
-    assert verdict_of(faint) == (("none",), [["none", "drawbar", "backlash", "unknown"]])
+    assert decide(faint) == (("none",), [["none", "drawbar", "backlash", "unknown"]])
     plainer = faint | {("drawbar",): 0.6, ("none",): 0.1}
-    assert verdict_of(plainer) == (("drawbar",), [["drawbar", "backlash"]])
-    assert verdict_of({("none",): 0.2, ("unknown",): 0.8})[0] == ("none",)
-    assert verdict_of({("none",): 0.1, ("unknown",): 0.8, ("drawbar",): 0.1})[0] == ("unknown",)
+    assert decide(plainer) == (("drawbar",), [["drawbar", "backlash"]])
+    assert decide({("none",): 0.2, ("unknown",): 0.8})[0] == ("none",)
+    assert decide({("none",): 0.1, ("unknown",): 0.8, ("drawbar",): 0.1})[0] == ("unknown",)
 
 
 def test_likenesses_of_a_second_effect_speak_together_for_it():
     alone = {("backlash",): 0.4, ("loosening",): 0.05}
     beside = {("backlash", "wheel_radius"): 0.3, ("backlash", "travel_gain"): 0.25}
     expected = ("backlash", "wheel_radius"), [["backlash"], ["wheel_radius", "travel_gain"]]
-    assert verdict_of(alone | beside) == expected
+    assert decide(alone | beside) == expected
     # They do not where one effect alone is believed more than all of them.
-    assert verdict_of(alone | {("backlash", "travel_gain"): 0.3})[0] == ("backlash",)
+    assert decide(alone | {("backlash", "travel_gain"): 0.3})[0] == ("backlash",)
 
 
 def test_a_run_is_to_tell_the_verdict_from_all_that_is_named_beside_it():
@@ -270,7 +278,7 @@ def test_a_run_is_to_tell_the_verdict_from_all_that_is_named_beside_it():
         effects = [each for each in share if each[0] not in (NONE, UNKNOWN)]
         leading = [SimpleNamespace(names=each) for each in effects]
         found = SimpleNamespace(none=SimpleNamespace(names=()))
-        told = rivals_of(found, leading, share, max(share, key=lambda each: share[each]))  # pyright: ignore
+        told = competing_hypotheses(found, leading, share, max(share, key=lambda each: share[each]))  # pyright: ignore
         return [each.names for each in told]
 
     alike = {"measurement_delay": 0.4, "measurement_filter": 0.3, "speed_lag": 0.2}

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.dataset import Case, baseline
-from diagnose.model.augmented_model import Model
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.model.augmented_model import AugmentedModel
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 3.0], [0.0, 0.0, 0.5, 0.5])
@@ -22,10 +22,10 @@ def test_what_the_set_up_knows_already_is_no_gap():
         {"name": "loosening", "loss": 0.2, "decay": 0.5},
         {"name": "measurement_delay", "delay": 0.1},
     ]
-    case = Case.of([coarse("run", recorded(true, rate=100.0), model=true)])
-    (log_zeta,) = baseline(case)
-    residual = case.predicted(Model(), 0, log_zeta, np.zeros(0)) - case.recorded(0)
-    path = case.trace(0, log_zeta)
+    case = RigDataset.of([coarse("run", recorded(true, rate=100.0), model=true)])
+    (log_zeta,) = match_initial_zeta(case)
+    residual = case.predicted(AugmentedModel(), 0, log_zeta, np.zeros(0)) - case.recorded(0)
+    path = case.linearized(0, log_zeta)
     assert abs(log_zeta) < TOLD
     assert np.sqrt(np.mean(residual**2)) < LEFT
-    assert all(bool(jnp.isfinite(each).all()) for each in (path.motion, path.carry))
+    assert all(bool(jnp.isfinite(each).all()) for each in (path.motion, path.state_transition))

@@ -1,6 +1,6 @@
 """Torque beside travel and sinkage: a channel that tells look-alikes apart."""
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.pipeline import diagnose
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.synthetic_runs import FAST, SLOW, coarse, recorded, setup_of
@@ -18,7 +18,7 @@ def weight_of_travel_gain(channels: tuple[str, ...]) -> float:
         setup = setup_of(profile)
         setup.effects = [{"name": "wheel_radius", "excess": 0.008}]
         runs.append(recorded(setup, number, channels=channels, force_noise=TORQUE_NOISE))
-    case = Case.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+    case = RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
     found = diagnose(case, [*map(effect_class, NAMES)])
     assert found.verdict == ("wheel_radius",)
     return found.weights.get("travel_gain", 0.0)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.effects.catalogue import OURS, numbers, strengths
+from drftjax.effects.catalogue import OURS, field_metadata, strengths
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import Output, State
@@ -20,14 +20,14 @@ GROUSERS = GrouserWheel(plate_size=0.010)
 RIM = PlainWheel(plate_size=0.005)
 
 # Every number of every effect, in one order: (effect, field).
-NUMBERS = tuple((each.about.name, field) for each in OURS for field in numbers(each))
+NUMBERS = tuple((each.about.name, field) for each in OURS for field in field_metadata(each))
 STRENGTHS = tuple((each.about.name, field) for each in OURS for field in strengths(each))
 KNOWN = {each.about.name: each for each in OURS}
 
 
 def typical(name: str) -> dict[str, float]:
     """Strengths of an effect at their typical sizes."""
-    about = numbers(KNOWN[name])
+    about = field_metadata(KNOWN[name])
     return {field: about[field]["typical"] for field in strengths(KNOWN[name])}
 
 

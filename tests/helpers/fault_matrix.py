@@ -21,7 +21,7 @@ from hils.events import Event
 from hils.link.messages import RigState
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, RunReport, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
 from hils.rig_sim.faults import (
     Absurd,
@@ -125,7 +125,7 @@ class Cell(NamedTuple):
     """One run with one fault."""
 
     soft: SoftRig
-    rows: KeptRows
+    rows: InMemorySink
     report: RunReport | None
     refusal: str
 
@@ -168,7 +168,7 @@ def answer_at_once() -> None:
 def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
     answer_at_once()
     rig = VirtualSetUp(physics=PhysicsSetUp(step=2.5e-3, plate_size=0.01))
-    soft, rows = soft_rig(rig, FaultScript(faults, seed=1), grain=2e-3), KeptRows()
+    soft, rows = soft_rig(rig, FaultScript(faults, seed=1), grain=2e-3), InMemorySink()
     report, refusal = None, ""
     procedure = Procedure(loop=loop(), countdown=countdown)
     try:

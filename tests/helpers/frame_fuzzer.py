@@ -5,7 +5,7 @@ import random
 from collections import Counter
 from dataclasses import dataclass, field
 
-from hils.link.framing import Receiver, Splitter
+from hils.link.framing import FrameSplitter, Receiver
 from hils.link.messages import (
     FROM_RIG,
     LONGEST_PACKET,
@@ -160,7 +160,7 @@ def _feed_host(
 
 
 def _feed_rig(source: random.Random, stream: bytes, tally: Tally) -> None:
-    rig, splitter, now = RigProtocol(RigIdentity(boot_id=1)), Splitter(), 0.0
+    rig, splitter, now = RigProtocol(RigIdentity(boot_id=1)), FrameSplitter(), 0.0
     # Another session and back, so that the rig is armed and takes any sequence number after zero.
     ready = b"".join(
         encode(Frame(*each, 0))

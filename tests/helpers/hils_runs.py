@@ -11,11 +11,11 @@ from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
 from hils.events import Event
-from hils.link.link import SoftLink
+from hils.link.link import InProcessLink
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.recorder import Recorder
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import VirtualSetUp
 from hils.rig_sim.in_process import QUICK, SoftRig, rig_physics
 from hils.rig_sim.rig import VirtualRig
@@ -48,7 +48,7 @@ def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
 class Made:
     """A run that was made: its report, rows, and what the rig was sent and did."""
 
-    def __init__(self, report: RunReport | None, rows: KeptRows, soft: SoftRig, said: list):
+    def __init__(self, report: RunReport | None, rows: InMemorySink, soft: SoftRig, said: list):
         self.report, self.rows, self.soft, self.said = report, rows, soft, said
 
     def kinds(self) -> list[int]:
@@ -58,7 +58,7 @@ class Made:
         return [arg for _, each, arg in self.rows.events if each == code]
 
 
-class LoggedLink(SoftLink):
+class LoggedLink(InProcessLink):
     """Keeps what the host says, and when."""
 
     def __init__(self, rig, clock):
@@ -107,7 +107,7 @@ def make(
     cue=None,
     at: float = 0.0,
     late: float = 0.0,
-    rows: KeptRows | Recorder | None = None,
+    rows: InMemorySink | Recorder | None = None,
     link: type[LoggedLink] = LoggedLink,
     scales: Instruments | None = None,
     **procedure,
@@ -117,7 +117,7 @@ def make(
     clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
     line = link(rig, clock)
-    stop, rows = StopRequest(), rows or KeptRows()
+    stop, rows = StopRequest(), rows or InMemorySink()
     if cue is not None:
         Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
     given = Procedure(loop=loop or loop_setup(), **{"countdown": 0.3} | procedure)

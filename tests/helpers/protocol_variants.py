@@ -8,7 +8,7 @@ import struct
 import zlib
 
 from hils.clock import VirtualClock
-from hils.link.link import LinkLost, SoftLink
+from hils.link.link import InProcessLink, LinkLost
 from hils.link.messages import Drive, Hello
 from hils.procedure.session import Session
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
@@ -118,7 +118,7 @@ class Table:
 
     def __init__(self, rig):
         self.rig, self.clock = rig, VirtualClock()
-        self.link = SoftLink(rig, self.clock, "port 1")
+        self.link = InProcessLink(rig, self.clock, "port 1")
         self.session = Session(self.link, self.clock)
 
     def heard(self) -> list:

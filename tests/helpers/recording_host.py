@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from drftjax.common.errors import InputError
 from drftjax.runlog.check import read_run_guarded
 from drftjax.runlog.header import Head, OnlineHead
-from drftjax.runlog.record import RunLog, Setup
+from drftjax.runlog.record import RecordedSetup, RunLog
 from drftjax.runlog.recording_lock import is_held, part_path
 from drftjax.runlog.repair import repair
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
@@ -35,7 +35,7 @@ DEADLINE = 60.0
 def example_head(**changes) -> Head:
     """A head with everything in it."""
     given = {
-        "setup": Setup(wheel_radius=0.15, mass_z=18.837, sinkage_static=0.0176),
+        "setup": RecordedSetup(wheel_radius=0.15, mass_z=18.837, sinkage_static=0.0176),
         "source": "virtual rig",
         "title": "Prüfstand 7",
         "driven": True,

@@ -1,6 +1,6 @@
 """A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from drftjax.simulation.statics import sinkage_under_load
@@ -40,7 +40,7 @@ def run_with(
     return recorded(setup, seed=seed, noise=noise)
 
 
-def case_with(*effects: dict, scale: float = 1.0) -> Case:
+def case_with(*effects: dict, scale: float = 1.0) -> RigDataset:
     """Runs of a rig with these effects, as entries of a set-up file.
 
     The wheel stands at rest where its sinkage reads `scale` times what it is.
@@ -51,4 +51,4 @@ def case_with(*effects: dict, scale: float = 1.0) -> Case:
         setup.effects = list(effects)
         setup.start.sinkage *= scale
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
-    return Case.of(found)
+    return RigDataset.of(found)

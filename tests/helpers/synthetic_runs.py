@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from drftjax.recorded.prepared_run import FIT_METHOD, STEPS_A_ROW, Candidate, candidate
-from drftjax.runlog.record import Measured, RunLog, Setup
+from drftjax.recorded.prepared_run import FIT_METHOD, STEPS_A_ROW, PreparedRun, prepare_run
+from drftjax.runlog.record import Measured, RecordedSetup, RunLog
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
 from drftjax.simulation.statics import sinkage_under_load
@@ -57,19 +57,19 @@ def recorded(
         values = getattr(log.measured, name)
         scale = noise if name in ("x", "z") else force_noise
         measured[name] = values + scale * random.standard_normal(len(values))
-    believed = Setup(**log.setup.known() | {"scaling_factor_initial": BELIEVED_ZETA})
+    believed = RecordedSetup(**log.setup.known() | {"scaling_factor_initial": BELIEVED_ZETA})
     return dataclasses.replace(
         log, setup=believed, measured=Measured(time=log.measured.time, **measured)
     )
 
 
-def coarse(name: str, run: RunLog, **options) -> Candidate:
+def coarse(name: str, run: RunLog, **options) -> PreparedRun:
     """`candidate` with the virtual run's plates and step: a run log does not say them."""
     options.setdefault("step", step_for(run.command.omega))
-    return recut(candidate(name, run, **options))
+    return recut(prepare_run(name, run, **options))
 
 
-def recut(each: Candidate, plate_size: float = PLATE) -> Candidate:
+def recut(each: PreparedRun, plate_size: float = PLATE) -> PreparedRun:
     each.setup.wheel.plate_size = plate_size
     trial = each.setup.trial(STEPS_A_ROW * each.setup.integrator.step)
     return dataclasses.replace(each, trial=trial)

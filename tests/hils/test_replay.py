@@ -19,7 +19,7 @@ from drftjax.tuning.registry import TunerSetUp
 from hils.clock import AbstractClock
 from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event, TickFlag
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, run
@@ -97,7 +97,7 @@ def recorded(
 
     def look() -> None:
         if rig.motion.omega > stop_above and request.wish is None:
-            request.ask(Wish("asked to stop", Event.STOP_ASKED))
+            request.ask(StopReason("asked to stop", Event.STOP_ASKED))
 
     clock = BusyClock(clock, [clock.now() + each for each in busy_at], 0.034, look)
     procedure, dialogue = Procedure(loop=loop, free=False), Unattended(quiet=True)

@@ -24,7 +24,7 @@ from hils.control.stop_request import StopRequest
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, run
 from hils.recording.recorder import Recorder
-from hils.replay import replay, retuned
+from hils.replay import replay, replay_tuning
 from hils.rig_sim.config import VirtualSetUp
 from hils.rig_sim.in_process import QUICK, soft_rig
 
@@ -69,14 +69,14 @@ def log(path) -> RunLog:
 
 
 def test_without_effects_it_is_the_replay(log):
-    told = retuned(log, [])
+    told = replay_tuning(log, [])
     assert told.zeta.tobytes() == log.online.zeta.tobytes() == replay(log).zeta.tobytes()
     # Where it starts matters to effects alone.
-    np.testing.assert_allclose(retuned(log, [], x=0.4).zeta, told.zeta, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(replay_tuning(log, [], x=0.4).zeta, told.zeta, rtol=0, atol=ROUNDING)
 
 
 def test_with_its_own_effect_the_tuner_has_less_to_do(log):
-    plain, known = retuned(log, []), retuned(log, [LOOSENING])
+    plain, known = replay_tuning(log, []), replay_tuning(log, [LOOSENING])
     assert np.ptp(known.zeta) < RANGE * np.ptp(plain.zeta)
     # A wheel at rest has loosened nothing.
     assert known.zeta[0] == pytest.approx(plain.zeta[0], rel=STATICS)
@@ -84,14 +84,14 @@ def test_with_its_own_effect_the_tuner_has_less_to_do(log):
 
 
 def test_zeta_at_the_start_is_what_the_sinkage_at_rest_tells(log):
-    firmer = retuned(log, [{"name": "cohesion", "depth": 0.002}])
+    firmer = replay_tuning(log, [{"name": "cohesion", "depth": 0.002}])
     # A stress that is there from the start bears part of the weight.
     assert BORNE[0] < firmer.zeta[0] / log.online.zeta[0] < BORNE[1]
 
 
 def test_a_start_that_no_sand_holds_is_refused(log):
     with pytest.raises(InputError, match=r"no zeta lets the wheel rest .* mm deep"):
-        retuned(log, [{"name": "vertical_load", "force": -500.0}])
+        replay_tuning(log, [{"name": "vertical_load", "force": -500.0}])
 
 
 def test_an_evaluation_replays_a_run_in_the_loop_that_it_was_made_in(path, log):

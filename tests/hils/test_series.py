@@ -16,22 +16,22 @@ import pytest
 
 from drftjax.common.errors import InputError
 from hils import series as series_module
-from hils.control.stop_request import STOP_SIGNAL, StopRequest, Wish
+from hils.control.stop_request import STOP_SIGNAL, StopReason, StopRequest
 from hils.events import Event
 from hils.procedure.active_runs import runs_under_way
 from hils.procedure.operator_prompts import Terminal, Unattended
 from hils.procedure.procedure import Procedure, RunReport, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
-from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, told
+from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, outcome_sentence
 from tests.helpers.hils_runs import loop_setup, make
 
-CTRL_C = Wish("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
-TERMINATED = Wish("asked to stop (SIGTERM)", Event.INTERRUPTED, signal.SIGTERM)
+CTRL_C = StopReason("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
+TERMINATED = StopReason("asked to stop (SIGTERM)", Event.INTERRUPTED, signal.SIGTERM)
 PATIENCE = 60.0  # a busy machine starts a thread late [s]
 
 
-class AtTheEnd(KeptRows):
+class AtTheEnd(InMemorySink):
     """Does something while the file is being closed."""
 
     stop = None
@@ -56,7 +56,9 @@ def test_stop_that_comes_while_the_file_is_closed_is_in_the_report(tmp_path):
     report, _ = closed_with(lambda rows: rows.stop.ask(TERMINATED))
     assert report.completed
     assert report.wish == TERMINATED
-    assert "No further run: asked to stop (SIGTERM)." in told(report, tmp_path / "run.h5")
+    assert "No further run: asked to stop (SIGTERM)." in outcome_sentence(
+        report, tmp_path / "run.h5"
+    )
 
 
 def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
@@ -65,17 +67,19 @@ def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
     loop = report.loop
     assert loop is not None
     blind = dataclasses.replace(report, loop=loop._replace(fresh=0))
-    assert told(blind, tmp_path / "run.h5")[-1].startswith("No run log: no reading came")
-    assert told(report, tmp_path / "run.h5")[-1].startswith("Link: ")
+    assert outcome_sentence(blind, tmp_path / "run.h5")[-1].startswith(
+        "No run log: no reading came"
+    )
+    assert outcome_sentence(report, tmp_path / "run.h5")[-1].startswith("Link: ")
 
 
 def test_a_file_that_came_to_stand_there_meanwhile_is_not_told_as_the_run_log(tmp_path):
     report, path = make().report, tmp_path / "run.h5"
     assert report is not None
     path.write_bytes(b"another run")
-    assert told(report, path)[-1] == f"Run log: {path}"
+    assert outcome_sentence(report, path)[-1] == f"Run log: {path}"
     (tmp_path / "run.h5.part").write_bytes(b"rows")
-    assert told(report, path)[-1].startswith("Link: ")
+    assert outcome_sentence(report, path)[-1].startswith("Link: ")
 
 
 def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
@@ -164,10 +168,10 @@ def test_series_can_be_found_and_stopped_between_its_runs(runs, tmp_path):
 
 
 def test_emergency_stop_after_the_profile_is_called_so(tmp_path):
-    pressed = Wish("asked for by the operator", Event.EMERGENCY_STOP, signal.SIGUSR1)
+    pressed = StopReason("asked for by the operator", Event.EMERGENCY_STOP, signal.SIGUSR1)
     report, _ = closed_with(lambda rows: rows.stop.ask(pressed, emergency=True))
     said = "No further run: emergency stop: asked for by the operator."
-    assert said in told(report, tmp_path / "run.h5")
+    assert said in outcome_sentence(report, tmp_path / "run.h5")
 
 
 def test_second_stop_while_the_file_is_closed_is_called_no_emergency_stop():
@@ -187,7 +191,7 @@ def test_ctrl_c_between_runs_interrupts_the_program(runs):
 def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
     told, said = threading.Event(), []
 
-    class Slow(KeptRows):
+    class Slow(InMemorySink):
         def close(self, end_reason):
             assert told.wait(PATIENCE)
             super().close(end_reason)

@@ -14,7 +14,7 @@ import pytest
 
 import drftjax
 from drftjax.common.errors import InputError
-from drftjax.recorded.prepared_run import candidates_of
+from drftjax.recorded.prepared_run import prepare_runs
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured
 from drftjax.setups.setup import ZetaKnots
@@ -62,7 +62,7 @@ def test_zeta_over_the_run_is_fitted_in_one_call(runs, model):
         found = path.runs[index].path
         assert np.diff(found.time) == pytest.approx(0.5)
         # A wheel that stands tells zeta from one side only; it has turned for long from 1 s on.
-        going = found.told & (found.time >= 1.0)
+        going = found.identified & (found.time >= 1.0)
         assert going.any()
         assert (np.abs(found.value - true) < 4 * found.error)[going].all()
         steady = phases.runs[index].values["terrain.zeta.steady"]
@@ -120,17 +120,17 @@ def test_summaries_name_every_run_and_status(result):
 def test_a_file_a_log_and_a_pair_are_one_run(result, runs, model, tmp_path):
     write_run(tmp_path / "first.h5", runs["first"])
     ways = [
-        candidates_of(tmp_path / "first.h5", model),
-        candidates_of(runs["first"], model),
-        candidates_of((model, runs["first"])),
-        candidates_of([str(tmp_path / "first.h5")], model),
+        prepare_runs(tmp_path / "first.h5", model),
+        prepare_runs(runs["first"], model),
+        prepare_runs((model, runs["first"])),
+        prepare_runs([str(tmp_path / "first.h5")], model),
     ]
     assert [each.name for (each,) in ways] == ["first", "run 1", "run 1", "first"]
     for (each,) in ways:
         assert each.setup.wheel == model.wheel
         np.testing.assert_array_equal(each.observation.values, ways[0][0].observation.values)
         assert each.setup.terrain.zeta == 0.7823
-    (alone,) = candidates_of(runs["first"])
+    (alone,) = prepare_runs(runs["first"])
     assert alone.setup.wheel.plate_size != model.wheel.plate_size
 
 
@@ -236,7 +236,7 @@ def test_all_runs_count_where_none_diverges():
 
 def test_a_run_at_its_bound_says_so(runs, model):
     bounded = drftjax.own("zeta", bounds=(0.76, 0.9), start=0.8)
-    result = fit_candidates(candidates_of(runs, model), [bounded])
+    result = fit_candidates(prepare_runs(runs, model), [bounded])
     assert [run.status for run in result.runs] == ["at a bound", "converged"]
     document = msgspec.json.decode(msgspec.json.encode(result.document()))
     first = document["runs"][0]
@@ -251,7 +251,7 @@ def test_a_run_at_its_bound_says_so(runs, model):
 def test_bounds_far_away_are_no_bounds(runs, model, result):
     """A thousandth of so wide an interval holds all values that there are."""
     wide = drftjax.own("zeta", bounds=(1e-6, 1e6), start=0.8)
-    far = fit_candidates(candidates_of(runs, model), [wide])
+    far = fit_candidates(prepare_runs(runs, model), [wide])
     assert [run.status for run in far.runs] == ["converged", "converged"]
     assert not any("bound" in each for each in far.findings)
     for run, plain in zip(far.runs, result.runs, strict=True):

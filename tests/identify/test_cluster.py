@@ -14,14 +14,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_result, read_run, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA
 from identify.cluster import scheduler as clusters
-from identify.cluster.result_codec import Lone, decoded
+from identify.cluster.result_codec import SingleRunResult, decode_result
 from identify.cluster.scheduler import Local, Log, Remote, cluster, connected, fit_on
-from identify.cluster.store import Finished, Store
-from identify.cluster.worker import Settings, Term, _parameters, answers, fit_logs, terms
+from identify.cluster.store import FinishedFit, Store
+from identify.cluster.worker import (
+    ParameterSpec,
+    Settings,
+    _parameters,
+    fit_logs,
+    fit_replies,
+    parameter_specs,
+)
 from identify.fit_constant import fit
 from identify.parameters.parameter import parameter
 from identify.results.result import FitResult
@@ -35,7 +42,7 @@ STEP = 5e-4
 PROFILE = ([0.0, 0.1, 0.6, 0.8], [0.0, 0.0, 0.5, 0.5])
 PRIOR = (0.8, 0.01)
 START = 0.79
-ZETA = Term("terrain.zeta", None, PRIOR, START)
+ZETA = ParameterSpec("terrain.zeta", None, PRIOR, START)
 # Every entry that can be told in the result differs from its default.
 SETTINGS = Settings((ZETA,), autoregressive=True, step=STEP)
 RUNS = 12
@@ -69,7 +76,7 @@ def client():
 @cache
 def alone(path: Path) -> FitResult:
     """A run fitted by this process, with nothing of what makes tasks of it."""
-    each = candidate(path.stem, read_run(path), step=STEP)
+    each = prepare_run(path.stem, read_run(path), step=STEP)
     return fit(
         [each], [parameter("zeta", shared=False, prior=PRIOR, start=START)], noise=Autoregressive()
     )
@@ -79,7 +86,7 @@ def silent(done: int, workers: int) -> None:
     pass
 
 
-def check_same(result: Lone, other: FitResult) -> None:
+def check_same(result: SingleRunResult, other: FitResult) -> None:
     ours, theirs = result.run, other.runs[0]
     for name, value in theirs.values.items():
         assert ours.values[name].value == pytest.approx(value.value, rel=SAME, abs=0)
@@ -94,14 +101,14 @@ def test_cluster_finds_what_one_process_finds(client, logs, tmp_path):
         assert fit_on(client, logs, SETTINGS, store, silent) == {}
         assert len(store) == RUNS
         for log in logs[:4]:
-            check_same(decoded(store.result(log.digest)), alone(log.path))
+            check_same(decode_result(store.result(log.digest)), alone(log.path))
 
 
 def test_a_log_does_not_hang_on_its_neighbours_in_a_task(logs):
     encoded = SETTINGS.encoded()
     sent = [(log.digest, log.read()) for log in logs[:3]]
-    together = [each.result for each in answers(fit_logs(encoded, sent))]
-    apart = [answers(fit_logs(encoded, [each]))[0].result for each in reversed(sent)]
+    together = [each.result for each in fit_replies(fit_logs(encoded, sent))]
+    apart = [fit_replies(fit_logs(encoded, [each]))[0].result for each in reversed(sent)]
     assert together == apart[::-1]
 
 
@@ -111,7 +118,7 @@ def test_parameters_are_the_same_on_the_wire(tmp_path):
         parameter("lambda", shared=False),
         parameter("rig.mass_z", shared=False),
     ]
-    settings = Settings(terms(given))
+    settings = Settings(parameter_specs(given))
     # Two NaN are not equal, but read alike.
     assert repr(_parameters(settings.encoded())) == repr(given)
     assert _parameters(settings.encoded()) is _parameters(settings.encoded())
@@ -130,8 +137,8 @@ def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
         assert fit_on(client, logs, SETTINGS, store, report) == {}
         assert killed
         assert {log.digest for log in logs if log.digest in store} == {log.digest for log in logs}
-        check_same(decoded(store.result(logs[0].digest)), alone(logs[0].path))
-        last, here = decoded(store.result(logs[-1].digest)), alone(logs[-1].path)
+        check_same(decode_result(store.result(logs[0].digest)), alone(logs[0].path))
+        last, here = decode_result(store.result(logs[-1].digest)), alone(logs[-1].path)
         assert (last.status, last.steps) == (here.status, here.steps)
         check_same(last, here)
 
@@ -284,7 +291,7 @@ def store(tmp_path) -> Path:
     """A store of two fits."""
     path = tmp_path / "fit.store"
     with Store(path, SETTINGS.named()) as kept:
-        kept.append(Finished(2 * name, "log.h5", {}, b"result") for name in "ab")
+        kept.append(FinishedFit(2 * name, "log.h5", {}, b"result") for name in "ab")
     return path
 
 
@@ -312,7 +319,7 @@ def test_a_store_without_fits_is_begun_anew_with_other_settings(tmp_path):
         with Store(path, settings.named()) as kept:
             assert len(kept) == 0
     with Store(path, other.named()) as kept:
-        kept.append([Finished("aa", "log.h5", {}, b"result")])
+        kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
     assert "holds fits with" in refusal(path)
 
 
@@ -331,7 +338,7 @@ def test_a_store_cut_anywhere_goes_on(store):
         store.write_bytes(whole[:length])
         with Store(store, SETTINGS.named()) as kept:
             assert len(kept) == max(0, whole[:length].count(b"\n") - 1)
-            kept.append([Finished("bb", "log.h5", {}, b"result")])
+            kept.append([FinishedFit("bb", "log.h5", {}, b"result")])
         with Store(store, SETTINGS.named()) as kept:
             assert "bb" in kept
             assert kept.result("bb") == b"result"

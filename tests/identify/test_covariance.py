@@ -8,7 +8,7 @@ from identify.results.findings import findings
 from identify.results.result import FitResult
 from identify.results.values import RunFit, Value
 from identify.solver.whitening import Whitening
-from identify.uncertainty.covariance import covariance, from_run_to_run, unseen
+from identify.uncertainty.covariance import between_run_variance, covariance, null_directions
 from tests.helpers.synthetic_runs import setup_of
 
 SAMPLES = 200
@@ -48,7 +48,7 @@ def told(blocks: np.ndarray, whitening: Whitening) -> list[str]:
     }
     one = np.zeros((1, 1))
     run = RunFit("run", setup_of(), values, one[0], one[0] == 0, ("z",), one, one, one)
-    return findings(parameters, {}, [run], spread, unseen(blocks, 0, nothing))
+    return findings(parameters, {}, [run], spread, null_directions(blocks, 0, nothing))
 
 
 def test_no_variance_is_negative_and_what_is_told_is_told_as_without_the_others():
@@ -89,7 +89,7 @@ def test_runs_that_see_nothing_at_all_say_so_without_a_warning():
     ]
     assert not any("apart" in sentence for sentence in sentences)
     moves = np.zeros((1, len(NAMES)))
-    assert np.all(from_run_to_run(moves, blocks, whitening, 1) == 0)
+    assert np.all(between_run_variance(moves, blocks, whitening, 1) == 0)
 
 
 def test_a_run_of_finer_instruments_than_the_others_is_told_as_well_as_alone():
@@ -147,7 +147,7 @@ def test_an_error_is_held_against_the_value_or_what_it_typically_changes_by(
     label, value, error, told
 ):
     each = Value(value, error, "-", label)
-    assert each.told == told
+    assert each.identified == told
     nothing = np.zeros((0, 0))
     assert (findings([], {label: each}, [], nothing, nothing) == []) == told
 

@@ -10,14 +10,14 @@ import pytest
 from rich.console import Console
 
 from drftjax.common.errors import RunError
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Online
 from drftjax.setups.setup import IntegratorSetUp
 from identify.commands.crosscheck import result_files
-from identify.crosscheck.comparison import comparison, lag, ripple, sustained
+from identify.crosscheck.comparison import compare_series, lag, ripple, sustained_part
 from identify.crosscheck.crosscheck import crosscheck
-from identify.crosscheck.replays import Setting
+from identify.crosscheck.replays import TunerSetting
 from identify.crosscheck.report import plot, tables
 from tests.studies.crosscheck import known_run, known_setup
 
@@ -33,7 +33,7 @@ ROUNDING = 1e-12
 # 20 um of noise, and as much again of what knots 1.5 s apart leave [m].
 LEFT = 4e-5
 GRID = np.linspace(0.0, 5.2, 105)
-SETTING = Setting(TICK, 1e-3, 1e-4)
+SETTING = TunerSetting(TICK, 1e-3, 1e-4)
 
 
 def fast(time):
@@ -53,7 +53,7 @@ def recorded(name, path, seed=1):
 
 
 def ready(name, path):
-    each = candidate(name, recorded(name, path), step=STEP)
+    each = prepare_run(name, recorded(name, path), step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
     return dataclasses.replace(each, trial=each.setup.trial(2 * STEP))
 
@@ -101,8 +101,8 @@ def test_ripple_is_its_size_and_frequency():
 def test_only_long_rows_of_ticks_count_as_sustained():
     steps = np.r_[np.ones(20), np.tile([1, -1], 10), np.zeros(10), np.ones(5), np.zeros(5)]
     # 20 ticks, and the first of the alternation that continues them
-    assert sustained(steps, steps != 0) == pytest.approx(21 / 60)
-    assert sustained(steps, steps == 0) == pytest.approx(10 / 60)
+    assert sustained_part(steps, steps != 0) == pytest.approx(21 / 60)
+    assert sustained_part(steps, steps == 0) == pytest.approx(10 / 60)
 
 
 def test_shares_add_up():
@@ -110,7 +110,7 @@ def test_shares_add_up():
     direction = np.sign(np.sin(7 * time)).astype(int)
     zeta = 0.7 + 1e-3 * np.cumsum(direction)
     moving = time > 1
-    each = comparison(time, zeta, direction, moving, lambda t: 0.7 + 0 * t)
+    each = compare_series(time, zeta, direction, moving, lambda t: 0.7 + 0 * t)
     assert each.up + each.down + each.idle == pytest.approx(1.0)
     assert each.difference == pytest.approx(np.sqrt(np.mean((zeta[moving] - 0.7) ** 2)))
 
@@ -173,7 +173,7 @@ def test_tables_are_whole_in_a_pipe_of_80_characters(checked):
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
     run = checked.runs[0]
-    offline = dataclasses.replace(run.offline, told=np.zeros_like(run.offline.told))
+    offline = dataclasses.replace(run.offline, identified=np.zeros_like(run.offline.identified))
     untold = dataclasses.replace(
         checked, runs=[dataclasses.replace(run, offline=offline), checked.runs[1]]
     )
@@ -186,14 +186,16 @@ def test_a_run_that_moves_for_too_few_ticks_is_left_out():
     brief, name = (0.0, 0.5, 0.6, 0.65, 0.75), "brief"
     setup = known_setup(name, faint, GRID, brief, (0.0, 0.0, 45.0, 45.0, 0.0), PLATE_SIZE)
     setup.integrator = IntegratorSetUp("held pace", STEP)
-    each = candidate(name, known_run(setup, np.random.default_rng(1)), step=STEP)
+    each = prepare_run(name, known_run(setup, np.random.default_rng(1)), step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
     short = dataclasses.replace(each, trial=each.setup.trial(2 * STEP))
-    found = crosscheck([ready("faint", faint), short], Setting(2 * TICK, 1e-3, 1e-4), sweep=False)
+    found = crosscheck(
+        [ready("faint", faint), short], TunerSetting(2 * TICK, 1e-3, 1e-4), sweep=False
+    )
     assert [run.name for run in found.runs] == ["faint"]
     assert "too few to compare" in found.failures[name]
     with pytest.raises(RunError, match=f"{name}: the wheel moves over"):
-        crosscheck([short], Setting(2 * TICK, 1e-3, 1e-4), sweep=False)
+        crosscheck([short], TunerSetting(2 * TICK, 1e-3, 1e-4), sweep=False)
 
 
 # The command --------------------------------------------------------------------------------------

@@ -15,12 +15,12 @@ from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
 from identify.design.design import design, promised, search_objective, trapezoid
 from identify.design.fisher_information import (
     CHANNELS,
-    Instrument,
+    InstrumentNoise,
     Objective,
-    Profile,
+    SpeedProfile,
     information,
-    knowledge,
     log_error,
+    parameter_information,
     scales,
     sensitivities,
     value_and_gradient,
@@ -83,9 +83,9 @@ def test_sensitivities_and_information_are_those_of_central_differences():
     assert float(log_error(by_derivatives)) == pytest.approx(
         float(log_error(by_differences)), abs=CORNERS
     )
-    told = knowledge(
+    told = parameter_information(
         np.asarray(exact),
-        Instrument().weight(),
+        InstrumentNoise().weight(),
         np.asarray(counts),
         quantities,
         1.1,
@@ -128,16 +128,16 @@ def test_a_search_keeps_no_record_of_the_steps_of_a_run():
 def test_fits_scatter_by_the_standard_error_that_was_promised():
     option = promised(given(80.0), "lambda", ["zeta"])
     values = fitted(option.setup, seeds=4)
-    assert SCATTER[0] < values.std(ddof=1) / option.knows.error < SCATTER[1]
+    assert SCATTER[0] < values.std(ddof=1) / option.information.error < SCATTER[1]
     # Three standard errors of a mean.
-    assert abs(values.mean() - 1.1) < 3 * option.knows.error / math.sqrt(len(values))
+    assert abs(values.mean() - 1.1) < 3 * option.information.error / math.sqrt(len(values))
 
 
 def test_another_run_of_the_same_wheel_compiles_nothing(compiled):
     slow = promised(given(70.0), "lambda", ["zeta"])
     compiled.clear()
     fast = promised(given(80.0), "lambda", ["zeta"])
-    assert fast.knows.error < slow.knows.error
+    assert fast.information.error < slow.information.error
     assert not compiled
 
 
@@ -146,7 +146,7 @@ def test_another_run_of_the_same_wheel_compiles_nothing(compiled):
 )  # beyond what so short a run gets to, and far under it
 def test_every_profile_keeps_the_limits(speed):
     limits = Limits(math.radians(speed), math.radians(50), 24.0)
-    profile = Profile(8, limits.speed, limits.acceleration, limits.duration, limits.rest)
+    profile = SpeedProfile(8, limits.speed, limits.acceleration, limits.duration, limits.rest)
     random = np.random.default_rng(1)
     for size in (0.1, 3.0, 30.0):
         omega = np.asarray(profile.omega(jnp.asarray(size * random.normal(size=8))))
@@ -169,17 +169,17 @@ def test_no_run_goes_farther_than_the_rig(travel):
             [0, limits.acceleration, 0, -limits.acceleration, 0], abs=ROUNDING
         )
         assert command.time[-1] <= limits.duration
-    profile = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest, turn)
+    profile = SpeedProfile(8, limits.speed, limits.acceleration, 10.0, limits.rest, turn)
     omega = profile.omega(jnp.asarray(3.0 * np.random.default_rng(1).normal(size=8)))
     assert np.trapezoid(omega, profile.time) <= turn * (1 + ROUNDING)
     # Far enough is no limit at all.
     fast = jnp.full(8, 5.0)
-    free = Profile(8, limits.speed, limits.acceleration, 10.0, limits.rest).omega(fast)
+    free = SpeedProfile(8, limits.speed, limits.acceleration, 10.0, limits.rest).omega(fast)
     assert np.array_equal(profile.omega(fast), free) == (travel == 100.0)
 
 
 def test_a_profile_within_reach_is_met_by_its_coordinates():
-    profile = Profile(5, 5.0, 1.0, 20.0, 1.0)
+    profile = SpeedProfile(5, 5.0, 1.0, 20.0, 1.0)
     wanted = np.array([1.0, 2.5, 3.0, 2.0, 1.5])
     omega = profile.omega(jnp.asarray(profile.coordinates(wanted)))
     assert np.asarray(omega)[2:-2] == pytest.approx(wanted)
@@ -189,7 +189,9 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
     found = design(given(), limits=LIMITS, search=SMALL)
     assert found.factor > 2
     assert found.parameter == "lambda"
-    assert found.best.knows.error == min(each.knows.error for each in (*found.found, *found.scan))
+    assert found.best.information.error == min(
+        each.information.error for each in (*found.found, *found.scan)
+    )
     assert "standard error" in found.summary()
     assert design_document(found)["schema"] == "drft-design"
     path = tmp_path / "design.toml"
@@ -225,7 +227,7 @@ def test_the_run_that_is_made_already_may_be_the_best():
     limits = dataclasses.replace(LIMITS, speed=top)
     found = design(setup, limits=limits, search=SMALL)
     assert found.beyond == ()
-    assert found.best.knows.error <= found.now.knows.error
+    assert found.best.information.error <= found.now.information.error
     short = design(setup, limits=dataclasses.replace(limits, travel=0.2), search=SMALL)
     assert short.beyond == ("its way of 0.434 m is beyond 0.2 m",)
     assert short.best is not short.now
@@ -244,7 +246,7 @@ def test_unknown_names_are_answered_with_near_ones():
     with pytest.raises(InputError, match="nuisance as well"):
         design(given(), "lambda", nuisances=["lambda"])
     with pytest.raises(InputError, match="there is no channel 'y'"):
-        design(given(), instrument=Instrument(channels=("y",)))
+        design(given(), instrument=InstrumentNoise(channels=("y",)))
 
 
 def test_a_driven_carriage_is_refused():
@@ -293,5 +295,5 @@ def test_one_source_is_asked_for(monkeypatch, capsys):
 
 
 def test_channels_keep_their_order():
-    weight = Instrument().weight("torque")
+    weight = InstrumentNoise().weight("torque")
     assert [c for c, w in zip(CHANNELS, weight, strict=True) if w] == ["x", "z", "torque"]

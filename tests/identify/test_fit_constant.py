@@ -12,8 +12,8 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.physics.stress import COEFFICIENT_NAMES
 from drftjax.recorded.batch import device_mesh, make_batch
-from drftjax.recorded.prepared_run import candidate
-from drftjax.runlog.record import Command, Measured
+from drftjax.recorded.prepared_run import prepare_run
+from drftjax.runlog.record import Measured, RecordedCommand
 from identify.fit_constant import fit
 from identify.parameters.bijector import Interval, Positive, Scaled
 from identify.parameters.parameter import QUANTITIES, parameter
@@ -248,7 +248,7 @@ def test_odd_runs_are_named_and_the_others_fitted(slow_runs):
     good = [coarse(f"run_{k}", run) for k, run in enumerate(slow_runs[:2])]
     grouserless = dataclasses.replace(slow_runs[0].setup, grouser_count=0)
     plain = coarse("plain", dataclasses.replace(slow_runs[0], setup=grouserless))
-    finer = recut(candidate("finer", slow_runs[0]), 0.004)
+    finer = recut(prepare_run("finer", slow_runs[0]), 0.004)
     hard = coarse("no_sand", slow_runs[0], zeta=0.0)
     result = fit([plain, good[0], finer, good[1], hard], [OWN_ZETA])
     assert [run.name for run in result.runs] == ["run_0", "run_1"]
@@ -290,28 +290,28 @@ def test_no_runs_are_refused():
     ("change", "said"),
     [
         ({"measured": Measured(time=[0.0, 1.0], torque=[0.0, 1.0])}, "has none of x, z"),
-        ({"command": Command(time=[0.0, 1.0], omega=[0.0, 0.0])}, "never moves the wheel"),
+        ({"command": RecordedCommand(time=[0.0, 1.0], omega=[0.0, 0.0])}, "never moves the wheel"),
         ({"measured": Measured(time=[5.0, 6.0], z=[0.0, 0.0])}, "no sample lies within"),
     ],
 )
 def test_run_that_shows_nothing_is_refused_by_name(slow_runs, change, said):
     run = dataclasses.replace(slow_runs[0], **change)
     with pytest.raises(InputError, match=f"^run_7: .*{said}"):
-        candidate("run_7", run)
+        prepare_run("run_7", run)
 
 
 # What is compared, and the numbers behind -------------------------------------------------------
 
 
 def test_candidate_starts_where_the_recording_does(slow_runs):
-    each = candidate("run", slow_runs[0])
+    each = prepare_run("run", slow_runs[0])
     early = slow_runs[0].measured.time <= 0.2
     assert each.setup.start.sinkage == pytest.approx(-slow_runs[0].measured.z[early].mean())
     assert each.setup.start.x == pytest.approx(slow_runs[0].measured.x[early].mean())
-    assert candidate("run", slow_runs[0], zeta=0.6).setup.terrain.zeta == 0.6
-    assert candidate("run", slow_runs[0], step=5e-4).setup.integrator.step == 5e-4
+    assert prepare_run("run", slow_runs[0], zeta=0.6).setup.terrain.zeta == 0.6
+    assert prepare_run("run", slow_runs[0], step=5e-4).setup.integrator.step == 5e-4
     with pytest.raises(InputError, match="integrator step is 0"):
-        candidate("run", slow_runs[0], step=0.0)
+        prepare_run("run", slow_runs[0], step=0.0)
 
 
 @pytest.mark.parametrize(
@@ -369,7 +369,7 @@ def test_a_stress_coefficient_is_found_beside_each_runs_zeta(slow_runs):
     result = fit(candidates, [OWN_ZETA, parameter("B11", shared=True, start=0.18)])
     value = result.shared["terrain.coefficients.B11"]
     assert (value.label, value.unit) == ("B11", "N/cm3")
-    assert value.told
+    assert value.identified
     assert within_ninety(value, 0.212)
     listed = result.runs[0].setup.terrain.coefficients
     assert listed[COEFFICIENT_NAMES.index("B11")] == value.value

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.setup import put_effects
 from identify.fit_path import fit_paths
-from identify.fit_path_jointly import Beside, _Beside, paths_beside
+from identify.fit_path_jointly import JointFit, _JointProblem, fit_jointly
 from identify.parameters.parameter import own, shared
 from identify.zeta_path.path import cardinal
 from tests.identify.test_zeta_path import made
@@ -51,21 +51,21 @@ def wave(number: int):
     return lambda t: np.exp(cardinal(KNOTS, np.asarray(t)) @ np.log(values))
 
 
-def run(number: int, top: float, step: float = STEP, **changed) -> Candidate:
+def run(number: int, top: float, step: float = STEP, **changed) -> PreparedRun:
     """A run up to so many deg/s and down again."""
     omega = (0.0, 0.0, top, top, 0.0, 0.0)
     return made(f"run {number}", wave(number), 20 + number, TIME, omega, step=step, **changed)
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[Candidate]:
+def runs() -> list[PreparedRun]:
     return [run(number, 80.0, STEP / 2) for number in range(2)]
 
 
 @pytest.fixture(scope="module")
-def found(runs) -> Beside:
+def found(runs) -> JointFit:
     """From a lambda that is far off."""
-    return paths_beside(runs, [shared("lambda", start=0.2)], SPACING)
+    return fit_jointly(runs, [shared("lambda", start=0.2)], SPACING)
 
 
 def test_lambda_and_zeta_over_time_come_back_together(runs, found):
@@ -77,20 +77,20 @@ def test_lambda_and_zeta_over_time_come_back_together(runs, found):
     for number, each in enumerate(found.steps):
         path = each.path()
         away = (path.value - wave(number)(path.time)) / path.error
-        assert np.abs(away[path.told]).max() < FAR
+        assert np.abs(away[path.identified]).max() < FAR
         assert path.rmse["z"] == pytest.approx(NOISE, rel=MISFIT)
         assert path.rmse["x"] == pytest.approx(NOISE, rel=MISFIT)
 
 
 def test_what_is_found_does_not_depend_on_the_start(runs, found):
-    again = paths_beside(runs, [shared("lambda")], SPACING)
+    again = fit_jointly(runs, [shared("lambda")], SPACING)
     one, other = (each.values[0][LAMBDA] for each in (found, again))
     assert abs(one.value - other.value) < STOPS * one.error
 
 
 def test_errors_are_those_of_all_coordinates_together(runs, found):
     """The Schur complement against the inverse of the whole matrix, paths and all."""
-    fit = _Beside(found.candidates, [shared("lambda")])
+    fit = _JointProblem(found.candidates, [shared("lambda")])
     linear = fit.linearised(found.coordinates, found.steps)
     size = sum(each.path for each in linear)
     whole = np.zeros((size + 1, size + 1))
@@ -106,7 +106,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
     assert np.diag(path.posterior.covariance)[: path.knots] == pytest.approx(knots, rel=ROUNDING)
 
 
-def pulled(number: int, force: float) -> Candidate:
+def pulled(number: int, force: float) -> PreparedRun:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
     each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
     put_effects(each.setup, ["drawbar.force"])
@@ -120,7 +120,7 @@ def test_each_run_may_have_a_number_of_its_own():
     assert result.labels == ("drawbar.force of run 0", "drawbar.force of run 1")
     for each, force in zip(result.runs, DRAWBAR, strict=True):
         value = each.values["drawbar.force"]
-        assert value.told
+        assert value.identified
         assert abs(value.value - force) < FAR * value.error
         (effect,) = each.setup.effects
         assert effect["force"] == value.value
@@ -132,7 +132,7 @@ def test_each_run_may_have_a_number_of_its_own():
 def test_a_prior_holds_what_the_runs_do_not_tell():
     slow = run(3, 5.0, 2 * STEP)
     untold = fit_paths([slow], SPACING, [shared("lambda")])
-    assert not untold.shared[LAMBDA].told
+    assert not untold.shared[LAMBDA].identified
     assert any("lambda cannot be identified" in each for each in untold.findings)
     believed = fit_paths([slow], SPACING, [shared("lambda", prior=PRIOR)])
     value = believed.shared[LAMBDA]

@@ -8,15 +8,15 @@ import pytest
 import drftjax
 from drftjax.common.errors import InputError
 from drftjax.recorded.observation import white_noise
-from drftjax.recorded.prepared_run import candidate
-from drftjax.runlog.record import Measured, Setup
+from drftjax.recorded.prepared_run import prepare_run
+from drftjax.runlog.record import Measured, RecordedSetup
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
 from drftjax.simulation.statics import sinkage_under_load
 from identify.fit_constant import FARTHEST, _in_short_steps, _problem, fit
 from identify.parameters.parameter import parameter
-from identify.results.outliers import LEAST, STANDS_OUT, outlying
-from identify.solver.initial_zeta import met_sinkage
+from identify.results.outliers import LEAST, STANDS_OUT, outlier_times
+from identify.solver.initial_zeta import zeta_from_mean_sinkage
 from identify.solver.levenberg_marquardt import solve
 from tests.helpers.synthetic_runs import BELIEVED_ZETA, NOISE, SLOW, coarse, recorded, setup_of
 
@@ -48,14 +48,14 @@ def own_zeta():
 def test_readings_that_stand_out_are_told_with_their_place():
     result = fit([coarse("run", spiked(5e-3))], own_zeta())
     (run,) = result.runs
-    assert set(outlying(run)) == {"z"}
-    assert outlying(run)["z"].tolist() == run.time[list(SPIKES)].tolist()
+    assert set(outlier_times(run)) == {"z"}
+    assert outlier_times(run)["z"].tolist() == run.time[list(SPIKES)].tolist()
     assert any(each.startswith("run: 3 readings of z stand out") for each in result.findings)
 
 
 def test_noise_does_not_stand_out():
     result = fit([coarse("run", spiked(0.0))], own_zeta())
-    assert outlying(result.runs[0]) == {}
+    assert outlier_times(result.runs[0]) == {}
     assert not any("stand out" in each for each in result.findings)
     # What is told is far beyond what the noise makes.
     assert STANDS_OUT * LEAST["z"] > 10 * white_noise(result.runs[0].residuals["z"])
@@ -84,7 +84,7 @@ def rigged(command, seed: int, speed: float = 0.0):
             + NOISE * random.standard_normal(len(log.measured.time))
             for name in "xz"
         }
-        believed = Setup(**log.setup.known() | {"scaling_factor_initial": BELIEVED_ZETA})
+        believed = RecordedSetup(**log.setup.known() | {"scaling_factor_initial": BELIEVED_ZETA})
         yield dataclasses.replace(log, setup=believed, measured=Measured(log.measured.time, **read))
 
 
@@ -102,7 +102,7 @@ def test_a_run_that_begins_in_motion_is_told_and_fitted_with_its_speed():
 def test_a_step_that_gains_part_of_the_way_is_taken():
     # In steps of 2 ms the whole step does not gain, and optimistix's damping hardly shortens it.
     runs = [
-        candidate(f"run {number}", run, step=2e-3)
+        prepare_run(f"run {number}", run, step=2e-3)
         for number, run in enumerate(rigged(STOPPING, 500))
     ]
     result = fit(runs, [*own_zeta(), parameter("lambda", shared=True)])
@@ -112,11 +112,11 @@ def test_a_step_that_gains_part_of_the_way_is_taken():
 def test_a_number_that_is_thrown_to_its_bound_is_looked_for_without_it_first():
     """Steady runs whose carriage's speed at the start is unknown tell next to nothing of lambda."""
     runs = rigged(([0.0, 2.0], [STEADY, STEADY]), 1, 0.3 * STEADY)
-    candidates = [candidate(f"run {number}", run) for number, run in enumerate(runs)]
+    candidates = [prepare_run(f"run {number}", run) for number, run in enumerate(runs)]
     alone, _, _ = _problem(candidates, tuple(own_zeta()))
-    without = solve(alone, met_sinkage(alone, alone.start()))
+    without = solve(alone, zeta_from_mean_sinkage(alone, alone.start()))
     problem, _, _ = _problem(candidates, (*own_zeta(), parameter("lambda", shared=True)))
-    start = met_sinkage(problem, problem.start())
+    start = zeta_from_mean_sinkage(problem, problem.start())
     shared, own = start
     far = (shared - 2 * FARTHEST, own)
     thrown = dataclasses.replace(without, coordinates=far, residual=np.full((2, 1, 1), np.inf))

@@ -13,15 +13,20 @@ from drftjax.physics.command import Command
 from drftjax.runlog.hdf5.api import read_result, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
 from drftjax.setups.setup import ZetaKnots
-from identify.design.required_speed import _error, reach, with_reach
+from identify.design.required_speed import _error, add_required_speeds, required_speed
 from identify.fit_constant import MODEL_ERROR, fit
 from identify.fit_path import fit_paths
 from identify.parameters.parameter import own, shared
 from identify.parameters.phase_zeta import PhaseZeta, phases_of, with_phases, zeta_phases
-from identify.solver.batched_levenberg_marquardt import Descent
-from identify.solver.multistart import Starts, best_start, starting_points
+from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
+from identify.solver.multistart import MultistartSummary, best_start, starting_points
 from identify.solver.whitening import Whitening
-from identify.uncertainty.bootstrap import noise_like, over_runs, refitted, stepped
+from identify.uncertainty.bootstrap import (
+    one_step_draws,
+    refit_draws,
+    resample_runs,
+    simulated_noise,
+)
 from tests.helpers.synthetic_runs import NOISE, SLOW, coarse, recorded, setup_of
 from tests.studies.coverage import LAMBDA, ZETA, coverage
 
@@ -67,10 +72,10 @@ def result(runs):
 def test_every_start_of_a_plain_problem_ends_in_one_optimum(result):
     optimum = result.optimum
     coordinates, starts = best_start(optimum.problem, 2, 4)
-    assert starts == Starts(count=4, same=4, other=0, lost=0, usual=True)
+    assert starts == MultistartSummary(count=4, same=4, other=0, lost=0, usual=True)
     assert str(starts) == "4 of 4 starting points ended in the same optimum, the best"
     error = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    descent = Descent(optimum.problem, 2)
+    descent = BatchedLevenbergMarquardt(optimum.problem, 2)
     assert np.all(np.abs(descent.flat(coordinates) - optimum.flat) < SAME_FIT * error)
 
 
@@ -79,7 +84,7 @@ def test_starting_points_begin_with_the_usual_one_and_stay_in_bounds(result):
     problem = dataclasses.replace(
         result.optimum.problem, parameters=(result.optimum.problem.parameters[0], bounded)
     )
-    descent = Descent(problem, 2)
+    descent = BatchedLevenbergMarquardt(problem, 2)
     points = starting_points(descent, 9, np.random.default_rng(1))
     np.testing.assert_array_equal(points[0], descent.start())
     assert len(np.unique(points[:, 0])) == 9
@@ -141,10 +146,10 @@ def test_whitening_gives_the_inverse_of_the_covariance_it_supposes():
 
 def test_linearised_draws_are_those_of_full_refits(result):
     optimum = result.optimum
-    noise = noise_like(optimum, 4, np.random.default_rng(5))
+    noise = simulated_noise(optimum, 4, np.random.default_rng(5))
     error = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    step = (stepped(optimum, noise, np.random.default_rng(0)) - optimum.flat) / error
-    full = (refitted(optimum, noise) - optimum.flat) / error
+    step = (one_step_draws(optimum, noise, np.random.default_rng(0)) - optimum.flat) / error
+    full = (refit_draws(optimum, noise) - optimum.flat) / error
     assert np.abs(full).max() > 2 * LINEAR
     np.testing.assert_allclose(step, full, rtol=0, atol=LINEAR)
 
@@ -171,7 +176,7 @@ def test_bootstrap_over_runs_sees_what_runs_differ_by():
     zetas = (0.74, 0.75, 0.76, 0.74, 0.76)
     runs = [coarse(f"r{k}", recorded(setup_of(SLOW, z), k)) for k, z in enumerate(zetas)]
     optimum = fit(runs, [shared("zeta")]).optimum
-    moves = over_runs(optimum, DRAWS, np.random.default_rng(2))[:, 0]
+    moves = resample_runs(optimum, DRAWS, np.random.default_rng(2))[:, 0]
     expected = np.std(np.log(zetas)) / np.sqrt(len(zetas))
     assert moves.std() == pytest.approx(expected, rel=SCATTER)
 
@@ -272,7 +277,7 @@ def test_zeta_path_is_reported_like_a_fit(runs):
     (run,) = result.runs
     assert run.status == "converged"
     assert run.rmse()["z"] < run.rmse(fitted=False)["z"]
-    told = run.path.told
+    told = run.path.identified
     assert np.all(np.abs(run.path.value - 0.75)[told] < FAR * run.path.error[told])
     assert result.document()["runs"][0]["zeta_path"]["value"] == run.path.value.tolist()
     zeta = run.setup.terrain.zeta
@@ -298,7 +303,7 @@ def test_a_start_that_rolls_is_found():
 
 def test_where_lambda_is_not_told_the_speed_that_would_tell_it_is_named():
     run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4, noise=1e-4))
-    told = with_reach(fit([run], [own("zeta"), shared("lambda")]))
+    told = add_required_speeds(fit([run], [own("zeta"), shared("lambda")]))
     (finding,) = [f for f in told.findings if "could be identified" in f]
     speed = float(finding.split("from about ")[1].split(" rad/s")[0])
     # The paper's wheel speed of 0.5 rad/s does not tell it, and eight times that does.
@@ -316,7 +321,11 @@ def test_the_speed_named_starts_from_the_error_that_the_fit_has():
     same = _error(result.optimum, 0, setup, "terrain.inertial_coefficient", 1.0)
     assert same == pytest.approx(value.error, rel=REACH)
     # What is believed, 1.1, is what the error is held against, whatever the fit says.
-    assert all("of the believed 1.1" in f for f in with_reach(result).findings if "from about" in f)
+    assert all(
+        "of the believed 1.1" in f
+        for f in add_required_speeds(result).findings
+        if "from about" in f
+    )
 
 
 def test_where_a_fit_starts_is_no_matter_to_the_speed_named():
@@ -331,17 +340,19 @@ def test_a_zeta_by_phase_goes_along_to_other_speeds():
     run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4, noise=1e-4))
     phases = [shared("zeta.stand"), own("zeta.accelerate"), own("zeta.steady")]
     result = fit([run], [*phases, shared("lambda")])
-    told = set(with_reach(result).findings) - set(result.findings)
+    told = set(add_required_speeds(result).findings) - set(result.findings)
     assert any(sentence.startswith("lambda could") for sentence in told)
     # By phase there too, so that it is as unknown as in the fit.
     setups = [result.runs[0].setup]
     same = _error(result.optimum, 0, setups[0], LAMBDA, 1.0)
     assert same == pytest.approx(result.shared[LAMBDA].error, rel=REACH)
-    assert reach(result.optimum, setups, "terrain.zeta.stand").startswith("zeta.stand could")
+    assert required_speed(result.optimum, setups, "terrain.zeta.stand").startswith(
+        "zeta.stand could"
+    )
 
 
 def test_where_all_is_told_no_speed_is_named(result):
-    assert with_reach(result).findings == result.findings
+    assert add_required_speeds(result).findings == result.findings
 
 
 # Coverage ---------------------------------------------------------------------------------------

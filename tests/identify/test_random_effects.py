@@ -8,7 +8,7 @@ import pytest
 
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
-from identify.uncertainty.random_effects import spread_of
+from identify.uncertainty.random_effects import paule_mandel
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # Runs whose sands differ by 2 %, as repeats on a bed that is prepared anew.
@@ -83,7 +83,9 @@ def test_a_zeta_that_no_run_tells_is_no_error():
 def test_chance_alone_is_told_as_scatter_in_one_of_twenty_cases():
     random = np.random.default_rng(5)
     errors = np.geomspace(1.0, 30.0, 6)
-    told = [spread_of(errors * random.standard_normal(6), errors).told for _ in range(2000)]
+    told = [
+        paule_mandel(errors * random.standard_normal(6), errors).identified for _ in range(2000)
+    ]
     assert np.mean(told) == pytest.approx(0.05, abs=CHANCE)
 
 
@@ -91,14 +93,14 @@ def test_a_value_that_is_hardly_told_hides_no_scatter():
     random = np.random.default_rng(6)
     errors = np.r_[np.full(8, 0.05), 5.0]
     found = [
-        spread_of(random.standard_normal(9) + errors * random.standard_normal(9), errors)
+        paule_mandel(random.standard_normal(9) + errors * random.standard_normal(9), errors)
         for _ in range(300)
     ]
-    assert all(each.told for each in found)
+    assert all(each.identified for each in found)
     assert np.mean([each.variance for each in found]) == pytest.approx(1.0, rel=VARIANCE)
 
 
 def test_values_that_agree_scatter_by_nothing():
-    alike = spread_of(np.array([1.0, 1.01]), np.array([0.1, 0.1]))
-    assert (alike.variance, alike.told) == (0.0, False)
-    assert spread_of(np.array([0.7]), np.array([0.1])) == type(alike)(0.7, 0.0, told=False)
+    alike = paule_mandel(np.array([1.0, 1.01]), np.array([0.1, 0.1]))
+    assert (alike.variance, alike.identified) == (0.0, False)
+    assert paule_mandel(np.array([0.7]), np.array([0.1])) == type(alike)(0.7, 0.0, identified=False)

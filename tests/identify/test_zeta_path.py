@@ -13,11 +13,17 @@ from drftjax.common.errors import InputError
 from drftjax.physics.terrain import KnotZeta
 from drftjax.recorded.batch import make_batch
 from drftjax.recorded.observation import intervals_of, white_noise
-from drftjax.recorded.prepared_run import Candidate, candidate
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import IntegratorSetUp
-from identify.zeta_path.evidence import WEIGHTS, Instrument, Noise, Products, posterior
+from identify.zeta_path.evidence import (
+    WEIGHTS,
+    AR1Noise,
+    InstrumentFloor,
+    LaggedProducts,
+    posterior,
+)
 from identify.zeta_path.path import LINES, ZetaPath, between, cardinal
-from identify.zeta_path.simulate import predicted
+from identify.zeta_path.simulate import predict_path
 from identify.zeta_path.smoother import zeta_paths
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 
@@ -58,17 +64,17 @@ def path_of(number: int):
     return lambda t: np.exp(cardinal(KNOTS, t) @ np.log(values))
 
 
-def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=(), step=STEP) -> Candidate:
+def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=(), step=STEP) -> PreparedRun:
     setup = known_setup(name, path, FINE, time, omega, PLATE_SIZE)
     setup.integrator = IntegratorSetUp("held pace", step)
     setup.effects = [*effects]
     run = known_run(setup, np.random.default_rng(seed))
-    each = candidate(name, run, step=step)
+    each = prepare_run(name, run, step=step)
     each.setup.wheel.plate_size = PLATE_SIZE
     return dataclasses.replace(each, trial=each.setup.trial(5 * step))
 
 
-def without(each: Candidate, start: float, end: float) -> Candidate:
+def without(each: PreparedRun, start: float, end: float) -> PreparedRun:
     """The run without the samples of some time [s], and without every seventh other."""
     seen = each.observation
     kept = (seen.time < start) | (seen.time > end)
@@ -80,7 +86,7 @@ def without(each: Candidate, start: float, end: float) -> Candidate:
 
 
 @pytest.fixture(scope="module")
-def candidates() -> list[Candidate]:
+def candidates() -> list[PreparedRun]:
     runs = [made(f"run {number}", path_of(number), number) for number in range(RUNS)]
     late = made("stands long", lambda t: 0.74 + 0 * t, RUNS, LATE_TIME, LATE_OMEGA)
     return [*runs, late]
@@ -178,8 +184,8 @@ def test_standstill_tells_nothing_of_zeta(paths):
     standing, moving = path.time < 2.0, (path.time > 3.5) & (path.time < 5.5)
     np.testing.assert_allclose(path.value[moving], 0.74, rtol=0, atol=TOLD)
     assert path.error[moving].max() < TOLD
-    assert path.told[moving].all()
-    assert not path.told[standing].any()
+    assert path.identified[moving].all()
+    assert not path.identified[standing].any()
     # Not even the first digit.
     assert path.error[standing].min() > 0.5
 
@@ -216,8 +222,8 @@ def test_path_makes_up_for_whatever_moves_the_sinkage(moved):
 def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
     path, fallen = moved["slope"], moved["falling slope"]
     # At 25 mm of sinkage a zeta, the last 5 mm of rise ask for 0.2 more, and less as zeta grows.
-    assert path.value[path.told][-2] > 0.9
-    assert fallen.value[fallen.told][-2] < 0.68
+    assert path.value[path.identified][-2] > 0.9
+    assert fallen.value[fallen.identified][-2] < 0.68
     # No zeta(t) meets both: what it does to slip is summed up, and told as what it is.
     assert path.rmse["x"] > 20 * path.rmse["z"]
     said = path.contradiction()
@@ -248,7 +254,7 @@ def test_derivative_by_the_knots_is_exact(candidates):
 
     @jax.jit
     def simulated(coordinates):
-        return predicted(trial, observed, batch.channels, curve, coordinates)
+        return predict_path(trial, observed, batch.channels, curve, coordinates)
 
     # A curve of the moving part alone: a standing wheel sinks into weaker sand, but does not rise
     # in stronger sand, so its differences are not its derivative.
@@ -269,9 +275,9 @@ def test_derivative_by_the_knots_is_exact(candidates):
 def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     random = np.random.default_rng(0)
     place = np.delete(np.arange(40), lost)
-    columns, noise = random.standard_normal((len(place), 3)), Noise(0.3, 0.8)
+    columns, noise = random.standard_normal((len(place), 3)), AR1Noise(0.3, 0.8)
     covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
-    products = Products.of(columns, intervals_of(0.01 * place))
+    products = LaggedProducts.of(columns, intervals_of(0.01 * place))
     dense = columns.T @ np.linalg.solve(covariance, columns)
     np.testing.assert_allclose(products.whitened(noise), dense, rtol=INVERSE)
     assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=INVERSE)
@@ -282,8 +288,8 @@ def test_noise_is_found_among_the_samples_that_are_left():
     fresh = 0.3 * np.sqrt(1 - 0.9**2) * random.standard_normal(20000)
     place = np.flatnonzero(random.random(20000) < 0.5)
     data = lfilter([1.0], [1.0, -0.9], fresh)[place]
-    products = Products.of(data[:, None], intervals_of(0.01 * place))
-    found = products.noise(np.ones(1), np.zeros((0, 0)), Instrument(1e-6, 0.9999))
+    products = LaggedProducts.of(data[:, None], intervals_of(0.01 * place))
+    found = products.noise(np.ones(1), np.zeros((0, 0)), InstrumentFloor(1e-6, 0.9999))
     # Five standard deviations of a correlation told by 5,000 pairs, and of the spread.
     assert found.correlation == pytest.approx(0.9, abs=5 * np.sqrt((1 - 0.9**2) / 5000))
     assert found.spread == pytest.approx(0.3, rel=5 * np.sqrt(19 / 2 / 20000))
@@ -291,10 +297,10 @@ def test_noise_is_found_among_the_samples_that_are_left():
 
 def test_noise_lasts_no_longer_than_its_instrument_allows():
     time = np.linspace(0.0, 1.0, 500)
-    products = Products.of((1e-3 * time)[:, None], intervals_of(time))
+    products = LaggedProducts.of((1e-3 * time)[:, None], intervals_of(time))
     residual, nothing = np.ones(1), np.zeros((0, 0))
-    assert products.noise(residual, nothing, Instrument(1e-6, 0.9999)).correlation == 0.9999
-    short = products.noise(residual, nothing, Instrument(1e-6, 0.9))
+    assert products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9999)).correlation == 0.9999
+    short = products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9))
     assert short.correlation == 0.9
     # A slow drift cannot hide in it: the spread that would have to hold it is its own size.
     assert short.spread > 0.1e-3
@@ -309,10 +315,10 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
         path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
         data = seen @ path + 0.02 * random.standard_normal(len(seen))
-        products = [Products.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
+        products = [LaggedProducts.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
         best = max(
             WEIGHTS,
-            key=lambda w, p=products: posterior(p, knots, 0.0, w, [Noise(0.02, 0.0)]).evidence,
+            key=lambda w, p=products: posterior(p, knots, 0.0, w, [AR1Noise(0.02, 0.0)]).evidence,
         )
         found.append(np.log10(best))
     # 38 bends tell a weight to sqrt(2 / 38) / ln 10, a tenth of a decade, and eight paths to 0.035;

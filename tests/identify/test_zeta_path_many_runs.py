@@ -6,32 +6,32 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.prepared_run import Candidate
+from drftjax.recorded.prepared_run import PreparedRun
 from identify.crosscheck.crosscheck import crosscheck
-from identify.crosscheck.replays import Setting
+from identify.crosscheck.replays import TunerSetting
 from identify.fit_path import fit_paths
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
-SETTING = Setting(0.02, 1e-3, 1e-4)
+SETTING = TunerSetting(0.02, 1e-3, 1e-4)
 
 
-def sound(name: str, zeta: float) -> Candidate:
+def sound(name: str, zeta: float) -> PreparedRun:
     return coarse(name, recorded(setup_of(zeta=zeta), seed=len(name)))
 
 
-def without(channel: str) -> Candidate:
+def without(channel: str) -> PreparedRun:
     run = recorded(setup_of(), channels=tuple({"x", "z"} - {channel}))
     return coarse(f"no {channel}", run)
 
 
-def of_another_wheel() -> Candidate:
+def of_another_wheel() -> PreparedRun:
     run = recorded(setup_of())
     return coarse(
         "plain", dataclasses.replace(run, setup=dataclasses.replace(run.setup, grouser_count=0))
     )
 
 
-def of_few_samples() -> Candidate:
+def of_few_samples() -> PreparedRun:
     return coarse("sparse", recorded(setup_of(), rate=2.0))
 
 
@@ -43,7 +43,7 @@ BAD = {
 
 
 @pytest.fixture(scope="module")
-def good() -> list[Candidate]:
+def good() -> list[PreparedRun]:
     return [sound("one", 0.74), sound("another", 0.75)]
 
 

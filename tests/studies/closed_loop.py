@@ -23,7 +23,7 @@ from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import sinkage_under_load, zeta_from_sinkage
-from drftjax.tuning.step_tuner import tunable
+from drftjax.tuning.step_tuner import with_zeta_per_step
 
 STEP = 1e-3
 STEPS_A_ROW = 10
@@ -104,7 +104,7 @@ def run(
     """
     simulated = grousers if simulated_grousers is None else simulated_grousers
     terrain = Terrain(ConstantZeta(ZETA))
-    loop = tunable(Simulator(wheel(simulated, plate), terrain, integrator=HeldPace()))
+    loop = with_zeta_per_step(Simulator(wheel(simulated, plate), terrain, integrator=HeldPace()))
     rig = Simulator(
         wheel(grousers, plate), terrain, integrator=HeldPace(), effects=(Loosening(LOSS, 2.0),)
     )

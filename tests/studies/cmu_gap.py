@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from diagnose.model.augmented_model import Model
+from diagnose.model.augmented_model import AugmentedModel
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects import composition as chain
-from drftjax.effects.base import Moment
-from drftjax.effects.catalogue import effect_class, numbers
+from drftjax.effects.base import StepContext
+from drftjax.effects.catalogue import effect_class, field_metadata
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
 
@@ -90,7 +90,7 @@ class Steady(eqx.Module):
 
 
 def steady(
-    model: Model,
+    model: AugmentedModel,
     simulator: Simulator,
     setting: Setting,
     at: Float[Array, " free"],
@@ -115,13 +115,13 @@ def steady(
         nought = jnp.zeros_like(setting.vx)
         speed = jnp.stack([setting.vx, nought])
         memory = chain.begin(effects, State.at_rest(nought))
-        omega, _ = chain.turn(effects, memory, setting.omega, nought, nought + 1.0)
+        omega, _ = chain.wheel_speed(effects, memory, setting.omega, nought, nought + 1.0)
         phases = ((STEP_AT, BEFORE / data.OUTER_RADIUS + nought), (until, omega))
         time, moment = 0.0, None
         for end, turning in phases:
             place = jnp.stack([setting.vx * end, nought])
             span = nought + end - time
-            moment = Moment(nought + end, span, place, speed, nought, turning, turning, radius)
+            moment = StepContext(nought + end, span, place, speed, nought, turning, turning, radius)
             # What remembers here grows evenly while the speeds stay, so one long step is exact.
             memory = chain.advance(effects, memory, moment)
             time = end
@@ -154,12 +154,14 @@ def steady(
 
 
 @eqx.filter_jit
-def _steady(model: Model, simulator: Simulator, setting: Setting, at, until: float) -> Steady:
+def _steady(
+    model: AugmentedModel, simulator: Simulator, setting: Setting, at, until: float
+) -> Steady:
     return steady(model, simulator, setting, at, until)
 
 
 @eqx.filter_jit
-def _sloped(model: Model, simulator: Simulator, setting: Setting, at, until: float):
+def _sloped(model: AugmentedModel, simulator: Simulator, setting: Setting, at, until: float):
     """Sinkages [mm] and their derivatives by `at`."""
 
     def sinkage(at):
@@ -172,7 +174,7 @@ def _sloped(model: Model, simulator: Simulator, setting: Setting, at, until: flo
 class Explanation:
     """Effects that may explain rows, beside one zeta for all of them."""
 
-    model: Model
+    model: AugmentedModel
     reading: driving.Reading
     rows: data.SteadyRows
 
@@ -200,7 +202,7 @@ class Explanation:
         low, high = [np.log(0.05)], [np.log(20.0)]
         for free in self.model.free:
             effect = self.model.effects[free.index]
-            about = numbers(effect)[free.field]
+            about = field_metadata(effect)[free.field]
             if free.scale is None:
                 reach = np.log(about["starts"])
                 least, most = reach.min() - np.log(BEYOND), reach.max() + np.log(BEYOND)
@@ -222,7 +224,7 @@ class Explanation:
                 start[strong] = sign
                 for place in shapes:
                     free = self.model.free[place - 1]
-                    about = numbers(self.model.effects[free.index])[free.field]
+                    about = field_metadata(self.model.effects[free.index])[free.field]
                     start[place] = np.log(about["starts"][end])
                 yield np.clip(start, *self.bounds())
 
@@ -304,7 +306,7 @@ class Judged:
         """zeta and the effects' numbers."""
         words = [f"zeta {np.exp(self.at[0]):.2f}"]
         for free, value in zip(self.of.model.free, self.at[1:], strict=True):
-            unit = numbers(self.of.model.effects[free.index])[free.field]["unit"]
+            unit = field_metadata(self.of.model.effects[free.index])[free.field]["unit"]
             shown = f"{free.field} {float(free.value(value)):.3g}"
             words.append(shown if unit == "-" else f"{shown} {unit}")
         return ", ".join(words)
@@ -312,7 +314,7 @@ class Judged:
 
 def judged(names: Sequence[str], reading: driving.Reading, rows: data.SteadyRows) -> Judged:
     """Fit effects to all slips, and predict the slips that they were not fitted to."""
-    of = Explanation(Model(tuple(effect_class(name) for name in names)), reading, rows)
+    of = Explanation(AugmentedModel(tuple(effect_class(name) for name in names)), reading, rows)
     every = np.ones(rows.slip.shape, bool)
     at = of.fitted(every)
     unseen = np.zeros(rows.slip.shape)

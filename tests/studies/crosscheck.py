@@ -80,10 +80,10 @@ def main() -> None:
     parser.add_argument("-o", type=Path, default=Path("out/crosscheck"))
     stem = parser.parse_args().o
     configure_jax()
-    from drftjax.recorded.prepared_run import candidate
+    from drftjax.recorded.prepared_run import prepare_run
     from identify.commands.crosscheck import write
     from identify.crosscheck.crosscheck import crosscheck
-    from identify.crosscheck.replays import Setting
+    from identify.crosscheck.replays import TunerSetting
     from identify.crosscheck.report import tables
 
     random = np.random.default_rng(SEED)
@@ -92,8 +92,8 @@ def main() -> None:
     for name, path in PATHS.items():
         setup = known_setup(name, path, grid)
         setup.integrator = IntegratorSetUp("rosenbrock", 5e-4)
-        runs.append(candidate(name, known_run(setup, random)))
-    setting = Setting(0.01, 1e-3, 1e-4)
+        runs.append(prepare_run(name, known_run(setup, random)))
+    setting = TunerSetting(0.01, 1e-3, 1e-4)
     result = crosscheck(runs, setting, truths=PATHS, knot_spacing=KNOTS)
     console = Console(width=110)
     for table in tables(result):

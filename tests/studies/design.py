@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import Measured
 from drftjax.setups.setup import SetUp, read_setup
 from drftjax.setups.simulated_run import simulated_run
@@ -43,7 +43,7 @@ def fitted(setup: SetUp, seeds: int, start_known: bool = True) -> np.ndarray:
             for name, sd in NOISE.items()
         }
         run = replace(clean, measured=Measured(time=time, **noisy))
-        each = candidate(f"seed_{seed}", run, step=setup.integrator.step)
+        each = prepare_run(f"seed_{seed}", run, step=setup.integrator.step)
         if start_known:
             known = setup.trial(5 * setup.integrator.step)
             each = replace(each, setup=setup, trial=known)
@@ -66,9 +66,9 @@ def main() -> None:
             spread = values.std(ddof=1)
             print(
                 f"{path.name:12s} start {'known' if start_known else 'as recorded':12s} "
-                f"promised {option.knows.error:.3g}, scatter {spread:.3g} "
+                f"promised {option.information.error:.3g}, scatter {spread:.3g} "
                 f"± {spread / math.sqrt(2 * (len(values) - 1)):.1g}, "
-                f"mean {values.mean():.5g} of {option.knows.value:g}",
+                f"mean {values.mean():.5g} of {option.information.value:g}",
                 flush=True,
             )
 

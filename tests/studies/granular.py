@@ -17,8 +17,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from diagnose.dataset import Case
-from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
+from diagnose.dataset import RigDataset
+from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.pipeline import diagnose
@@ -27,7 +27,7 @@ from drftjax.common.jax_config import configure_jax
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, effect_class
 from drftjax.effects.stress import REFERENCE_DEPTH
-from drftjax.recorded.prepared_run import Candidate, candidate
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.setups.from_run import setup_from_run
 
@@ -60,18 +60,18 @@ def plates_as_hardening() -> float:
     return float(square / (linear + square))
 
 
-def runs(folder: Path, names: Sequence[str], effects: Sequence[dict] = ()) -> list[Candidate]:
+def runs(folder: Path, names: Sequence[str], effects: Sequence[dict] = ()) -> list[PreparedRun]:
     """Runs made ready, believed to have these effects already."""
     found = []
     for name in names:
         run = read_run(folder / f"{name}.h5")
         believed = copy.deepcopy(setup_from_run(run))
         believed.effects = [dict(each) for each in effects]
-        found.append(candidate(name, run, model=believed))
+        found.append(prepare_run(name, run, model=believed))
     return found
 
 
-def rms(case: Case, residual: Sequence[np.ndarray], channel: str) -> float:
+def rms(case: RigDataset, residual: Sequence[np.ndarray], channel: str) -> float:
     """Of all runs together [mm]."""
     values = [each[case.channels.index(channel)] for each in residual]
     return MM * float(np.sqrt(np.mean(np.concatenate(values) ** 2)))
@@ -90,7 +90,7 @@ def numbers_of(each: Hypothesis) -> str:
 
 def explanations(found: Diagnosis) -> Table:
     """Every explanation that was simulated, as ranked, with its error on runs left out."""
-    case, bench = found.case, found.found.bench
+    case, bench = found.case, found.screening.bench
     table = Table(title="RMSE mm", title_justify="left")
     for column in (
         "explanation",
@@ -102,8 +102,8 @@ def explanations(found: Diagnosis) -> Table:
     ):
         table.add_column(column, justify="left" if column == "explanation" else "right")
     table.add_column("numbers")
-    for each in (found.found.none, *found.found.singles, *found.found.pairs):
-        unseen = predicted_unseen(bench, each).residual
+    for each in (found.screening.none, *found.screening.singles, *found.screening.pairs):
+        unseen = predict_held_out(bench, each).residual
         table.add_row(
             " + ".join(each.names) or "none",
             *(shown(rms(case, part, c)) for c in "xz" for part in (each.residual, unseen)),
@@ -118,10 +118,10 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     weights = ", ".join(f"{name} {w:.2f}" for name, w in list(found.weights.items())[:4])
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
-    bench = found.found.bench
-    left = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, found.chosen)))
+    bench = found.screening.bench
+    left = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, found.chosen)))
     leading = " + ".join(found.chosen.names) or "the reference model"
-    added = " + ".join(each.about.name for each in found.added.effects) or "nothing"
+    added = " + ".join(each.about.name for each in found.selected.effects) or "nothing"
     for channel, gap in found.gap.items():
         console.print(
             f"{channel}: {gap.before * MM:.2f} mm, floor {gap.floor * MM:.2f} mm; on runs left out "
@@ -134,10 +134,10 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
 
 
 def diagnosed(
-    candidates: Sequence[Candidate], effects: Sequence[type[AbstractEffect]]
+    candidates: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
 ) -> Diagnosis:
     """What the diagnosis says of some runs."""
-    return diagnose(Case.of(candidates), effects)
+    return diagnose(RigDataset.of(candidates), effects)
 
 
 def answers(folder: Path, console: Console) -> None:

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.dataset import Case
-from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
+from diagnose.dataset import RigDataset
+from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.pipeline import diagnose
 from diagnose.result import Diagnosis
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import Measured, RunLog
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
@@ -74,16 +74,16 @@ def against_quasi_static(
         believed = copy.deepcopy(setup)
         believed.terrain.inertial_coefficient = 0.0
         believed.terrain.height_decrease = 0.0
-        candidates.append(candidate(f"run {number}", run, model=believed))
-    return diagnose(Case.of(candidates), effects)
+        candidates.append(prepare_run(f"run {number}", run, model=believed))
+    return diagnose(RigDataset.of(candidates), effects)
 
 
 def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") -> float:
     """What an explanation leaves of a channel on runs left out, in noise floors; NaN untried."""
-    for each in (*found.found.singles, *found.found.pairs):
+    for each in (*found.screening.singles, *found.screening.pairs):
         if set(each.names) == set(names):
-            bench = found.found.bench
-            unseen = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, each)))
+            bench = found.screening.bench
+            unseen = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, each)))
             index = found.case.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]

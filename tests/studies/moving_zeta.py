@@ -26,23 +26,25 @@ SPACINGS = (1.0, 0.5, 0.25)
 
 def main() -> None:
     configure_jax()
-    from drftjax.recorded.prepared_run import candidate
+    from drftjax.recorded.prepared_run import prepare_run
     from identify.crosscheck.crosscheck import crosscheck
-    from identify.crosscheck.replays import Setting
+    from identify.crosscheck.replays import TunerSetting
 
     random = np.random.default_rng(SEED)
     runs = []
     for name, effects in MECHANISMS.items():
         setup = known_setup(name, lambda t: ZETA + 0 * t, np.array([0.0, TIME[-1]]), TIME, OMEGA)
         setup.effects = effects
-        runs.append(candidate(name, known_run(setup, random)))
+        runs.append(prepare_run(name, known_run(setup, random)))
     print("| run | knots, s | steps | ζ(t) | z offline, mm | x offline, mm | z tuner, mm |")
     print("|---|---|---|---|---|---|---|")
     for spacing in SPACINGS:
         picked = [r for r in runs if spacing == 1.0 or r.name == "rising bed"]
-        found = crosscheck(picked, Setting(0.01, 1e-3, 1e-4), knot_spacing=spacing, sweep=False)
+        found = crosscheck(
+            picked, TunerSetting(0.01, 1e-3, 1e-4), knot_spacing=spacing, sweep=False
+        )
         for run in found.runs:
-            path, inside = run.offline, run.offline.value[run.offline.told]
+            path, inside = run.offline, run.offline.value[run.offline.identified]
             steps = f"{path.steps}" if path.converged else f"{path.steps}, not settled"
             mm = [1e3 * each for each in (path.rmse["z"], path.rmse["x"], run.rmse["tuner"]["z"])]
             print(

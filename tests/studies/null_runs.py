@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.recorded.prepared_run import Candidate, candidates_of
+from drftjax.recorded.prepared_run import PreparedRun, prepare_runs
 from identify.fit_constant import fit
 from identify.parameters.parameter import parameter
 from identify.results.noise_floor import noise_floor
@@ -61,7 +61,7 @@ class Left:
 def left(paths: list[Path]) -> Iterator[Left]:
     """Each run fitted alone with one zeta, by its sinkage and by all that was recorded."""
     for run, candidate, fitted in _by_sinkage(paths):
-        (both,) = fit(candidates_of([run]), [parameter("zeta", shared=False)]).runs
+        (both,) = fit(prepare_runs([run]), [parameter("zeta", shared=False)]).runs
         residual = 1e3 * fitted.residuals["z"]
         begins = _begins(candidate)
         early = (fitted.time >= begins) & (fitted.time < begins + JUMP)
@@ -85,20 +85,20 @@ def floor_of_repeats(paths: list[Path]) -> float:
     return 1e3 * noise_floor([fitted for _, _, fitted in _by_sinkage(paths)])["z"]
 
 
-def _by_sinkage(paths: list[Path]) -> Iterator[tuple[Path, Candidate, RunFit]]:
+def _by_sinkage(paths: list[Path]) -> Iterator[tuple[Path, PreparedRun, RunFit]]:
     for path in paths:
-        (candidate,) = candidates_of([path], compare=("z",))
+        (candidate,) = prepare_runs([path], compare=("z",))
         (fitted,) = fit([candidate], [parameter("zeta", shared=False)]).runs
         yield path, candidate, fitted
 
 
-def _begins(candidate: Candidate) -> float:
+def _begins(candidate: PreparedRun) -> float:
     """When the wheel is first asked to turn, from the run's start [s]."""
     command = candidate.setup.command
     return command.time[int(np.flatnonzero(command.omega)[0])] - command.time[0]
 
 
-def _rise(candidate: Candidate, zeta: float) -> tuple[float, float]:
+def _rise(candidate: PreparedRun, zeta: float) -> tuple[float, float]:
     """The fastest rise after the start [m/s], and the sand's support there over the weight [-]."""
     observation, begins = candidate.observation, _begins(candidate)
     time, z = observation.time, observation.values[0]

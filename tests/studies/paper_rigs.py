@@ -54,7 +54,7 @@ def main() -> None:
     rows = []
     for name, differs in RIGS.items():
         result = make(Experiment(loop=loop, rig=rig_of(differs), runs=1))
-        apart, first = result.apart(), result.hils[0]
+        apart, first = result.distances(), result.hils[0]
         rows.append(
             (
                 name,

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.model.augmented_model import Model
+from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.catalogue import effect_class
 from tests.studies import cmu_data as data
 from tests.studies import cmu_driving as driving
@@ -30,13 +30,13 @@ def rows() -> data.SteadyRows:
 
 def test_without_effects_the_wheel_runs_at_the_height_that_carries_the_load(rows):
     reading = driving.grousered("24 grousers, tips")
-    found = Explanation(Model(), reading, rows).sinkage(np.array([np.log(0.7)]))
+    found = Explanation(AugmentedModel(), reading, rows).sinkage(np.array([np.log(0.7)]))
     held = held_sinkage(reading.simulator, reading.setting(rows), jnp.asarray(0.7))
     assert found == pytest.approx(1e3 * np.asarray(held), abs=ANGLES_MM)
 
 
 def test_slip_softening_is_found_again_on_sinkages_made_with_it(rows):
-    model = Model((effect_class("slip_softening"),))
+    model = AugmentedModel((effect_class("slip_softening"),))
     true = np.array([np.log(0.9), 8.0, np.log(0.05)])
     made = Explanation(model, driving.circle(), rows).sinkage(true) / 1e3
     measured = data.SteadyRows(rows.vx, rows.omega, rows.load, made, rows.forward)

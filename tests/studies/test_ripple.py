@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hils.experiment.spectrum import Line, spectrum
+from hils.experiment.spectrum import SpectralLine, spectrum
 from tests.studies.closed_loop import INTERVAL, Setting, Traces, run
 
 DURATION, SETTLED = 26.0, 12.0
@@ -21,7 +21,7 @@ SWINGS_ZETA, SWINGS_SINKAGE = 5e-3, 4e-5
 SWINGS, SAME_SWING = (1.2, 3.0), 0.25
 
 
-def strongest(values: np.ndarray) -> Line:
+def strongest(values: np.ndarray) -> SpectralLine:
     return spectrum(values, INTERVAL).lines(1)[0]
 
 

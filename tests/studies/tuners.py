@@ -22,7 +22,7 @@ from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
 from hils.rig_sim.in_process import soft_rig
 from hils.rig_sim.rig import VirtualRig
@@ -88,7 +88,7 @@ def one(sand: VirtualSetUp, tuner: TunerSetUp, tick: float, seed: int) -> Run:
     loop = LoopSetUp(
         setup=read_setup(PROFILE), commands=CommandLimits(2.0, 0.3), tuner=tuner, tick=tick
     )
-    rows = KeptRows()
+    rows = InMemorySink()
     report = run(Procedure(loop=loop), soft.link, soft.clock, rows, Unattended(True), StopRequest())
     assert report.completed, report.reason
     online = rows.run().online
@@ -100,7 +100,7 @@ def one(sand: VirtualSetUp, tuner: TunerSetUp, tick: float, seed: int) -> Run:
     return Run(time, apart, online.zeta, np.interp(time + start, when, zeta))
 
 
-def _start(rows: KeptRows, clock: VirtualClock) -> float:
+def _start(rows: InMemorySink, clock: VirtualClock) -> float:
     """The profile's start on the clock [s]: the session's end is the newest event."""
     return clock.now() - rows.events[-1][0]
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diagnose.api import diagnose
-from diagnose.evaluation.evaluate import measured_on
+from diagnose.evaluation.evaluate import prediction_on
 
 
 def answer_set(paths: Sequence[Path]) -> dict:
@@ -19,7 +19,7 @@ def answer_set(paths: Sequence[Path]) -> dict:
     found = diagnose(paths)
     fresh = sorted((Path(paths[0]).parent / "fresh").glob("*.h5"))
     answer = found.document()
-    if fresh and found.added.effects:
-        gaps = measured_on(found, fresh)
+    if fresh and found.selected.effects:
+        gaps = prediction_on(found, fresh)
         answer["fresh"] = {channel: gap.document() for channel, gap in gaps.items()}
     return answer

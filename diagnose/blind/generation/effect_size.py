@@ -8,8 +8,8 @@ import numpy as np
 from diagnose.blind.generation.random_mechanisms import Mechanism
 from diagnose.blind.plant import plant
 from diagnose.blind.plant.plant import Part
-from diagnose.blind.plant.run_plan import Profile
-from diagnose.blind.plant.sensors import Reading
+from diagnose.blind.plant.run_plan import PlannedRun
+from diagnose.blind.plant.sensors import PlantReading
 from drftjax.common.errors import InputError
 
 # What noise and the scatter of zeta leave in a channel [m].
@@ -26,17 +26,19 @@ PROBE_FINER, LONGEST_STEP = 0.5, 2e-3
 ATTEMPTS = 6
 
 
-def _in_floors(reading: Reading) -> np.ndarray:
+def _in_floors(reading: PlantReading) -> np.ndarray:
     return np.stack([getattr(reading, name) / floor for name, floor in FLOORS.items()])
 
 
-def _run(parts: Sequence[Part], profile: Profile, zeta: float, groups: tuple[str, ...]) -> Reading:
+def _run(
+    parts: Sequence[Part], profile: PlannedRun, zeta: float, groups: tuple[str, ...]
+) -> PlantReading:
     finer = max(PROBE_FINER, profile.steady_step() / LONGEST_STEP)
-    return plant.run(parts, profile, zeta, groups, finer)
+    return plant.run_plant(parts, profile, zeta, groups, finer)
 
 
 @dataclass(frozen=True)
-class Gap:
+class EffectSize:
     """Root mean squares over the runs.
 
     Attributes:
@@ -56,7 +58,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Probe:
+class EffectSizeProbe:
     """A few runs of a plant with nothing wrong, and how zeta changes them.
 
     Attributes:
@@ -66,14 +68,16 @@ class Probe:
         slope: The derivative of these by log zeta.
     """
 
-    profiles: tuple[Profile, ...]
+    profiles: tuple[PlannedRun, ...]
     zeta: float
     groups: tuple[str, ...]
-    sound: tuple[np.ndarray, ...]
+    all_finite: tuple[np.ndarray, ...]
     slope: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, profiles: Sequence[Profile], zeta: float, groups: tuple[str, ...]) -> "Probe":
+    def of(
+        cls, profiles: Sequence[PlannedRun], zeta: float, groups: tuple[str, ...]
+    ) -> "EffectSizeProbe":
         def channels(factor: float) -> tuple[np.ndarray, ...]:
             runs = (_run((), each, factor * zeta, groups) for each in profiles)
             return tuple(_in_floors(each) for each in runs)
@@ -82,14 +86,14 @@ class Probe:
         slope = tuple((b - a) / NUDGE for a, b in zip(sound, nudged, strict=True))
         return cls(tuple(profiles), zeta, groups, sound, slope)
 
-    def gap(self, parts: Sequence[Part]) -> Gap:
+    def gap(self, parts: Sequence[Part]) -> EffectSize:
         """How much `parts` show in these runs.
 
         Raises:
             InputError: where the plant cannot run with them.
         """
         whole, left = [], []
-        for profile, sound, slope in zip(self.profiles, self.sound, self.slope, strict=True):
+        for profile, sound, slope in zip(self.profiles, self.all_finite, self.slope, strict=True):
             run = _run(parts, profile, self.zeta, self.groups)
             change = _in_floors(run) - sound
             refit = float((slope * change).sum() / (slope**2).sum())
@@ -101,12 +105,12 @@ class Probe:
             return float(np.sqrt(np.mean(joined**2))) * FLOORS[name]
 
         names = list(FLOORS)
-        return Gap(
+        return EffectSize(
             **{name: size(whole, names.index(name), name) for name in names},
             **{f"{name}_left": size(left, names.index(name), name) for name in names},
         )
 
-    def strength(self, mechanism: Mechanism, target: float) -> tuple[float, Gap]:
+    def strength(self, mechanism: Mechanism, target: float) -> tuple[float, EffectSize]:
         """The strength at which a mechanism shows by about `target` floors, if a rig may have it.
 
         Returns:

@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from diagnose.blind.answers.answer import UNFINISHED, configure_helper
-from diagnose.blind.generation.effect_size import FLOORS, Gap, Probe
+from diagnose.blind.generation.effect_size import FLOORS, EffectSize, EffectSizeProbe
 from diagnose.blind.generation.random_mechanisms import (
     CATALOGUE,
     STRANGERS,
     Mechanism,
-    draw,
-    draw_stranger,
+    draw_mechanism,
+    draw_unlisted,
     stage_of,
 )
 from diagnose.blind.generation.sealed_labels import seal
@@ -26,14 +26,14 @@ from diagnose.blind.plant.run_plan import (
     LETTERS,
     PRACTICE,
     TELLING,
-    Profile,
-    drawn_fresh,
-    drawn_nine,
+    PlannedRun,
+    draw_fresh_runs,
+    draw_nine_runs,
 )
-from diagnose.blind.plant.sensors import Reading
+from diagnose.blind.plant.sensors import PlantReading
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import write_run
-from drftjax.runlog.record import Command, Measured, RunLog, Setup
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 
 # Shares of mixed sets; what is left has one thing wrong.
 SHARES = {"none": 0.12, "unknown": 0.12, "pair": 0.16}
@@ -73,7 +73,7 @@ WRONG = ("mixed", "none", "one", "pair", "unknown")
 
 
 @dataclass(frozen=True)
-class Order:
+class GenerationRequest:
     """What sets are asked for.
 
     Attributes:
@@ -115,7 +115,7 @@ class Order:
         return f"set_{number + 1:0{max(2, len(str(self.sets)))}d}"
 
 
-def faults(order: Order) -> list[tuple[str, ...]]:
+def planned_faults(order: GenerationRequest) -> list[tuple[str, ...]]:
     """What is wrong with every set: kinds of mechanism, spread over all that there are."""
     random = np.random.default_rng([order.seed, 0])
     names = [name for stage in CATALOGUE.values() for name in stage]
@@ -139,7 +139,7 @@ def _shuffled(names: list[str], random: np.random.Generator) -> Iterator[str]:
         yield from (names[index] for index in random.permutation(len(names)))
 
 
-def make(order: Order, jobs: int = 1) -> Iterator[str]:
+def make(order: GenerationRequest, jobs: int = 1) -> Iterator[str]:
     """Make sets and seal their labels; gives the name of every set as it is done.
 
     Args:
@@ -153,7 +153,7 @@ def make(order: Order, jobs: int = 1) -> Iterator[str]:
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder} is not empty; name a folder that is")
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = faults(order)
+    drawn = planned_faults(order)
     labels: dict[str, dict] = {}
     if jobs == 1:
         for number in _in_turn(drawn):
@@ -177,7 +177,7 @@ def _in_turn(drawn: list[tuple[str, ...]]) -> list[int]:
     return sorted(range(len(drawn)), key=lambda number: drawn[number])
 
 
-def make_set(order: Order, number: int, kinds: tuple[str, ...]) -> dict:
+def make_set(order: GenerationRequest, number: int, kinds: tuple[str, ...]) -> dict:
     """Make one set; gives its label.
 
     Args:
@@ -194,16 +194,19 @@ def make_set(order: Order, number: int, kinds: tuple[str, ...]) -> dict:
     raise InputError(f"no form of {' and '.join(kinds) or 'nothing'} lets the plant run")
 
 
-def _made(order: Order, number: int, kinds: tuple[str, ...], random: np.random.Generator) -> dict:
+def _made(
+    order: GenerationRequest, number: int, kinds: tuple[str, ...], random: np.random.Generator
+) -> dict:
     practice = order.protocol == "practice" or (
         order.protocol in ("mixed", "telling") and random.random() < 0.5
     )
-    profiles = PRACTICE if practice else drawn_nine(random)
+    profiles = PRACTICE if practice else draw_nine_runs(random)
     telling = order.protocol == "telling"
-    fresh = drawn_fresh(random)
+    fresh = draw_fresh_runs(random)
     zeta = float(random.uniform(0.65, 0.95))
     mechanisms = [
-        draw_stranger(kind, random) if kind in STRANGERS else draw(kind, random) for kind in kinds
+        draw_unlisted(kind, random) if kind in STRANGERS else draw_mechanism(kind, random)
+        for kind in kinds
     ]
     targets = [
         float(np.exp(random.uniform(np.log(order.faintest), np.log(order.strongest))))
@@ -224,8 +227,8 @@ def _made(order: Order, number: int, kinds: tuple[str, ...], random: np.random.G
     logs = {}
     for name, profile in runs.items():
         own = zeta * float(np.exp(SCATTER * random.standard_normal()))
-        true = plant.run(parts, profile, own)
-        logs[name] = recorded(true, profile, random)
+        true = plant.run_plant(parts, profile, own)
+        logs[name] = as_run_log(true, profile, random)
     _write_set(order.folder / order.name(number), logs)
     return label
 
@@ -242,14 +245,14 @@ def _write_set(home: Path, logs: dict[str, RunLog]) -> None:
 
 
 def _strengthened(
-    mechanisms: list[Mechanism], targets: list[float], profiles: tuple[Profile, ...], zeta: float
+    mechanisms: list[Mechanism], targets: list[float], profiles: tuple[PlannedRun, ...], zeta: float
 ) -> tuple[list[plant.Part], dict]:
     """The mechanisms at strengths that show as much as is wanted, and what labels say of it."""
     probed = tuple(profiles[index] for index in PROBED)
     parts, told, probe = [], [], None
     for mechanism, target in zip(mechanisms, targets, strict=True):
         group = group_of(mechanism.build(mechanism.typical))
-        probe = Probe.of(probed, zeta, () if group is None else (group,))
+        probe = EffectSizeProbe.of(probed, zeta, () if group is None else (group,))
         strength, gap = probe.strength(mechanism, target)
         parts.append(mechanism.build(strength))
         told.append(
@@ -264,11 +267,11 @@ def _strengthened(
         )
     if len(parts) == 1:
         return parts, {"mechanisms": told, **{k: told[0][k] for k in ("floors", "gap")}}
-    probe = Probe.of(probed, zeta, plant.groups_of(parts))
+    probe = EffectSizeProbe.of(probed, zeta, plant.groups_of(parts))
     return parts, {"mechanisms": told, **_told(probe.gap(parts))}
 
 
-def _told(gap: Gap) -> dict:
+def _told(gap: EffectSize) -> dict:
     millimetres = {name: 1e3 * value for name, value in asdict(gap).items()}
     return {
         "floors": gap.floors,
@@ -283,7 +286,7 @@ def _told(gap: Gap) -> dict:
     }
 
 
-def noise(random: np.random.Generator, rows: int, white: float) -> np.ndarray:
+def add_noise(random: np.random.Generator, rows: int, white: float) -> np.ndarray:
     """White noise of this size, and a part of it more that lasts; rows 10 ms apart."""
     kept = np.exp(-plant.ROW / LASTS)
     shocks = LASTING * white * np.sqrt(1 - kept**2) * random.standard_normal(rows)
@@ -295,16 +298,16 @@ def noise(random: np.random.Generator, rows: int, white: float) -> np.ndarray:
     return lasting + white * random.standard_normal(rows)
 
 
-def recorded(true: Reading, profile: Profile, random: np.random.Generator) -> RunLog:
+def as_run_log(true: PlantReading, profile: PlannedRun, random: np.random.Generator) -> RunLog:
     """A run as its rig writes it down: with noise, in whole micrometres, and what is believed."""
 
     def read(name: str) -> np.ndarray:
-        noisy = getattr(true, name) + noise(random, len(true.time), WHITE[name])
+        noisy = getattr(true, name) + add_noise(random, len(true.time), WHITE[name])
         return np.round(noisy / QUANTUM) * QUANTUM
 
     x, z = read("x"), read("z")
     wheel = plant.nominal_wheel()
-    setup = Setup(
+    setup = RecordedSetup(
         wheel_radius=float(wheel.radius),
         wheel_width=float(wheel.width),
         grouser_count=wheel.grouser_count,
@@ -317,7 +320,7 @@ def recorded(true: Reading, profile: Profile, random: np.random.Generator) -> Ru
         sinkage_static=float(-z[true.time < min(READ_OVER, profile.rest)].mean()),
         scaling_factor_initial=BELIEVED_ZETA,
     )
-    command = Command(time=true.time, omega=profile.omega(true.time))
+    command = RecordedCommand(time=true.time, omega=profile.omega(true.time))
     measured = Measured(time=true.time, x=x, z=z)
     return RunLog(
         setup=setup,

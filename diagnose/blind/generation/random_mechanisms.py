@@ -12,8 +12,8 @@ import numpy as np
 from diagnose.blind.plant import bed, drive, machine, sand
 from diagnose.blind.plant import sensors as instrument
 from diagnose.blind.plant import unlisted as stranger
-from diagnose.blind.plant.plant import Change, Part
-from diagnose.blind.plant.random_profiles import Curve, drawn_profile, drawn_variation
+from diagnose.blind.plant.plant import Part, PlantChange
+from diagnose.blind.plant.random_profiles import RandomCurve, draw_profile, draw_variation
 
 UNKNOWN = "unknown"
 
@@ -85,7 +85,7 @@ def _change(where: Callable[[Any], Any], typical: float, least: float, most: flo
     def recipe(random: Random) -> Made:
         sign = _sign(random)
         farthest = most if sign > 0 else -least
-        return lambda size: Change(where, sign * size), typical, farthest, {"sign": sign}
+        return lambda size: PlantChange(where, sign * size), typical, farthest, {"sign": sign}
 
     return recipe
 
@@ -104,16 +104,16 @@ def _loosening(random: Random) -> Made:
         "decay": _log(random, 0.5, 6.0),
         "power": float(random.uniform(0.6, 1.6)),
     }
-    return lambda size: _part(sand.Loosening, loss=size, **form), 0.1, 0.6, form
+    return lambda size: _part(sand.PlantLoosening, loss=size, **form), 0.1, 0.6, form
 
 
 def _variation(random: Random) -> Made:
-    curve, values = drawn_variation(random)
+    curve, values = draw_variation(random)
     sign = _sign(random)
     form = {"curve": curve, "sign": sign}
-    table = Curve(values)
+    table = RandomCurve(values)
     return (
-        lambda size: _part(sand.TerrainVariation, excess=sign * size, curve=table),
+        lambda size: _part(sand.PlantTerrainVariation, excess=sign * size, curve=table),
         0.1,
         0.6,
         form,
@@ -121,12 +121,12 @@ def _variation(random: Random) -> Made:
 
 
 def _profile(random: Random) -> Made:
-    curve, values = drawn_profile(random)
+    curve, values = draw_profile(random)
     sign = _sign(random)
     form = {"curve": curve, "sign": sign}
-    table = Curve(values)
+    table = RandomCurve(values)
     return (
-        lambda size: _part(bed.SurfaceProfile, amplitude=sign * size, curve=table),
+        lambda size: _part(bed.PlantSurfaceProfile, amplitude=sign * size, curve=table),
         0.001,
         0.008,
         form,
@@ -136,17 +136,22 @@ def _profile(random: Random) -> Made:
 def _excavation(random: Random) -> Made:
     power = float(random.choice([random.uniform(-1, -0.3), random.uniform(0.3, 0.8)]))
     form = {"length": _log(random, 0.05, 0.5), "power": power}
-    return lambda size: _part(bed.Excavation, rate=size, **form), 0.05, 0.5, form
+    return lambda size: _part(bed.PlantExcavation, rate=size, **form), 0.05, 0.5, form
 
 
 def _gain(random: Random) -> Made:
     sign, bend = _sign(random), float(random.uniform(0, 0.2))
-    return lambda size: drive.SpeedGain(sign * size, bend), 0.03, 0.15, {"sign": sign, "bend": bend}
+    return (
+        lambda size: drive.PlantSpeedGain(sign * size, bend),
+        0.03,
+        0.15,
+        {"sign": sign, "bend": bend},
+    )
 
 
 def _lag(random: Random) -> Made:
     damping = float(random.uniform(0.6, 1.3))
-    return lambda size: drive.SpeedLag(size, damping), 0.1, 0.6, {"damping": damping}
+    return lambda size: drive.PlantSpeedLag(size, damping), 0.1, 0.6, {"damping": damping}
 
 
 def _ripple(random: Random) -> Made:
@@ -157,12 +162,12 @@ def _ripple(random: Random) -> Made:
         "second": float(random.uniform(0.1, 0.5)),
         "second_phase": float(random.uniform(0, 6.28)),
     }
-    return lambda size: drive.SpeedRipple(size, **form), 0.03, 0.25, form
+    return lambda size: drive.PlantSpeedRipple(size, **form), 0.03, 0.25, form
 
 
 def _backlash(random: Random) -> Made:
     snap = float(random.uniform(0.01, 0.04))
-    return lambda size: drive.Backlash(size, snap), 0.05, 0.4, {"snap": snap}
+    return lambda size: drive.PlantBacklash(size, snap), 0.05, 0.4, {"snap": snap}
 
 
 def _sensor(kind: type, typical: float, most: float, name: str, low: float, high: float) -> Recipe:
@@ -175,12 +180,12 @@ def _sensor(kind: type, typical: float, most: float, name: str, low: float, high
 
 
 def _delay(random: Random) -> Made:
-    return instrument.MeasurementDelay, 0.1, 0.6, {}
+    return instrument.PlantMeasurementDelay, 0.1, 0.6, {}
 
 
 def _filter(random: Random) -> Made:
     form = str(random.choice(["mean", "second order"]))
-    return lambda size: instrument.MeasurementFilter(size, form), 0.1, 0.6, {"form": form}
+    return lambda size: instrument.PlantMeasurementFilter(size, form), 0.1, 0.6, {"form": form}
 
 
 def _crosstalk(random: Random) -> Made:
@@ -202,19 +207,19 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
     "terrain": {
         "loosening": _loosening,
         "slip_softening": _effect(
-            sand.SlipSoftening, "loss", 0.1, 0.6, False, power=_between(0.25, 0.9)
+            sand.PlantSlipSoftening, "loss", 0.1, 0.6, False, power=_between(0.25, 0.9)
         ),
         "rate_hardening": _effect(
-            bed.RateHardening, "excess", 0.1, 0.8, False, power=_between(0.3, 1.0)
+            bed.PlantRateHardening, "excess", 0.1, 0.8, False, power=_between(0.3, 1.0)
         ),
-        "depth_hardening": _effect(bed.DepthHardening, "power", 0.1, 0.5),
+        "depth_hardening": _effect(bed.PlantDepthHardening, "power", 0.1, 0.5),
         "terrain_variation": _variation,
         "surface_profile": _profile,
         "surface_slope": _effect(
-            bed.SurfaceSlope, "slope", 0.005, 0.05, bend=_between(-0.15, 0.15)
+            bed.PlantSurfaceSlope, "slope", 0.005, 0.05, bend=_between(-0.15, 0.15)
         ),
         "rigid_floor": _effect(
-            bed.RigidFloor,
+            bed.PlantRigidFloor,
             "excess",
             0.1,
             5.0,
@@ -223,11 +228,11 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
             scale=_between(0.005, 0.015),
         ),
         "cohesion": _effect(
-            bed.Cohesion, "depth", 0.001, 0.008, False, onset=_between(0.001, 0.005)
+            bed.PlantCohesion, "depth", 0.001, 0.008, False, onset=_between(0.001, 0.005)
         ),
         "excavation": _excavation,
         "bulldozing": _effect(
-            sand.Bulldozing, "force", 3.0, 30.0, False, length=_between_log(0.1, 0.8)
+            sand.PlantBulldozing, "force", 3.0, 30.0, False, length=_between_log(0.1, 0.8)
         ),
         "momentum_flux": _change(lambda s: s.terrain.law.inertial_coefficient, 0.8, -1.1, 2.5),
         "height_decrease": _change(lambda s: s.terrain.law.height_decrease, 0.8, -1.0, 2.0),
@@ -235,13 +240,17 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
     "wheel": {
         "wheel_radius": _change(lambda s: s.wheel.radius, 0.002, -0.012, 0.012),
         "grouser_height": _change(lambda s: s.wheel.grouser_height, 0.002, -0.017, 0.006),
-        "eccentricity": _effect(machine.Eccentricity, "offset", 0.001, 0.006, False, phase=_phase),
-        "imbalance": _effect(machine.Imbalance, "moment_of_mass", 0.2, 2.0, False, phase=_phase),
+        "eccentricity": _effect(
+            machine.PlantEccentricity, "offset", 0.001, 0.006, False, phase=_phase
+        ),
+        "imbalance": _effect(
+            machine.PlantImbalance, "moment_of_mass", 0.2, 2.0, False, phase=_phase
+        ),
     },
     "rig": {
-        "vertical_load": _effect(machine.VerticalLoad, "force", 5.0, 40.0),
+        "vertical_load": _effect(machine.PlantVerticalLoad, "force", 5.0, 40.0),
         "vertical_coulomb": _effect(
-            machine.VerticalCoulomb,
+            machine.PlantVerticalCoulomb,
             "force",
             5.0,
             40.0,
@@ -250,10 +259,10 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
             surplus=_surplus,
         ),
         "vertical_viscous": _effect(
-            machine.VerticalViscous, "damping", 500.0, 10000.0, False, power=_power
+            machine.PlantVerticalViscous, "damping", 500.0, 10000.0, False, power=_power
         ),
         "horizontal_coulomb": _effect(
-            machine.HorizontalCoulomb,
+            machine.PlantHorizontalCoulomb,
             "force",
             3.0,
             25.0,
@@ -262,14 +271,14 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
             surplus=_surplus,
         ),
         "horizontal_viscous": _effect(
-            machine.HorizontalViscous, "damping", 20.0, 150.0, False, power=_power
+            machine.PlantHorizontalViscous, "damping", 20.0, 150.0, False, power=_power
         ),
-        "drawbar": _effect(machine.Drawbar, "force", 3.0, 25.0),
+        "drawbar": _effect(machine.PlantDrawbar, "force", 3.0, 25.0),
         "cable_spring": _effect(
-            machine.CableSpring, "stiffness", 4.0, 25.0, bend=_between(-0.2, 0.3)
+            machine.PlantCableSpring, "stiffness", 4.0, 25.0, bend=_between(-0.2, 0.3)
         ),
         "vertical_spring": _effect(
-            machine.VerticalSpring, "stiffness", 300.0, 2500.0, False, bend=_between(-0.2, 0.4)
+            machine.PlantVerticalSpring, "stiffness", 300.0, 2500.0, False, bend=_between(-0.2, 0.4)
         ),
     },
     "drive": {
@@ -279,9 +288,9 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
         "backlash": _backlash,
     },
     "sensor": {
-        "sinkage_gain": _sensor(instrument.SinkageGain, 0.02, 0.15, "bend", -0.1, 0.1),
-        "sinkage_drift": _sensor(instrument.SinkageDrift, 2e-5, 3e-4, "power", 0.8, 1.25),
-        "travel_gain": _sensor(instrument.TravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
+        "sinkage_gain": _sensor(instrument.PlantSinkageGain, 0.02, 0.15, "bend", -0.1, 0.1),
+        "sinkage_drift": _sensor(instrument.PlantSinkageDrift, 2e-5, 3e-4, "power", 0.8, 1.25),
+        "travel_gain": _sensor(instrument.PlantTravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
         "measurement_delay": _delay,
         "measurement_filter": _filter,
     },
@@ -342,14 +351,14 @@ def stage_of(name: str) -> str:
     return next(stage for stage, names in CATALOGUE.items() if name in names)
 
 
-def draw(name: str, random: Random) -> Mechanism:
+def draw_mechanism(name: str, random: Random) -> Mechanism:
     """An effect of the catalogue, in a form drawn by lot."""
     stage = stage_of(name)
     build, typical, most, form = CATALOGUE[stage][name](random)
     return Mechanism(name, name, stage, build, typical, most, form)
 
 
-def draw_stranger(kind: str, random: Random) -> Mechanism:
+def draw_unlisted(kind: str, random: Random) -> Mechanism:
     """A mechanism outside the catalogue, in a form drawn by lot."""
     build, typical, most, form = STRANGERS[kind](random)
     return Mechanism(UNKNOWN, kind, UNKNOWN, build, typical, most, form)

@@ -4,14 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diagnose.blind.plant.random_profiles import Curve, flat
+from diagnose.blind.plant.random_profiles import RandomCurve, flat_curve
 from diagnose.blind.plant.sand import number
 from drftjax.effects.base import (
     AbstractStressFactor,
     AbstractSurface,
     Memory,
     MemorylessSurface,
-    Moment,
+    StepContext,
 )
 from drftjax.physics.stress import PlateMotion
 
@@ -25,7 +25,7 @@ Each = Float[Array, " plates"]
 SKIN = 2e-4
 
 
-class RateHardening(AbstractStressFactor):
+class PlantRateHardening(AbstractStressFactor):
     """Stress grows by a power of plate speed; `excess` is that at 0.1 m/s."""
 
     excess: Number = number()
@@ -36,7 +36,7 @@ class RateHardening(AbstractStressFactor):
         return 1 + self.excess * (square / 0.01) ** (self.power / 2)
 
 
-class DepthHardening(AbstractStressFactor):
+class PlantDepthHardening(AbstractStressFactor):
     """Stress by a power 1 + `power` of depth, unchanged at 20 mm."""
 
     power: Number = number()
@@ -45,7 +45,7 @@ class DepthHardening(AbstractStressFactor):
         return (jnp.maximum(motion.depth, SKIN) / 0.02) ** self.power
 
 
-class RigidFloor(AbstractStressFactor):
+class PlantRigidFloor(AbstractStressFactor):
     """Stress grows exponentially below the floor's depth, e-fold in `scale` [m]."""
 
     excess: Number = number()
@@ -57,7 +57,7 @@ class RigidFloor(AbstractStressFactor):
         return 1 + self.excess * jnp.expm1(below)
 
 
-class Cohesion(AbstractStressFactor):
+class PlantCohesion(AbstractStressFactor):
     """A stress as of a further depth [m], that sets in within `onset` [m] of the surface."""
 
     depth: Number = number()
@@ -68,20 +68,20 @@ class Cohesion(AbstractStressFactor):
         return 1 + self.depth * (1 - jnp.exp(-((depth / self.onset) ** 2))) / depth
 
 
-STRESS = (RateHardening, DepthHardening, RigidFloor, Cohesion)
+STRESS = (PlantRateHardening, PlantDepthHardening, PlantRigidFloor, PlantCohesion)
 
 
-class SurfaceProfile(MemorylessSurface):
+class PlantSurfaceProfile(MemorylessSurface):
     """Heights along a curve, each plate over its own."""
 
     amplitude: Number = number()
-    curve: Curve = eqx.field(default_factory=flat)
+    curve: RandomCurve = eqx.field(default_factory=flat_curve)
 
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
         return self.amplitude * self.curve(axle + ahead)
 
 
-class SurfaceSlope(MemorylessSurface):
+class PlantSurfaceSlope(MemorylessSurface):
     """An incline that bends a little: `bend` [1/m] of its slope a metre."""
 
     slope: Number = number()
@@ -92,7 +92,7 @@ class SurfaceSlope(MemorylessSurface):
         return self.slope * x * (1 + self.bend * x / 2)
 
 
-class Excavation(AbstractSurface):
+class PlantExcavation(AbstractSurface):
     """Slip digs, ever less: by `rate` at first, as a power of slip distance over `length` [m]."""
 
     rate: Number = number()
@@ -102,7 +102,7 @@ class Excavation(AbstractSurface):
     def begin(self) -> Memory:
         return jnp.zeros_like(self.rate)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory + moment.dt * jnp.abs(moment.rim_slip())
 
     def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
@@ -110,4 +110,4 @@ class Excavation(AbstractSurface):
         return jnp.full_like(ahead, -1) * self.rate * self.length * dug
 
 
-GROUND = (SurfaceProfile, SurfaceSlope, Excavation)
+GROUND = (PlantSurfaceProfile, PlantSurfaceSlope, PlantExcavation)

@@ -14,7 +14,7 @@ from drftjax.physics.command import one_way
 GRID = 2e-3
 
 
-class AbstractDrive(abc.ABC):
+class AbstractPlantDrive(abc.ABC):
     """Turns a commanded speed [rad/s], `GRID` apart, into the wheel's."""
 
     @abc.abstractmethod
@@ -23,7 +23,7 @@ class AbstractDrive(abc.ABC):
 
 
 @dataclass(frozen=True)
-class SpeedGain(AbstractDrive):
+class PlantSpeedGain(AbstractPlantDrive):
     """A ratio that is off by `gain`, and a `bend` of it less at full speed."""
 
     gain: float
@@ -34,7 +34,7 @@ class SpeedGain(AbstractDrive):
 
 
 @dataclass(frozen=True)
-class SpeedLag(AbstractDrive):
+class PlantSpeedLag(AbstractPlantDrive):
     """A lag of second order; `lag` [s] is how late a ramp is, `damping` its shape."""
 
     lag: float
@@ -56,7 +56,7 @@ class SpeedLag(AbstractDrive):
 
 
 @dataclass(frozen=True)
-class SpeedRipple(AbstractDrive):
+class PlantSpeedRipple(AbstractPlantDrive):
     """A ripple of two harmonics, locked to the wheel's angle."""
 
     amplitude: float
@@ -77,7 +77,7 @@ class SpeedRipple(AbstractDrive):
 
 
 @dataclass(frozen=True)
-class Backlash(AbstractDrive):
+class PlantBacklash(AbstractPlantDrive):
     """The wheel stands until the drive has turned by `play` [rad] either way, and follows at once.
 
     A drive that turns back lets go of it, and has twice the play to cross.

@@ -6,7 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diagnose.blind.plant.sand import number
-from drftjax.effects.base import AbstractPlacement, Memory, MemorylessLoad, Moment, along_x, along_z
+from drftjax.effects.base import (
+    AbstractPlacement,
+    Memory,
+    MemorylessLoad,
+    StepContext,
+    along_x,
+    along_z,
+)
 from drftjax.physics.wheel import Plates
 
 Number = Float[Array, ""]
@@ -29,55 +36,55 @@ def drag(speed: Number, at: float, power: Number) -> Number:
     return speed * ((speed**2 + 1e-8) / at**2) ** ((power - 1) / 2)
 
 
-class VerticalLoad(MemorylessLoad):
+class PlantVerticalLoad(MemorylessLoad):
     force: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.force)
 
 
-class VerticalCoulomb(MemorylessLoad):
+class PlantVerticalCoulomb(MemorylessLoad):
     force: Number = number()
     stick: Number = number(1e-4)
     surplus: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.force * stribeck(velocity[1], self.stick, self.surplus))
 
 
-class VerticalViscous(MemorylessLoad):
+class PlantVerticalViscous(MemorylessLoad):
     damping: Number = number()
     power: Number = number(1.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(-self.damping * drag(velocity[1], 2e-3, self.power))
 
 
-class HorizontalCoulomb(MemorylessLoad):
+class PlantHorizontalCoulomb(MemorylessLoad):
     force: Number = number()
     stick: Number = number(1e-3)
     surplus: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.force * stribeck(velocity[0], self.stick, self.surplus))
 
 
-class HorizontalViscous(MemorylessLoad):
+class PlantHorizontalViscous(MemorylessLoad):
     damping: Number = number()
     power: Number = number(1.0)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.damping * drag(velocity[0], 0.1, self.power))
 
 
-class Drawbar(MemorylessLoad):
+class PlantDrawbar(MemorylessLoad):
     force: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.force)
 
 
-class CableSpring(MemorylessLoad):
+class PlantCableSpring(MemorylessLoad):
     """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0.
 
     It lies ahead, so that it bends no more once the carriage is behind the start.
@@ -86,48 +93,48 @@ class CableSpring(MemorylessLoad):
     stiffness: Number = number()
     bend: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         bent = 1 + self.bend * jnp.maximum(position[0], SLACK)
         return along_x(-self.stiffness * position[0] * bent)
 
 
-class VerticalSpring(MemorylessLoad):
+class PlantVerticalSpring(MemorylessLoad):
     """A spring that stiffens by `bend` for 20 mm of sinkage."""
 
     stiffness: Number = number()
     bend: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         sinkage = -position[1]
         return along_z(self.stiffness * sinkage * (1 + self.bend * sinkage / 0.02))
 
 
-class Imbalance(MemorylessLoad):
+class PlantImbalance(MemorylessLoad):
     """A mass [kg m] off the axle, at `phase` [rad] from straight ahead when the wheel starts."""
 
     moment_of_mass: Number = number()
     phase: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         outward = self.moment_of_mass * moment.omega**2
         turned = moment.angle - self.phase
         return outward * jnp.stack([jnp.cos(turned), -jnp.sin(turned)])
 
 
 RIG = (
-    VerticalLoad,
-    VerticalCoulomb,
-    VerticalViscous,
-    HorizontalCoulomb,
-    HorizontalViscous,
-    Drawbar,
-    CableSpring,
-    VerticalSpring,
-    Imbalance,
+    PlantVerticalLoad,
+    PlantVerticalCoulomb,
+    PlantVerticalViscous,
+    PlantHorizontalCoulomb,
+    PlantHorizontalViscous,
+    PlantDrawbar,
+    PlantCableSpring,
+    PlantVerticalSpring,
+    PlantImbalance,
 )
 
 
-class Eccentricity(AbstractPlacement):
+class PlantEccentricity(AbstractPlacement):
     """The centre lies `offset` [m] off the axle, at `phase` [rad] from straight ahead."""
 
     offset: Number = number()
@@ -140,4 +147,4 @@ class Eccentricity(AbstractPlacement):
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
 
 
-WHEEL = (Eccentricity,)
+WHEEL = (PlantEccentricity,)

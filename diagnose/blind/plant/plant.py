@@ -15,16 +15,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diagnose.blind.plant.bed import GROUND, STRESS
-from diagnose.blind.plant.drive import GRID, AbstractDrive
+from diagnose.blind.plant.drive import GRID, AbstractPlantDrive
 from diagnose.blind.plant.machine import RIG, WHEEL
-from diagnose.blind.plant.run_plan import Profile
+from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sand import SAND
-from diagnose.blind.plant.sensors import AbstractInstrument, Reading
+from diagnose.blind.plant.sensors import AbstractPlantSensor, PlantReading
 from diagnose.blind.plant.unlisted import STRANGERS
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
-from drftjax.effects.base import AbstractEffect, Moment
+from drftjax.effects.base import AbstractEffect, StepContext
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import HeldPace
 from drftjax.physics.rig import Rig
@@ -77,7 +77,7 @@ GROUPS: dict[str, tuple[type[AbstractEffect], ...]] = {
 
 
 @dataclass(frozen=True)
-class Change:
+class PlantChange:
     """A mechanism that is but another number of the simulator's own.
 
     Attributes:
@@ -89,7 +89,7 @@ class Change:
     by: float
 
 
-Part = AbstractEffect | Change | AbstractDrive | AbstractInstrument
+Part = AbstractEffect | PlantChange | AbstractPlantDrive | AbstractPlantSensor
 
 
 def group_of(part: Part) -> str | None:
@@ -113,14 +113,16 @@ def nominal_wheel() -> GrouserWheel:
     return GrouserWheel(plate_size=PLATE_SIZE)
 
 
-def plant(parts: Sequence[Part], groups: Sequence[str], zeta: float, mass_z: float) -> Simulator:
+def make_plant(
+    parts: Sequence[Part], groups: Sequence[str], zeta: float, mass_z: float
+) -> Simulator:
     """The simulator with these parts in it; groups without a part are there at strength zero."""
     given = {type(part): part for part in parts if isinstance(part, AbstractEffect)}
     effects = tuple(given.get(kind, _absent(kind)) for name in groups for kind in GROUPS[name])
     terrain = Terrain(ConstantZeta(zeta))
     simulator = Simulator(nominal_wheel(), terrain, Rig(mass_z=mass_z), HeldPace(), effects)
     for part in parts:
-        if isinstance(part, Change):
+        if isinstance(part, PlantChange):
             simulator = eqx.tree_at(part.where, simulator, part.where(simulator) + part.by)
     return simulator
 
@@ -137,7 +139,7 @@ def _missing(simulator: Simulator, sinkages: Float[Array, " all"]) -> Float[Arra
         down = jnp.stack([nought, nought - CREEP])
         still = jnp.zeros(2)
         place, memory = state.position, state.memory
-        moment = Moment(
+        moment = StepContext(
             nought, nought + 1e-9, place, still, nought, nought, nought, simulator.wheel.radius
         )
         zeta = simulator.terrain.zeta(nought, command)
@@ -152,7 +154,7 @@ def _missing(simulator: Simulator, sinkages: Float[Array, " all"]) -> Float[Arra
     return jax.lax.map(at, sinkages)
 
 
-def standing(simulator: Simulator) -> float:
+def standing_start(simulator: Simulator) -> float:
     """Sinkage at which the plant's own wheel stands once let down [m].
 
     Raises:
@@ -177,13 +179,13 @@ def _rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
     return trial.run_to(rows, ("x", "z"))
 
 
-def run(
+def run_plant(
     parts: Sequence[Part],
-    profile: Profile,
+    profile: PlannedRun,
     zeta: float,
     groups: Sequence[str] | None = None,
     finer: float = 2.0,
-) -> Reading:
+) -> PlantReading:
     """One run of the plant, free of noise, in rows of 10 ms.
 
     Args:
@@ -196,14 +198,16 @@ def run(
     Raises:
         InputError: where the wheel digs in, takes off or leaves what the model covers.
     """
-    simulator = plant(parts, groups_of(parts) if groups is None else groups, zeta, profile.mass)
+    simulator = make_plant(
+        parts, groups_of(parts) if groups is None else groups, zeta, profile.mass
+    )
     course_time = np.arange(POINTS) * GRID
     course = profile.omega(course_time)
     for part in parts:
-        if isinstance(part, AbstractDrive):
+        if isinstance(part, AbstractPlantDrive):
             course = part.follow(course)
     step = profile.steady_step() / finer
-    sinkage = standing(simulator)
+    sinkage = standing_start(simulator)
     knots = as_real(course_time), as_real(course), as_real(np.zeros(POINTS))
     start = State.at_rest(sinkage)
     trial = Trial(simulator, start, *knots, as_real(step), EVERY, ROWS)
@@ -218,8 +222,8 @@ def run(
     if x.max() > ahead or x.min() < back:
         raise InputError("the plant's wheel leaves its rail")
     time = np.arange(number + 1) * EVERY * step
-    reading = Reading(time, x, z, np.interp(time, course_time, course))
+    reading = PlantReading(time, x, z, np.interp(time, course_time, course))
     for part in parts:
-        if isinstance(part, AbstractInstrument):
+        if isinstance(part, AbstractPlantSensor):
             reading = part.read(reading)
     return reading.at(np.arange(round(profile.duration / ROW) + 1) * ROW)

@@ -20,7 +20,7 @@ BACK = round((START + END) / SPACING)
 PLACES = np.concatenate([START - SPACING * np.arange(BACK, 0, -1), AHEAD])
 
 
-class Curve(eqx.Module):
+class RandomCurve(eqx.Module):
     """A curve along x, linear between the points of a table, constant beyond.
 
     Attributes:
@@ -37,15 +37,15 @@ class Curve(eqx.Module):
         return self.values[row] * (1 - share) + self.values[row + 1] * share
 
 
-def flat() -> Curve:
-    return Curve(np.zeros_like(PLACES))
+def flat_curve() -> RandomCurve:
+    return RandomCurve(np.zeros_like(PLACES))
 
 
 def _edge(x: np.ndarray, width: float) -> np.ndarray:
     return 0.5 * (1 + np.tanh(x / width))
 
 
-def drawn_variation(random: np.random.Generator) -> tuple[str, np.ndarray]:
+def draw_variation(random: np.random.Generator) -> tuple[str, np.ndarray]:
     """How the sand's strength may vary along x: the kind of curve, and its values at `PLACES`."""
     kind = str(random.choice(["sinusoid", "smooth", "step patch", "ramp", "step"]))
     if kind == "sinusoid":
@@ -65,7 +65,7 @@ def drawn_variation(random: np.random.Generator) -> tuple[str, np.ndarray]:
     return kind, values - np.interp(0, PLACES, values)
 
 
-def drawn_profile(random: np.random.Generator) -> tuple[str, np.ndarray]:
+def draw_profile(random: np.random.Generator) -> tuple[str, np.ndarray]:
     """Heights that a surface may have along x, about one high: their kind, and the values."""
     kind = str(random.choice(["two waves", "bump", "rounded triangles"]))
     length = random.uniform(0.15, 0.9)

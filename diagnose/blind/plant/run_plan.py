@@ -17,7 +17,7 @@ WHEEL_RADIUS = 0.150
 
 
 @dataclass(frozen=True)
-class Profile:
+class PlannedRun:
     """A commanded speed, linear between its knots, and the load it is run with.
 
     Attributes:
@@ -40,7 +40,7 @@ class Profile:
         rest: float = 2.0,
         end: float = 2.0,
         mass: float = STANDARD_MASS,
-    ) -> "Profile":
+    ) -> "PlannedRun":
         """A wheel that stands, speeds up, holds its speed, slows down and stands [s], [deg/s]."""
         lasts = np.cumsum([0.0, rest, rise, hold, fall, end])
         return cls(tuple(map(float, lasts)), (0.0, 0.0, speed, speed, 0.0, 0.0), mass)
@@ -63,23 +63,23 @@ class Profile:
         return steady_step(WHEEL_RADIUS, np.array(self.time), np.radians(self.speed))
 
 
-_PAPER = Profile.held(30.0, 5.0, 10.0, 5.0)
+_PAPER = PlannedRun.held(30.0, 5.0, 10.0, 5.0)
 
 
 PRACTICE = (
     _PAPER,
     _PAPER,
-    Profile.held(15.0, 5.0, 10.0, 5.0),
-    Profile.held(60.0, 4.0, 6.0, 4.0),
-    Profile.held(90.0, 3.0, 4.0, 3.0),
-    Profile.held(45.0, 1.0, 8.0, 1.0),
-    Profile.held(30.0, 5.0, 10.0, 5.0, mass=14.0),
-    Profile.held(60.0, 2.0, 5.0, 2.0, mass=23.0),
-    Profile.held(200.0, 2.0, 2.0, 2.0),
+    PlannedRun.held(15.0, 5.0, 10.0, 5.0),
+    PlannedRun.held(60.0, 4.0, 6.0, 4.0),
+    PlannedRun.held(90.0, 3.0, 4.0, 3.0),
+    PlannedRun.held(45.0, 1.0, 8.0, 1.0),
+    PlannedRun.held(30.0, 5.0, 10.0, 5.0, mass=14.0),
+    PlannedRun.held(60.0, 2.0, 5.0, 2.0, mass=23.0),
+    PlannedRun.held(200.0, 2.0, 2.0, 2.0),
 )
 
 
-TELLING = tuple(Profile(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in TELLING_RUNS)
+TELLING = tuple(PlannedRun(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in TELLING_RUNS)
 
 
 def _drawn(
@@ -87,7 +87,7 @@ def _drawn(
     slowest: float,
     fastest: float,
     ramp: tuple[float, float] = (8.0, 30.0),
-) -> Profile:
+) -> PlannedRun:
     speed = float(np.round(np.exp(random.uniform(np.log(slowest), np.log(fastest)))))
     # Ramps [deg/s2] are gentle but for the fastest run, as each step costs the same.
     rise, fall = (
@@ -97,10 +97,10 @@ def _drawn(
     farthest = 2.0 / (np.radians(speed) * WHEEL_RADIUS) - (rise + fall) / 2
     longest = min(random.uniform(3.0, 12.0), 20.0 - rise - fall, farthest)
     hold = float(np.round(max(longest, 4.0 - rise - fall, 1.0), 1))
-    return Profile.held(speed, rise, hold, fall)
+    return PlannedRun.held(speed, rise, hold, fall)
 
 
-def drawn_nine(random: np.random.Generator) -> tuple[Profile, ...]:
+def draw_nine_runs(random: np.random.Generator) -> tuple[PlannedRun, ...]:
     """Nine runs by lot: a repeated one, six at its mass, one lighter and one heavier."""
     first = _drawn(random, 25, 40)
     others = [_drawn(random, *band) for band in ((10, 25), (40, 80), (60, 120), (30, 60))]
@@ -110,7 +110,7 @@ def drawn_nine(random: np.random.Generator) -> tuple[Profile, ...]:
     return (first, first, *others, light, heavy, fast)
 
 
-def drawn_fresh(random: np.random.Generator) -> tuple[Profile, ...]:
+def draw_fresh_runs(random: np.random.Generator) -> tuple[PlannedRun, ...]:
     """Three runs that none of the nine repeats."""
     other = replace(_drawn(random, 25, 90), mass=round(random.uniform(15, 22), 3))
     return _drawn(random, 20, 35), _drawn(random, 50, 110), other

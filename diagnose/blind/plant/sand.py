@@ -4,14 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diagnose.blind.plant.random_profiles import Curve, flat
+from diagnose.blind.plant.random_profiles import RandomCurve, flat_curve
 from drftjax.common.arrays import as_real
 from drftjax.effects.base import (
     AbstractSandLoad,
     AbstractZetaFactor,
     Memory,
     MemorylessZetaFactor,
-    Moment,
+    StepContext,
     along_x,
 )
 
@@ -34,7 +34,7 @@ def number(default: float = 0.0):
     return eqx.field(converter=as_real, default=default)
 
 
-class Loosening(AbstractZetaFactor):
+class PlantLoosening(AbstractZetaFactor):
     """Strength lost with the wheel's turning.
 
     Attributes:
@@ -52,10 +52,10 @@ class Loosening(AbstractZetaFactor):
     def begin(self) -> Memory:
         return jnp.zeros_like(self.loss)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return memory + moment.dt * jnp.abs(moment.omega)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         turned = memory / self.decay
         stretched = 1 - jnp.exp(-((turned + 1e-12) ** self.power))
         slow = 1 - (1 + turned) ** -self.power
@@ -64,28 +64,28 @@ class Loosening(AbstractZetaFactor):
         return jnp.maximum(1 - self.loss * lost, LEAST)
 
 
-class SlipSoftening(MemorylessZetaFactor):
+class PlantSlipSoftening(MemorylessZetaFactor):
     """Strength lost as a power of slip speed; `loss` is that at 50 mm/s."""
 
     loss: Number = number()
     power: Number = number(0.5)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip()) + 1e-9
         return jnp.maximum(1 - self.loss * (slip / 0.05) ** self.power, LEAST)
 
 
-class TerrainVariation(MemorylessZetaFactor):
+class PlantTerrainVariation(MemorylessZetaFactor):
     """Strength by place, along a curve."""
 
     excess: Number = number()
-    curve: Curve = eqx.field(default_factory=flat)
+    curve: RandomCurve = eqx.field(default_factory=flat_curve)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.maximum(1 + self.excess * self.curve(moment.position[0]), LEAST)
 
 
-class Bulldozing(AbstractSandLoad):
+class PlantBulldozing(AbstractSandLoad):
     """Resistance linear in travel up to `length` [m], and `force` [N] from there on.
 
     A wheel that turns back leaves the pile, bit by bit, and heaps up another on that side.
@@ -98,7 +98,7 @@ class Bulldozing(AbstractSandLoad):
         nought = jnp.zeros_like(position[0])
         return position[0], nought, nought
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         # Where the pile's first sand was met, on which side it lies, how far the wheel turned back.
         began, side, back = memory
         side = jnp.where(side == 0, jnp.sign(moment.omega), side)
@@ -110,7 +110,7 @@ class Bulldozing(AbstractSandLoad):
             jnp.where(left, 0, back),
         )
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         began, side, back = memory
         travel = jnp.abs(position[0] - began)
         resistance = -self.force * jnp.minimum(travel / self.length, 1)
@@ -119,4 +119,4 @@ class Bulldozing(AbstractSandLoad):
         return along_x(resistance)
 
 
-SAND = (Loosening, SlipSoftening, TerrainVariation, Bulldozing)
+SAND = (PlantLoosening, PlantSlipSoftening, PlantTerrainVariation, PlantBulldozing)

@@ -7,7 +7,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Reading:
+class PlantReading:
     """Rows evenly spaced in time.
 
     Attributes:
@@ -21,72 +21,72 @@ class Reading:
     z: np.ndarray
     omega: np.ndarray
 
-    def at(self, time: np.ndarray) -> "Reading":
+    def at(self, time: np.ndarray) -> "PlantReading":
         """The reading at other times, linear in between and constant beyond."""
-        return Reading(
+        return PlantReading(
             time, *(np.interp(time, self.time, each) for each in (self.x, self.z, self.omega))
         )
 
 
-class AbstractInstrument(abc.ABC):
+class AbstractPlantSensor(abc.ABC):
     """Turns what is into what is read."""
 
     @abc.abstractmethod
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         """What is read at the same times."""
 
 
 @dataclass(frozen=True)
-class SinkageGain(AbstractInstrument):
+class PlantSinkageGain(AbstractPlantSensor):
     """A scale that is off by `gain`, by `bend` of it more for 20 mm."""
 
     gain: float
     bend: float = 0.0
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         return replace(true, z=true.z * (1 + self.gain * (1 - self.bend * true.z / 0.02)))
 
 
 @dataclass(frozen=True)
-class SinkageDrift(AbstractInstrument):
+class PlantSinkageDrift(AbstractPlantSensor):
     """A drift by a power of time; `rate` [m/s] is its mean over 15 s."""
 
     rate: float
     power: float = 1.0
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         return replace(true, z=true.z + self.rate * 15 * (true.time / 15) ** self.power)
 
 
 @dataclass(frozen=True)
-class TravelGain(AbstractInstrument):
+class PlantTravelGain(AbstractPlantSensor):
     """A scale that is off by `gain`, by `bend` of it more a metre."""
 
     gain: float
     bend: float = 0.0
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         return replace(true, x=true.x * (1 + self.gain * (1 + self.bend * true.x)))
 
 
 @dataclass(frozen=True)
-class MeasurementDelay(AbstractInstrument):
+class PlantMeasurementDelay(AbstractPlantSensor):
     """Readings late by `delay` [s], exactly."""
 
     delay: float
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         return replace(true.at(true.time - self.delay), time=true.time, omega=true.omega)
 
 
 @dataclass(frozen=True)
-class MeasurementFilter(AbstractInstrument):
+class PlantMeasurementFilter(AbstractPlantSensor):
     """A low-pass that is late by `lag` [s] on a ramp: a mean, or one of second order."""
 
     lag: float
     form: str = "second order"
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         if self.lag <= 0:
             return true
         even = np.linspace(true.time[0], true.time[-1], 4 * (len(true.time) - 1) + 1)
@@ -112,10 +112,10 @@ class MeasurementFilter(AbstractInstrument):
 
 
 @dataclass(frozen=True)
-class DriveCrosstalk(AbstractInstrument):
+class DriveCrosstalk(AbstractPlantSensor):
     """The vertical reading moves with the drive's speed, by `offset` [m] a rad/s."""
 
     offset: float
 
-    def read(self, true: Reading) -> Reading:
+    def read(self, true: PlantReading) -> PlantReading:
         return replace(true, z=true.z + self.offset * np.abs(true.omega))

@@ -10,7 +10,7 @@ from drftjax.effects.base import (
     Memory,
     MemorylessLoad,
     MemorylessZetaFactor,
-    Moment,
+    StepContext,
     along_x,
     along_z,
 )
@@ -32,7 +32,7 @@ class DamagedGrouser(MemorylessZetaFactor):
     phase: Number = number()
     narrowness: Number = number(10.0)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         near = jnp.exp(self.narrowness * (jnp.cos(moment.angle - self.phase) - 1))
         return jnp.maximum(1 - self.loss * near, LEAST)
 
@@ -47,11 +47,11 @@ class Healing(AbstractZetaFactor):
     def begin(self) -> Memory:
         return jnp.zeros_like(self.loss)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         rate = jnp.abs(moment.omega) / self.turning
         return memory + moment.dt * (rate * (1 - memory) - memory / self.recovery)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.maximum(1 - self.loss * memory, LEAST)
 
 
@@ -62,7 +62,7 @@ class Swing(MemorylessZetaFactor):
     period: Number = number(12.0)
     phase: Number = number()
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         turn = 2 * jnp.pi * moment.time / self.period + self.phase
         return jnp.maximum(1 + self.excess * (jnp.sin(turn) - jnp.sin(self.phase)), LEAST)
 
@@ -77,12 +77,12 @@ class Thixotropy(AbstractZetaFactor):
     def begin(self) -> Memory:
         return jnp.ones_like(self.loss)
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         ruin = jnp.abs(moment.rim_slip()) / self.length
         rate = 1 / self.recovery + ruin
         return (memory + moment.dt / self.recovery) / (1 + moment.dt * rate)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.maximum(1 - self.loss * (1 - memory), LEAST)
 
 
@@ -92,7 +92,7 @@ class RiseAndFall(MemorylessZetaFactor):
     excess: Number = number()
     speed: Number = number(2e-3)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         return jnp.maximum(1 + self.excess * jnp.tanh(moment.velocity[1] / self.speed), LEAST)
 
 
@@ -103,7 +103,7 @@ class CriticalSpeed(MemorylessZetaFactor):
     omega: Number = number(1.0)
     width: Number = number(0.3)
 
-    def factor(self, moment: Moment, memory: Memory) -> Number:
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
         away = (jnp.abs(moment.omega) - self.omega) / self.width
         return jnp.maximum(1 - self.loss * jnp.exp(-(away**2)), LEAST)
 
@@ -121,13 +121,13 @@ class Catch(AbstractLoad):
     def begin(self, position: Pair) -> Memory:
         return jnp.zeros_like(position[0])
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         # One from where a wheel turns back beyond the spring until it is free before it.
         way = self._way(moment.position)
         back = jnp.where((moment.omega < 0) & (way >= 1 + SLIP), 1, memory)
         return jnp.where(way <= -SLIP, 0, back)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         way = self._way(position)
         return along_x(jnp.where(memory > 0, self._pull(1 - way), -self._pull(way)))
 
@@ -144,7 +144,7 @@ class SinkageDrag(MemorylessLoad):
 
     drag: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         force = self.drag * velocity[0] * jnp.abs(velocity[0]) * (position[1] / 0.02) ** 2
         return jnp.stack([-force, jnp.abs(force) / 2])
 
@@ -155,7 +155,7 @@ class JammingGuide(MemorylessLoad):
     friction: Number = number()
     stick: Number = number(2e-4)
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         pressed = self.friction * jnp.abs(moment.velocity[0])
         return along_z(-pressed * jnp.tanh(velocity[1] / self.stick))
 
@@ -165,7 +165,7 @@ class TravelLift(MemorylessLoad):
 
     lift: Number = number()
 
-    def load(self, position: Pair, velocity: Pair, moment: Moment, memory: Memory) -> Pair:
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_z(self.lift * velocity[0])
 
 

@@ -8,7 +8,7 @@ CONFIDENCE = 0.90
 
 
 @dataclass(frozen=True)
-class Share:
+class Proportion:
     """So many of so many.
 
     Attributes:

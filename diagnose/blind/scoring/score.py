@@ -8,8 +8,8 @@ from pathlib import Path
 
 from diagnose.blind.answers.answer_file import Answer, read_answers
 from diagnose.blind.generation.sealed_labels import open_labels
-from diagnose.blind.scoring.proportion import Share
-from diagnose.gap.gap import can_shrink, gone
+from diagnose.blind.scoring.proportion import Proportion
+from diagnose.gap.gap import is_reducible, share_removed
 from drftjax.common.errors import InputError
 
 NONE, UNKNOWN = "none", "unknown"
@@ -36,7 +36,7 @@ PLAIN, FAINT = "plain", "faint"
 
 
 @dataclass(frozen=True)
-class Case:
+class ScoredSet:
     """A set's label beside its answer.
 
     Attributes:
@@ -120,10 +120,10 @@ class Case:
         )
 
 
-def cases(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> list[Case]:
+def scored_sets(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> list[ScoredSet]:
     """Labels beside their answers, for every set that has both."""
     return [
-        Case(name, tuple(label["effects"]), _floors(label), answers[name])
+        ScoredSet(name, tuple(label["effects"]), _floors(label), answers[name])
         for name, label in sorted(labels.items())
         if name in answers
     ]
@@ -134,22 +134,22 @@ def _floors(label: dict) -> float | None:
     return min(apart) if apart else label.get("floors")
 
 
-def _share(over: Iterable[Case], of: Callable[[Case], bool]) -> dict:
+def _share(over: Iterable[ScoredSet], of: Callable[[ScoredSet], bool]) -> dict:
     held = [of(case) for case in over]
-    return Share(sum(held), len(held)).document()
+    return Proportion(sum(held), len(held)).document()
 
 
 def _held(promises: Iterable[bool | None]) -> dict:
     """The share of intervals that held; without those that were not given."""
     given = [each for each in promises if each is not None]
-    return Share(sum(given), len(given)).document()
+    return Proportion(sum(given), len(given)).document()
 
 
 def _order(kind: str) -> tuple[int, bool]:
     return (SINGLE, PAIR, UNKNOWN, NONE).index(kind.split(",")[0]), kind.endswith(FAINT)
 
 
-def by_kind(given: list[Case]) -> dict[str, dict]:
+def by_kind(given: list[ScoredSet]) -> dict[str, dict]:
     """Counts and shares for each kind of set that there is."""
     table = {}
     for kind in sorted({case.kind for case in given}, key=_order):
@@ -177,7 +177,7 @@ def by_kind(given: list[Case]) -> dict[str, dict]:
     return table
 
 
-def confusion(given: list[Case]) -> dict[str, dict[str, int]]:
+def confusion(given: list[ScoredSet]) -> dict[str, dict[str, int]]:
     """How often each truth was answered by what; names of a pair are joined by +."""
     matrix: dict[str, Counter] = defaultdict(Counter)
     for case in given:
@@ -186,7 +186,7 @@ def confusion(given: list[Case]) -> dict[str, dict[str, int]]:
     return {truth: dict(sorted(row.items())) for truth, row in sorted(matrix.items())}
 
 
-def calibration(given: list[Case]) -> list[dict]:
+def calibration(given: list[ScoredSet]) -> list[dict]:
     """For weights in ten equal bins: how many, their mean, and the share that was right."""
     bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
     for case in given:
@@ -199,13 +199,13 @@ def calibration(given: list[Case]) -> list[dict]:
             "from": index / BINS,
             "to": (index + 1) / BINS,
             "mean_weight": sum(w for w, _ in held) / len(held) if held else None,
-            "right": Share(sum(right for _, right in held), len(held)).document(),
+            "right": Proportion(sum(right for _, right in held), len(held)).document(),
         }
         for index, held in enumerate(bins)
     ]
 
 
-def shrinkage(given: list[Case]) -> dict[str, dict]:
+def shrinkage(given: list[ScoredSet]) -> dict[str, dict]:
     """Promised against realised shrinkage of the misfit on fresh runs, by channel.
 
     Both are shares of what lies above the promise's noise floor. A promise is untried where the
@@ -216,14 +216,18 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
     for case in given:
         for channel, fresh in case.answer.fresh.items():
             promise = case.answer.gap.get(channel)
-            if promise is None or not can_shrink(promise.before_mm, promise.floor_mm):
+            if promise is None or not is_reducible(promise.before_mm, promise.floor_mm):
                 continue
             tried = found[channel]
-            if not can_shrink(fresh.before_mm, promise.floor_mm):
+            if not is_reducible(fresh.before_mm, promise.floor_mm):
                 untried[channel] += 1
                 continue
             interval, after = promise.shrinkage_interval, fresh.after_mm
-            realised = math.nan if after is None else gone(fresh.before_mm, after, promise.floor_mm)
+            realised = (
+                math.nan
+                if after is None
+                else share_removed(fresh.before_mm, after, promise.floor_mm)
+            )
             tried.append(
                 {
                     "set": case.name,
@@ -235,7 +239,7 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
             )
     return {
         channel: {
-            "kept": Share(sum(each["kept"] for each in rows), len(rows)).document(),
+            "kept": Proportion(sum(each["kept"] for each in rows), len(rows)).document(),
             "in_interval": _held(each["in_interval"] for each in rows),
             "untried": untried[channel],
             "sets": rows,
@@ -246,7 +250,7 @@ def shrinkage(given: list[Case]) -> dict[str, dict]:
 
 def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
     """Everything there is to say of answers, as plain values."""
-    given = cases(labels, answers)
+    given = scored_sets(labels, answers)
     return {
         "schema": "drft-blind-score",
         "schema_version": 1,
@@ -265,7 +269,7 @@ def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
     }
 
 
-def opened(
+def open_and_score(
     folders: Sequence[Path], files: Sequence[Path]
 ) -> tuple[dict[str, dict], dict[str, Answer]]:
     """Labels and answers by the name of the set; of several folders, by folder and set.

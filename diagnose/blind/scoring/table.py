@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
-from diagnose.blind.scoring.proportion import Share
+from diagnose.blind.scoring.proportion import Proportion
 
 
 def _text(share: dict | None) -> str:
-    return "" if share is None else str(Share(share["hits"], share["of"]))
+    return "" if share is None else str(Proportion(share["hits"], share["of"]))
 
 
 def tables(score: dict) -> Iterator[Table]:

@@ -10,11 +10,11 @@ from pathlib import Path
 from drftjax.common.output_files import replace_file
 from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute, Content, Violation
-from drftjax.runlog.hdf5.checksum import sealed
+from drftjax.runlog.hdf5.checksum import with_checksum
 from drftjax.runlog.hdf5.reading import OBJECT_LIMIT, SIZE_LIMIT, survey, survey_recording
 from drftjax.runlog.hdf5.writing import image
 from drftjax.runlog.record import RunLog
-from drftjax.runlog.result_file import Columns, Result, result_content, result_from
+from drftjax.runlog.result_file import Columns, ResultFile, result_content, result_from
 
 __all__ = [
     "OBJECT_LIMIT",
@@ -53,7 +53,7 @@ def survey_cut_off(path: Name) -> tuple[Content | None, list[Violation]]:
 
 def write_run(path: Name, run: RunLog) -> None:
     """Write a run log whole or not at all; a file of that name is replaced."""
-    replace_file(Path(path), sealed(image(layout.to_content(run), layout.AXES)))
+    replace_file(Path(path), with_checksum(image(layout.to_content(run), layout.AXES)))
 
 
 def write_result(
@@ -74,10 +74,10 @@ def write_result(
         version: Version of that schema.
     """
     content = result_content(schema, version, attributes, groups)
-    replace_file(Path(path), sealed(image(content, {})))
+    replace_file(Path(path), with_checksum(image(content, {})))
 
 
-def read_result(path: Name, schema: str, version: int = 1) -> Result:
+def read_result(path: Name, schema: str, version: int = 1) -> ResultFile:
     """Read a result file of this schema; an InputError names the file and the reason."""
     content, violations = survey(Path(path), schema, version, lambda _: ())
     return result_from(layout.accepted(content, violations))

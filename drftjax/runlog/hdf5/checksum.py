@@ -20,12 +20,12 @@ _TRAILER: Final = struct.Struct("<8sQI")
 _BLOCK: Final = 2**20
 
 
-def sealed(data: bytes) -> bytes:
+def with_checksum(data: bytes) -> bytes:
     """The file's bytes with the seal behind them."""
     return data + _TRAILER.pack(MARK, len(data), crc32(data))
 
 
-def seal_holds(path: Path) -> bool | None:
+def checksum_matches(path: Path) -> bool | None:
     """Whether a file is what was sealed; None where it carries no seal."""
     size = path.stat().st_size - _TRAILER.size
     if size < 0:

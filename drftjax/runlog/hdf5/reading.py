@@ -20,7 +20,7 @@ from drftjax.common.text import printable
 from drftjax.runlog import recording_lock
 from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute, Content, Dataset, Found, Group, Level, Violation
-from drftjax.runlog.hdf5.checksum import seal_holds
+from drftjax.runlog.hdf5.checksum import checksum_matches
 
 SIZE_LIMIT: Final = 512 * 2**20
 
@@ -124,7 +124,7 @@ def _not_openable(path: Path) -> str | None:
     if path.name.endswith(recording_lock.PART):
         return _AT_WORK if recording_lock.is_held(path) else _cut_off(path)
     try:
-        if seal_holds(path) is False:
+        if checksum_matches(path) is False:
             return "is damaged: the checksum of the whole file does not hold"
         if not h5py.is_hdf5(str(path)):
             with path.open("rb"):

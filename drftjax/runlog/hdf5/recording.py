@@ -21,7 +21,7 @@ from drftjax.common.output_files import put_new_file
 from drftjax.runlog import recording_lock
 from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute
-from drftjax.runlog.hdf5.checksum import sealed
+from drftjax.runlog.hdf5.checksum import with_checksum
 from drftjax.runlog.hdf5.reading import COMMITTED, GROUPS, SIZE_LIMIT, survey_recording
 from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
 from drftjax.runlog.header import Head
@@ -74,7 +74,7 @@ class Recording:
         put_attributes(self._file, _root_attributes(head))
         self._file.swmr_mode = True
         self._write_committed()
-        recording_lock.hold(claimed, part)  # HDF5 let go of it when it opened the file
+        recording_lock.hold_lock(claimed, part)  # HDF5 let go of it when it opened the file
 
     def append(self, title: str, rows: NDArray[np.float64]) -> None:
         """Take rows of one group, shape (rows, columns), in the format's order of its columns."""
@@ -124,7 +124,7 @@ class Recording:
         content, violations = survey_recording(place)
         content = layout.accepted(content, violations)
         attributes = {**content.attributes, "complete": 1, "end_reason": end_reason}
-        whole = sealed(image(replace(content, attributes=attributes), layout.AXES))
+        whole = with_checksum(image(replace(content, attributes=attributes), layout.AXES))
         final = place.with_name(path.name) if moved else path
         try:
             put_new_file(final, whole)

@@ -28,7 +28,7 @@ from drftjax.runlog.importers.mapping import (
     read_mapping,
     sources,
 )
-from drftjax.runlog.record import Command, Measured, RunLog, Setup
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 from drftjax.runlog.schema import UNITS
 from drftjax.runlog.validation import nearest
 
@@ -266,14 +266,14 @@ def _filled(pattern: str, table: Table) -> str:
     return re.sub(r"\{([^{}]*)\}", cell, pattern)
 
 
-def _command(table: Table, mapping: Mapping) -> Command:
+def _command(table: Table, mapping: Mapping) -> RecordedCommand:
     given, wanted = mapping.command, UNITS["command"]
     omega = _values(table, given.omega, "command.omega", wanted["omega"])
     vx = given.vx and _values(table, given.vx, "command.vx", wanted["vx"])
     if mapping.duration is None:
-        return Command(_time(table, mapping), omega, vx)
+        return RecordedCommand(_time(table, mapping), omega, vx)
     held = np.array([0.0, _duration(mapping)])
-    return Command(held, np.repeat(omega, 2), None if vx is None else np.repeat(vx, 2))
+    return RecordedCommand(held, np.repeat(omega, 2), None if vx is None else np.repeat(vx, 2))
 
 
 def _measured(table: Table, mapping: Mapping) -> Measured:
@@ -287,7 +287,7 @@ def _measured(table: Table, mapping: Mapping) -> Measured:
     return Measured(time, **channels)
 
 
-def _setup(table: Table, given: SetupMap) -> Setup:
+def _setup(table: Table, given: SetupMap) -> RecordedSetup:
     known: dict[str, float] = {}
     for name in SetupMap.__struct_fields__:
         value = getattr(given, name)
@@ -296,7 +296,7 @@ def _setup(table: Table, given: SetupMap) -> Setup:
         source = value if isinstance(value, Source) else Source(constant=value)
         values = _values(table, source, f"setup.{name}", SETUP_UNITS[name])
         known[name] = float(values.mean())
-    return Setup(**known)  # pyright: ignore[reportArgumentType]
+    return RecordedSetup(**known)  # pyright: ignore[reportArgumentType]
 
 
 def _time(table: Table, mapping: Mapping) -> Reals:

@@ -15,11 +15,11 @@ from diagnose.blind.generation.random_mechanisms import CATALOGUE, STRANGERS
 from diagnose.blind.plant import bed, drive, machine, plant, sand
 from diagnose.blind.plant import sensors as instrument
 from diagnose.blind.plant import unlisted as stranger
-from diagnose.blind.plant.plant import Change, Part
-from diagnose.blind.plant.random_profiles import PLACES, Curve, drawn_variation
-from diagnose.blind.plant.run_plan import Profile
-from diagnose.blind.plant.sensors import Reading
-from drftjax.effects.base import Moment
+from diagnose.blind.plant.plant import Part, PlantChange
+from diagnose.blind.plant.random_profiles import PLACES, RandomCurve, draw_variation
+from diagnose.blind.plant.run_plan import PlannedRun
+from diagnose.blind.plant.sensors import PlantReading
+from drftjax.effects.base import StepContext
 
 # Every run starts with a grouser straight under the axle, at the very corner of the leading-plate
 # rule: a rounding decides which of its faces leads at first [m].
@@ -33,12 +33,12 @@ SLIPS = 0.01
 FINER, MASS, ZETA = 0.5, 18.837, 0.8
 
 
-def profile(time: Sequence[float], speed: Sequence[float]) -> Profile:
+def profile(time: Sequence[float], speed: Sequence[float]) -> PlannedRun:
     """A commanded speed by its knots [s], [rad/s]."""
-    return Profile(tuple(time), tuple(np.degrees(speed).tolist()), MASS)
+    return PlannedRun(tuple(time), tuple(np.degrees(speed).tolist()), MASS)
 
 
-def mirrored(one: Profile) -> Profile:
+def mirrored(one: PlannedRun) -> PlannedRun:
     return replace(one, speed=tuple(-each for each in one.speed))
 
 
@@ -46,60 +46,66 @@ FORWARD = profile((0.0, 0.2, 0.9, 2.2, 2.6), (0.0, 0.0, 1.75, 1.75, 0.0))
 BACKWARD = mirrored(FORWARD)
 REVERSED = profile((0.0, 0.2, 0.6, 1.2, 2.0, 2.8, 3.2), (0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 0.0))
 
-WAVY = Curve(np.sin(15 * PLACES + 0.4) - np.sin(0.4))
-MIRRORED = Curve(np.interp(-PLACES, PLACES, np.asarray(WAVY.values)))
+WAVY = RandomCurve(np.sin(15 * PLACES + 0.4) - np.sin(0.4))
+MIRRORED = RandomCurve(np.interp(-PLACES, PLACES, np.asarray(WAVY.values)))
 
 
 def law(name: str, by: float) -> Part:
-    return Change(lambda s: getattr(s.terrain.law, name), by)
+    return PlantChange(lambda s: getattr(s.terrain.law, name), by)
 
 
 def wheel(name: str, by: float) -> Part:
-    return Change(lambda s: getattr(s.wheel, name), by)
+    return PlantChange(lambda s: getattr(s.wheel, name), by)
 
 
 # By kind: what is wrong, and what is wrong in the mirror where that is something else.
 PARTS: dict[str, tuple[Part, ...]] = {
-    "loosening": (sand.Loosening(0.3, 1.0),),
-    "slip_softening": (sand.SlipSoftening(0.3),),
-    "rate_hardening": (bed.RateHardening(0.2),),
-    "depth_hardening": (bed.DepthHardening(0.2),),
+    "loosening": (sand.PlantLoosening(0.3, 1.0),),
+    "slip_softening": (sand.PlantSlipSoftening(0.3),),
+    "rate_hardening": (bed.PlantRateHardening(0.2),),
+    "depth_hardening": (bed.PlantDepthHardening(0.2),),
     "terrain_variation": (
-        sand.TerrainVariation(0.2, WAVY),
-        sand.TerrainVariation(0.2, MIRRORED),
+        sand.PlantTerrainVariation(0.2, WAVY),
+        sand.PlantTerrainVariation(0.2, MIRRORED),
     ),
-    "surface_profile": (bed.SurfaceProfile(0.003, WAVY), bed.SurfaceProfile(0.003, MIRRORED)),
-    "surface_slope": (bed.SurfaceSlope(0.02, 0.1), bed.SurfaceSlope(-0.02, -0.1)),
-    "rigid_floor": (bed.RigidFloor(0.5, 0.03),),
-    "cohesion": (bed.Cohesion(0.003),),
-    "excavation": (bed.Excavation(0.2),),
-    "bulldozing": (sand.Bulldozing(15.0, 0.2),),
+    "surface_profile": (
+        bed.PlantSurfaceProfile(0.003, WAVY),
+        bed.PlantSurfaceProfile(0.003, MIRRORED),
+    ),
+    "surface_slope": (bed.PlantSurfaceSlope(0.02, 0.1), bed.PlantSurfaceSlope(-0.02, -0.1)),
+    "rigid_floor": (bed.PlantRigidFloor(0.5, 0.03),),
+    "cohesion": (bed.PlantCohesion(0.003),),
+    "excavation": (bed.PlantExcavation(0.2),),
+    "bulldozing": (sand.PlantBulldozing(15.0, 0.2),),
     "momentum_flux": (law("inertial_coefficient", 2.0),),
     "height_decrease": (law("height_decrease", 2.0),),
     "wheel_radius": (wheel("radius", 0.004),),
     "grouser_height": (wheel("grouser_height", -0.004),),
-    "eccentricity": (machine.Eccentricity(0.002, 0.5), machine.Eccentricity(0.002, np.pi - 0.5)),
-    "imbalance": (machine.Imbalance(2.0, 0.5), machine.Imbalance(2.0, np.pi - 0.5)),
-    "vertical_load": (machine.VerticalLoad(20.0),),
-    "vertical_coulomb": (machine.VerticalCoulomb(10.0),),
-    "vertical_viscous": (machine.VerticalViscous(2000.0),),
-    "horizontal_coulomb": (machine.HorizontalCoulomb(10.0, surplus=0.2),),
-    "horizontal_viscous": (machine.HorizontalViscous(50.0, 1.2),),
-    "drawbar": (machine.Drawbar(10.0), machine.Drawbar(-10.0)),
-    "cable_spring": (machine.CableSpring(20.0),),
-    "vertical_spring": (machine.VerticalSpring(1000.0, 0.2),),
-    "speed_gain": (drive.SpeedGain(0.1, 0.2),),
-    "speed_lag": (drive.SpeedLag(0.1, 0.8),),
-    "speed_ripple": (
-        drive.SpeedRipple(0.1, 8.0, 0.4, 0.3, 0.7),
-        drive.SpeedRipple(0.1, 8.0, -0.4, 0.3, -0.7),
+    "eccentricity": (
+        machine.PlantEccentricity(0.002, 0.5),
+        machine.PlantEccentricity(0.002, np.pi - 0.5),
     ),
-    "backlash": (drive.Backlash(0.1),),
-    "sinkage_gain": (instrument.SinkageGain(0.1, 0.1),),
-    "sinkage_drift": (instrument.SinkageDrift(1e-4),),
-    "travel_gain": (instrument.TravelGain(0.1, 0.1), instrument.TravelGain(0.1, -0.1)),
-    "measurement_delay": (instrument.MeasurementDelay(0.1),),
-    "measurement_filter": (instrument.MeasurementFilter(0.1),),
+    "imbalance": (machine.PlantImbalance(2.0, 0.5), machine.PlantImbalance(2.0, np.pi - 0.5)),
+    "vertical_load": (machine.PlantVerticalLoad(20.0),),
+    "vertical_coulomb": (machine.PlantVerticalCoulomb(10.0),),
+    "vertical_viscous": (machine.PlantVerticalViscous(2000.0),),
+    "horizontal_coulomb": (machine.PlantHorizontalCoulomb(10.0, surplus=0.2),),
+    "horizontal_viscous": (machine.PlantHorizontalViscous(50.0, 1.2),),
+    "drawbar": (machine.PlantDrawbar(10.0), machine.PlantDrawbar(-10.0)),
+    "cable_spring": (machine.PlantCableSpring(20.0),),
+    "vertical_spring": (machine.PlantVerticalSpring(1000.0, 0.2),),
+    "speed_gain": (drive.PlantSpeedGain(0.1, 0.2),),
+    "speed_lag": (drive.PlantSpeedLag(0.1, 0.8),),
+    "speed_ripple": (
+        drive.PlantSpeedRipple(0.1, 8.0, 0.4, 0.3, 0.7),
+        drive.PlantSpeedRipple(0.1, 8.0, -0.4, 0.3, -0.7),
+    ),
+    "backlash": (drive.PlantBacklash(0.1),),
+    "sinkage_gain": (instrument.PlantSinkageGain(0.1, 0.1),),
+    "sinkage_drift": (instrument.PlantSinkageDrift(1e-4),),
+    "travel_gain": (instrument.PlantTravelGain(0.1, 0.1), instrument.PlantTravelGain(0.1, -0.1)),
+    "measurement_delay": (instrument.PlantMeasurementDelay(0.1),),
+    "measurement_filter": (instrument.PlantMeasurementFilter(0.1),),
     "damaged_grouser": (stranger.DamagedGrouser(0.5, 0.7), stranger.DamagedGrouser(0.5, -0.7)),
     "healing": (stranger.Healing(0.5),),
     "swing": (stranger.Swing(0.3),),
@@ -115,11 +121,11 @@ PARTS: dict[str, tuple[Part, ...]] = {
 DIRECTED = [name for name, parts in PARTS.items() if len(parts) > 1]
 
 
-def ran(part: Part, asked: Profile) -> Reading:
-    return plant.run([part], asked, ZETA, finer=FINER)
+def ran(part: Part, asked: PlannedRun) -> PlantReading:
+    return plant.run_plant([part], asked, ZETA, finer=FINER)
 
 
-def apart(forward: Reading, backward: Reading) -> float:
+def apart(forward: PlantReading, backward: PlantReading) -> float:
     z, x = forward.z - backward.z, forward.x + backward.x
     return max(float(np.abs(z).max()), float(np.abs(x).max()))
 
@@ -153,15 +159,15 @@ def test_a_run_that_reverses_half_way_can_be_made(name):
 
 def test_a_rail_goes_as_far_back_as_the_wheel_is_to_go():
     far = profile((0.0, 0.2, 1.5, 4.0), (0.0, 0.0, -3.0, -3.0))
-    assert ran(machine.Drawbar(1.0), far).x[-1] < -1.0
+    assert ran(machine.PlantDrawbar(1.0), far).x[-1] < -1.0
 
 
 def test_sand_and_surface_vary_on_both_sides_of_the_start():
     random = np.random.default_rng(0)
     kinds = {}
     while len(kinds) < 5:
-        kind, values = drawn_variation(random)
-        kinds[kind] = Curve(values)
+        kind, values = draw_variation(random)
+        kinds[kind] = RandomCurve(values)
     places = jnp.linspace(-5, -1, 200)
     assert np.ptp(np.asarray(kinds["sinusoid"](places))) > 1
     # A draw of some knots of order one each.
@@ -173,7 +179,7 @@ def test_sand_and_surface_vary_on_both_sides_of_the_start():
 
 def test_a_drive_that_turns_back_crosses_twice_its_play():
     ahead, back = np.ones(1000), -np.ones(1000)
-    backlash = drive.Backlash(play=0.1, snap=1e-3)
+    backlash = drive.PlantBacklash(play=0.1, snap=1e-3)
 
     def lost(course: np.ndarray) -> np.ndarray:
         missed = np.abs(course) - np.abs(backlash.follow(course))
@@ -194,8 +200,8 @@ def pulls(effect, places: Sequence[float], omega: Callable[[int], float]) -> np.
     nought, memory, felt = jnp.zeros(()), effect.begin(jnp.zeros(2)), []
     for number, x in enumerate(places):
         position, turns = jnp.asarray([x, 0.0]), jnp.asarray(omega(number))
-        moment = Moment(nought, jnp.asarray(0.01), position, jnp.zeros(2), nought, turns, turns,
-                        jnp.asarray(0.15))  # fmt: skip
+        radius, dt = jnp.asarray(0.15), jnp.asarray(0.01)
+        moment = StepContext(nought, dt, position, jnp.zeros(2), nought, turns, turns, radius)
         felt.append(effect.load(position, jnp.zeros(2), moment, memory)[0])
         memory = effect.advance(memory, moment)
     return np.asarray(felt)
@@ -218,12 +224,12 @@ def test_a_catch_holds_the_carriage_back_from_either_side():
 
 def test_sand_is_piled_up_on_either_side():
     both = np.r_[THERE, THERE[::-1]]
-    felt = pulls(sand.Bulldozing(10.0, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
+    felt = pulls(sand.PlantBulldozing(10.0, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
     assert felt[400] == pytest.approx(-10)
     assert felt[-1] == pytest.approx(10)
 
 
 def test_a_cable_pulls_back_to_the_start_from_either_side():
     for bend in (-0.2, 0.3):
-        felt = pulls(machine.CableSpring(20.0, bend), [-5.0, -1.0, 1.0, 4.0], lambda k: 1.0)
+        felt = pulls(machine.PlantCableSpring(20.0, bend), [-5.0, -1.0, 1.0, 4.0], lambda k: 1.0)
         assert np.all(felt * [1, 1, -1, -1] > 0)

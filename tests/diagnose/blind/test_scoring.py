@@ -23,7 +23,7 @@ from diagnose.blind.answers.answer_file import (
     write_answers,
 )
 from diagnose.blind.generation.sealed_labels import HASH, SEALED, open_labels, seal
-from diagnose.blind.scoring.proportion import Share
+from diagnose.blind.scoring.proportion import Proportion
 from diagnose.blind.scoring.score import score
 from diagnose.commands import blind as commands
 from drftjax.common.errors import InputError
@@ -171,10 +171,10 @@ def test_no_promise_is_tried_on_fresh_runs_at_the_floor():
 
 def test_interval_of_a_share():
     # Wilson's, worked out for z = 1.6449: 8 of 10, to half a unit of the last digit.
-    assert Share(8, 10).interval() == pytest.approx((0.5408, 0.9314), abs=0.5e-4)
-    assert Share(0, 5).interval() == pytest.approx((0.0, 0.3511), abs=0.5e-4)
-    assert Share(0, 0).interval() is None
-    assert str(Share(0, 0)) == "-"
+    assert Proportion(8, 10).interval() == pytest.approx((0.5408, 0.9314), abs=0.5e-4)
+    assert Proportion(0, 5).interval() == pytest.approx((0.0, 0.3511), abs=0.5e-4)
+    assert Proportion(0, 0).interval() is None
+    assert str(Proportion(0, 0)) == "-"
 
 
 def test_sealed_labels_open_and_are_not_to_be_read_by_eye(tmp_path):

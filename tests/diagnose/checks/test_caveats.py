@@ -3,24 +3,24 @@
 import pytest
 
 from diagnose.checks.caveats import caveats
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
 FORCES = ("fx", "fz", "torque")
 
 
-def case_of(*channels: tuple[str, ...], driven: bool = False) -> Case:
+def case_of(*channels: tuple[str, ...], driven: bool = False) -> RigDataset:
     vx = [0.0, 0.0, 0.06, 0.06] if driven else None
     runs = [recorded(setup_of(SLOW, vx=vx), channels=each) for each in channels]
-    return Case.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+    return RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
 
 
-def of_channels(case: Case) -> list[str]:
+def of_channels(case: RigDataset) -> list[str]:
     return [note for note in caveats(case) if "condition" not in note and "One run" not in note]
 
 
 @pytest.fixture(scope="module")
-def driven() -> Case:
+def driven() -> RigDataset:
     return case_of(("z", *FORCES), ("x", "z", "fx"), driven=True)
 
 

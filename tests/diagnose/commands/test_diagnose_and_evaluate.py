@@ -15,7 +15,7 @@ from diagnose.blind.answers.answer_file import Answer
 from diagnose.commands.diagnose import diagnose
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.gap.selected_effects import as_model
-from diagnose.rig_runs import gather
+from diagnose.rig_runs import gather_runs
 from drftjax.common.errors import InputError
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.runlog.hdf5.api import read_run, write_run
@@ -132,11 +132,11 @@ def other_wheel(log: RunLog, radius: float) -> RunLog:
 def test_runs_of_a_minor_wheel_are_left_out_by_name(logs, tmp_path):
     odd = tmp_path / "odd.h5"
     write_run(odd, other_wheel(read_run(logs / "run_0.h5"), 0.12))
-    gathered = gather([logs, odd])
-    assert [each.name for each in gathered.candidates] == ["run_0", "run_1", "run_2"]
-    assert "radius 120 mm" in gathered.left_out["odd"]
-    assert "radius 150 mm" in gathered.left_out["odd"]
-    assert "not an HDF5 file" in gathered.left_out["notes"]
+    gathered = gather_runs([logs, odd])
+    assert [each.name for each in gathered.runs] == ["run_0", "run_1", "run_2"]
+    assert "radius 120 mm" in gathered.skipped["odd"]
+    assert "radius 150 mm" in gathered.skipped["odd"]
+    assert "not an HDF5 file" in gathered.skipped["notes"]
 
 
 def test_as_many_runs_of_each_of_two_wheels_are_refused(logs, tmp_path, drft):
@@ -152,13 +152,13 @@ def test_a_run_without_sinkage_is_left_out(logs, tmp_path):
         dataclasses.replace(log, measured=dataclasses.replace(log.measured, z=None)),
     )
     with pytest.raises(InputError, match="/measured/z"):
-        gather([tmp_path / "flat.h5"])
+        gather_runs([tmp_path / "flat.h5"])
 
 
 def test_a_run_named_twice_counts_once(logs):
-    gathered = gather([logs, logs / "run_0.h5"])
-    assert [each.name for each in gathered.candidates] == ["run_0", "run_1", "run_2"]
-    assert gathered.left_out[str(logs / "run_0.h5")].endswith("is given twice; it counts once")
+    gathered = gather_runs([logs, logs / "run_0.h5"])
+    assert [each.name for each in gathered.runs] == ["run_0", "run_1", "run_2"]
+    assert gathered.skipped[str(logs / "run_0.h5")].endswith("is given twice; it counts once")
 
 
 # What comes out -----------------------------------------------------------------------------------

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case, baseline
-from diagnose.gap.cross_validation import at_mean_sinkage, predicted_unseen
-from diagnose.gap.zeta_matching import followed, residuals_of
-from diagnose.hypotheses.hypothesis import proposed, settled
-from diagnose.linear.regressors import Bench
-from diagnose.model.augmented_model import Model
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
+from diagnose.gap.zeta_matching import match_runs, residuals_of
+from diagnose.hypotheses.hypothesis import linear_start, refine
+from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import AugmentedModel
 from tests.helpers.rig_datasets import case_with
 
 # Secant steps end where 2e-5 of zeta is left: about half a micrometre of half a millimetre.
@@ -16,7 +16,7 @@ AGREE = 2e-3
 
 
 @pytest.fixture(scope="module")
-def drifting() -> Case:
+def drifting() -> RigDataset:
     """Runs whose z reads over a millimetre too high on the mean, where 5 % of zeta would be."""
     return case_with({"name": "sinkage_drift", "rate": 5e-4})
 
@@ -26,10 +26,10 @@ def rms(residual: list[np.ndarray]) -> np.ndarray:
 
 
 def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting):
-    bench = Bench.of(drifting, baseline(drifting), ())
-    none = settled(bench, proposed(bench, []), 3)
-    met = residuals_of(at_mean_sinkage(bench, predicted_unseen(bench, none)))
-    alone = [each.residual for each in followed(drifting, Model(), np.zeros(0))]
+    bench = Regressors.of(drifting, match_initial_zeta(drifting), ())
+    none = refine(bench, linear_start(bench, []), 3)
+    met = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, none)))
+    alone = [each.residual for each in match_runs(drifting, AugmentedModel(), np.zeros(0))]
     assert rms(met) == pytest.approx(rms(alone), rel=AGREE)
     # The zeta that suits all channels best gives z up for x.
     x, z = (drifting.channels.index(channel) for channel in "xz")

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case, baseline
-from diagnose.gap.discretization_error import on_finer_plates, own_errors
-from diagnose.gap.gap import gaps, gone
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.gap.discretization_error import discretization_errors, residuals_on_finer_plates
+from diagnose.gap.gap import gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
-from diagnose.gap.zeta_matching import followed
-from diagnose.model.augmented_model import Model
+from diagnose.gap.zeta_matching import match_runs
+from diagnose.model.augmented_model import AugmentedModel
 from tests.helpers.synthetic_runs import PLATE, coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
@@ -33,16 +33,16 @@ def run():
 
 
 def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
-    case = Case.of([run])
-    log_zeta = baseline(case)
-    own = own_errors(case, log_zeta)
+    case = RigDataset.of([run])
+    log_zeta = match_initial_zeta(case)
+    own = discretization_errors(case, log_zeta)
     values = run.observation.values.copy()
-    values[:, case.counts(0)] = case.predicted(Model(), 0, log_zeta[0], np.zeros(0))
-    fine = on_finer_plates(
+    values[:, case.counts(0)] = case.predicted(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
+    fine = residuals_on_finer_plates(
         dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
     )
     assert fine.setup.wheel.plate_size == PLATE / 2
-    (left,) = followed(Case.of([fine]), Model(), np.zeros(0))
+    (left,) = match_runs(RigDataset.of([fine]), AugmentedModel(), np.zeros(0))
     assert own == pytest.approx(
         dict(zip(("x", "z"), np.sqrt(np.mean(left.residual**2, axis=1)), strict=True)), rel=AGREE
     )
@@ -53,7 +53,7 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
 def recorded_runs(*setups) -> SimpleNamespace:
     """What a gap asks of a case: how runs were set up and sampled."""
     candidates = [SimpleNamespace(setup=each) for each in setups]
-    return SimpleNamespace(candidates=candidates, channels=("x",), spacing=lambda run: 0.01)
+    return SimpleNamespace(runs=candidates, channels=("x",), spacing=lambda run: 0.01)
 
 
 def test_an_interval_is_of_draws_in_which_something_could_shrink():
@@ -67,7 +67,7 @@ def test_an_interval_is_of_draws_in_which_something_could_shrink():
     assert gap.interval[0] == pytest.approx(0.5, abs=DRAWS)
     assert gap.interval[1] == pytest.approx(gap.shrinkage, abs=DRAWS)
     nothing = gaps(case, after[1:] * 2, after[1:] * 2, {"x": 1.0})["x"]  # pyright: ignore
-    assert not nothing.can_shrink
+    assert not nothing.is_reducible
     assert nothing.interval == (0.0, 0.0)
 
 
@@ -96,7 +96,7 @@ def test_an_interval_holds_what_a_few_runs_more_show():
         gap = gaps(case, *runs, {"x": 1.0})["x"]  # pyright: ignore[reportArgumentType]
         low, high = gap.interval
         rms = [float(np.sqrt(np.mean(each[fresh] ** 2))) for each in (before, after)]
-        held += low <= gone(*rms, 1.0) <= high
+        held += low <= share_removed(*rms, 1.0) <= high
         narrow += high - low < 0.02
     assert HELD[0] * cases < held < HELD[1] * cases
     assert narrow == 0
@@ -105,10 +105,10 @@ def test_an_interval_holds_what_a_few_runs_more_show():
 def test_without_repeats_a_wheel_that_is_read_seldom_is_no_noise():
     """At 8 Hz the readings of a wheel that speeds up bend by far more than their noise."""
     run = coarse("run", recorded(setup_of(FAST), rate=8.0, noise=NOISE))
-    case = Case.of([run])
+    case = RigDataset.of([run])
     readings = run.observation.by_channel()["x"][1]
     assert readings > MOTION * NOISE
-    (left,) = followed(case, Model(), np.zeros(0))
+    (left,) = match_runs(case, AugmentedModel(), np.zeros(0))
     floors, how = noise_floors(
         case, [left.residual], [left.residual], {"x": 0.0, "z": 0.0}, lambda run: np.zeros(0)
     )

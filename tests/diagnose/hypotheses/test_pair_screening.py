@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from diagnose.dataset import baseline
-from diagnose.hypotheses.hypothesis import on_lines, proposed, settled
-from diagnose.hypotheses.pair_screening import PAIRS, proposals, simulated_pairs
-from diagnose.linear.regressors import Bench
+from diagnose.dataset import match_initial_zeta
+from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start, refine
+from diagnose.hypotheses.pair_screening import PAIRS, pair_candidates, simulated_pairs
+from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import case_with
 
@@ -25,9 +25,11 @@ CANDIDATES = (
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
+def bench() -> Regressors:
     case = case_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
-    return Bench.of(case, baseline(case), [effect_class(name) for name in CANDIDATES])
+    return Regressors.of(
+        case, match_initial_zeta(case), [effect_class(name) for name in CANDIDATES]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,19 +38,19 @@ def singles(bench):
     for variant in bench.variants:
         name = variant.effect.about.name
         found[name] = max(
-            found.get(name, variant), variant, key=lambda each: on_lines(bench, [each]).score
+            found.get(name, variant), variant, key=lambda each: linear_fit_of(bench, [each]).score
         )
-    alone = [settled(bench, proposed(bench, [each]), 4) for each in found.values()]
+    alone = [refine(bench, linear_start(bench, [each]), 4) for each in found.values()]
     return sorted(alone, key=lambda each: -each.score)
 
 
 def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
-    assert next(proposals(bench, singles)).names == set(TRUTH)
+    assert next(pair_candidates(bench, singles)).names == set(TRUTH)
 
 
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
-    pair = next(proposals(bench, singles)).build()
-    assert not pair.simulated
+    pair = next(pair_candidates(bench, singles)).build()
+    assert not pair.is_simulated
     assert pair.ahead is not None
     there = pair.coordinates + pair.ahead[1]
     for free, coordinate in zip(pair.model.free, there, strict=True):
@@ -72,7 +74,7 @@ def test_a_shape_found_alone_goes_into_the_pair(bench, singles):
     hardening = next(each for each in singles if each.names == ("rate_hardening",))
     pairs = [
         each.build()
-        for each in proposals(bench, singles)
+        for each in pair_candidates(bench, singles)
         if each.names == {"rate_hardening", singles[0].names[0]}
     ]
     shape = next(k for k, free in enumerate(pairs[0].model.free) if free.scale is None)
@@ -81,12 +83,12 @@ def test_a_shape_found_alone_goes_into_the_pair(bench, singles):
 
 def test_while_the_best_pair_is_far_off_as_many_more_are_tried(bench, singles, monkeypatch):
     def with_the_truth_late(bench, singles):
-        all_of_them = list(proposals(bench, singles))
+        all_of_them = list(pair_candidates(bench, singles))
         others = dict.fromkeys(each.names for each in all_of_them if each.names != set(TRUTH))
         order = [*list(others)[:PAIRS], frozenset(TRUTH), *list(others)[PAIRS:]]
         return sorted(all_of_them, key=lambda each: order.index(each.names))
 
-    monkeypatch.setattr("diagnose.hypotheses.pair_screening.proposals", with_the_truth_late)
+    monkeypatch.setattr("diagnose.hypotheses.pair_screening.pair_candidates", with_the_truth_late)
     monkeypatch.setattr("diagnose.hypotheses.pair_screening.FAR", np.inf)
     near = simulated_pairs(bench, singles)
     assert len(near) == PAIRS

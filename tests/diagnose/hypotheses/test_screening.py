@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.evaluation.model_reader import read_model_file
-from diagnose.hypotheses.hypothesis import foremost
-from diagnose.hypotheses.screening import search
-from diagnose.model.augmented_model import Free
+from diagnose.hypotheses.hypothesis import top_ranked
+from diagnose.hypotheses.screening import screen_effects
+from diagnose.model.augmented_model import FreeField
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
-from drftjax.effects.catalogue import spoken
+from drftjax.effects.catalogue import reported_names
 from drftjax.effects.drive import Backlash, SpeedHarmonics, SpeedLag, SpeedRipple
 from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
@@ -36,7 +36,7 @@ ORDER, SHARE = 0.0023, 1.6e-3
 
 def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way():
     # The wheel starts 0.9 s late at 0.5 rad/s: x is behind by 30 mm, a thousand times its noise.
-    found = search(case_with({"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
+    found = screen_effects(case_with({"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
     best = found.singles[0]
     assert best.names == ("backlash",)
     assert best.coordinates[0] * best.model.free[0].scale == pytest.approx(0.22, abs=ONE_STEP)
@@ -65,10 +65,10 @@ def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
 
 def test_a_bump_goes_by_the_name_of_the_surface():
     bump = {"name": "surface_bump", "rise": 0.002, "centre": 0.25, "width": 0.05}
-    best = search(case_with(bump), (SurfaceProfile, SurfaceBump)).singles[0]
+    best = screen_effects(case_with(bump), (SurfaceProfile, SurfaceBump)).singles[0]
     assert best.names == ("surface_bump",)
-    assert spoken(best.names) == ("surface_profile",)
-    rise, centre, width = map(Free.value, best.model.free, best.coordinates)
+    assert reported_names(best.names) == ("surface_profile",)
+    rise, centre, width = map(FreeField.value, best.model.free, best.coordinates)
     assert rise == pytest.approx(0.002, rel=RISE)
     assert centre == pytest.approx(0.25, abs=CENTRE)
     assert width == pytest.approx(0.05, rel=WIDTH)
@@ -77,18 +77,18 @@ def test_a_bump_goes_by_the_name_of_the_surface():
 def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
     given = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
     case = case_with({"name": "speed_harmonics", **given})
-    singles = search(case, (SpeedRipple, SpeedHarmonics, SpeedLag)).singles
+    singles = screen_effects(case, (SpeedRipple, SpeedHarmonics, SpeedLag)).singles
     best = singles[0]
     assert best.names == ("speed_harmonics",)
-    assert spoken(best.names) == ("speed_ripple",)
-    numbers = dict(zip(given, map(Free.value, best.model.free, best.coordinates), strict=True))
+    assert reported_names(best.names) == ("speed_ripple",)
+    numbers = dict(zip(given, map(FreeField.value, best.model.free, best.coordinates), strict=True))
     assert numbers["order"] == pytest.approx(9.0, rel=ORDER)
     for name in ("cosine", "sine", "cosine2", "sine2"):
         assert numbers[name] == pytest.approx(given[name], abs=SHARE)
     # Both forms are one explanation, and take no other's place.
     assert {each.names for each in singles[:2]} == {("speed_harmonics",), ("speed_ripple",)}
-    assert foremost(singles, 1) == [best]
-    assert foremost(singles, 2) == list(singles)
+    assert top_ranked(singles, 1) == [best]
+    assert top_ranked(singles, 2) == list(singles)
 
 
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
@@ -104,9 +104,9 @@ def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
 def test_items_side_by_side_go_over_runs_themselves_in_the_same_precision(double):
     runs, items = range(5), range(20)
     with jax.enable_x64(double):
-        case = Case(runs, None)  # pyright: ignore[reportArgumentType]
-        found = case.side_by_side(
-            lambda item: case.each_run(lambda run: jnp.asarray(float(item * run))), items
+        case = RigDataset(runs, None)  # pyright: ignore[reportArgumentType]
+        found = case.map_items(
+            lambda item: case.map_runs(lambda run: jnp.asarray(float(item * run))), items
         )
     assert [[float(each) for each in row] for row in found] == [
         [i * r for r in runs] for i in items

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.gap.gap import gaps
-from diagnose.localization.kinematics import PHASES, motion_of_run
-from diagnose.localization.localization import sentence, where
-from diagnose.localization.shares import Share, drawn_anew
-from drftjax.runlog.record import Command, Measured, RunLog
+from diagnose.localization.kinematics import PHASES, kinematics_of_run
+from diagnose.localization.localization import localization_sentence, localize
+from diagnose.localization.shares import GapShare, bootstrap_counts
+from drftjax.runlog.record import Measured, RecordedCommand, RunLog
 from tests.helpers.synthetic_runs import FAST, FAST_STEP, SLOW, coarse, recorded, setup_of
 
 # Shares that are sums of squares alone are exact; a band's edge leaks a little of a line.
@@ -43,30 +43,28 @@ def run_of(speed: float, seconds: float = 12.0, vx: bool = False, sampled: float
     values = {"z": np.full(len(time), -0.02), "x": x}
     if vx:
         values |= {name: np.ones(len(time)) for name in ("fx", "fz", "torque")}
-    command = Command(knots, omega, 0.1 * omega if vx else None)
+    command = RecordedCommand(knots, omega, 0.1 * omega if vx else None)
     return dataclasses.replace(
         template(vx), command=command, measured=Measured(time=time, **values)
     )
 
 
-def case_of(*runs: RunLog, masses: tuple[float, ...] = ()) -> Case:
+def case_of(*runs: RunLog, masses: tuple[float, ...] = ()) -> RigDataset:
     candidates = [coarse(f"run {k}", run) for k, run in enumerate(runs)]
     for each, mass in zip(candidates, masses, strict=False):
         each.setup.rig.mass_z = mass
-    return Case.of(candidates)
+    return RigDataset.of(candidates)
 
 
-def nothing(case: Case) -> list[np.ndarray]:
-    return [
-        np.zeros((len(case.channels), len(case.time(run)))) for run in range(len(case.candidates))
-    ]
+def nothing(case: RigDataset) -> list[np.ndarray]:
+    return [np.zeros((len(case.channels), len(case.time(run)))) for run in range(len(case.runs))]
 
 
-def on(shares: list[Share], axis: str) -> dict[str, float]:
+def on(shares: list[GapShare], axis: str) -> dict[str, float]:
     return {each.label: each.share for each in shares if each.axis == axis}
 
 
-def check(shares: list[Share]) -> None:
+def check(shares: list[GapShare]) -> None:
     """On each axis shares add up to one, each within its interval."""
     for axis in {each.axis for each in shares}:
         assert sum(on(shares, axis).values()) == pytest.approx(1, abs=EXACT), axis
@@ -83,7 +81,7 @@ def test_shares_of_a_made_up_gap_are_its_squares():
     residual[0][z, steady] = 2e-4
     residual[1][z, late] = 4e-4
     first, second = 4.0 * steady.sum(), 16.0 * late.sum()
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     expected = first / (first + second)
     assert on(shares, "run")["run 0"] == pytest.approx(expected, abs=EXACT)
@@ -100,7 +98,7 @@ def test_runs_count_by_their_time_however_often_they_were_sampled():
     residual = nothing(case)
     for each in residual:
         each[z] = 2e-4
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     assert on(shares, "run")["run 0"] == pytest.approx(0.5, abs=EXACT)
     spent = {each.label: each.time for each in shares if each.axis == "run"}
@@ -115,7 +113,7 @@ def test_one_early_slip_does_not_count_for_ever():
     residual = nothing(case)
     time = case.time(0)
     residual[0][case.channels.index("x"), time >= 1.5] = 5e-3
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     # But for its edge.
     assert on(shares, "phase")["accelerate"] > 1 - EDGE
@@ -126,16 +124,16 @@ def test_time_spent_is_told_beside_the_share():
     residual = nothing(case)
     # All of the gap in one second of the nine that the wheel turns steadily.
     residual[0][:, (case.time(0) > 5) & (case.time(0) < 6)] = 1e-4
-    assert on(where(case, residual, FLOOR), "phase")["steady"] == pytest.approx(1, abs=EXACT)
-    phases = {e.label: e.time for e in where(case, residual, FLOOR) if e.axis == "phase"}
+    assert on(localize(case, residual, FLOOR), "phase")["steady"] == pytest.approx(1, abs=EXACT)
+    phases = {e.label: e.time for e in localize(case, residual, FLOOR) if e.axis == "phase"}
     assert phases["steady"] == pytest.approx(9 / 12, abs=EDGE)
     assert phases["stand"] == pytest.approx(1 / 12, abs=EDGE)
 
 
-def wave(case: Case, run: int, order: float | None, hertz: float = 0.0) -> np.ndarray:
+def wave(case: RigDataset, run: int, order: float | None, hertz: float = 0.0) -> np.ndarray:
     """A millimetre's wave while the wheel turns, in its angle or in time."""
     time = case.time(run)
-    knots = case.candidates[run].trial
+    knots = case.runs[run].trial
     omega = np.interp(time, np.asarray(knots.time), np.asarray(knots.omega))
     angle = np.cumsum(omega) * 0.02
     phase = 2 * np.pi * hertz * time if order is None else order * angle
@@ -156,12 +154,12 @@ def test_a_line_is_named_by_what_it_is_locked_to(order, hertz, label):
     residual = nothing(case)
     for run, each in enumerate(residual):
         each[case.channels.index("z")] = wave(case, run, order, hertz)
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     found = on(shares, "order")
     near = {name: share for name, share in found.items() if name == label}
     assert sum(near.values()) > 1 - LEAK, found
-    assert label in sentence(shares)
+    assert label in localization_sentence(shares)
 
 
 def without(run: RunLog, begin: float, end: float) -> RunLog:
@@ -177,23 +175,23 @@ def test_a_line_keeps_its_frequency_where_samples_were_lost():
     residual = nothing(case)
     for run, each in enumerate(residual):
         each[case.channels.index("z")] = wave(case, run, None, 3.0)
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     assert on(shares, "order")["at 3 Hz, whatever the speed"] > 1 - LEAK
 
 
 def test_in_few_turns_a_drift_is_no_period():
     case = case_of(*(run_of(speed, 12.0) for speed in (0.5, 1.5)))
-    assert max(np.ptp(motion_of_run(case, run).turning) for run in (0, 1)) < 3 * 2 * np.pi
+    assert max(np.ptp(kinematics_of_run(case, run).turning) for run in (0, 1)) < 3 * 2 * np.pi
     residual = nothing(case)
     for run, each in enumerate(residual):
         each[case.channels.index("z")] = 1e-4 * case.time(run)
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     found = on(shares, "order")
     assert "once a turn" not in found
     assert found["once a turn or slower"] > 1 - LEAK
-    assert "a turn" not in sentence(shares)
+    assert "a turn" not in localization_sentence(shares)
 
 
 def test_runs_of_few_turns_beside_one_of_many_are_booked_apart():
@@ -201,23 +199,25 @@ def test_runs_of_few_turns_beside_one_of_many_are_booked_apart():
     residual = nothing(case)
     for run, each in enumerate(residual):
         each[case.channels.index("z")] = wave(case, run, 1.0)
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     found = on(shares, "order")
     assert found["once a turn"] == pytest.approx(0.5, abs=LEAK)
     assert found["once a turn or slower"] == pytest.approx(0.5, abs=LEAK)
 
 
-def part(label: str, share: float, time: float = 0.1) -> Share:
-    return Share("phase", label, share, (share, share), time)
+def part(label: str, share: float, time: float = 0.1) -> GapShare:
+    return GapShare("phase", label, share, (share, share), time)
 
 
 def test_most_is_half_at_least():
     much = [part("steady", 0.3, 0.6), part("accelerate", 0.4), part("stand", 0.3, 0.3)]
-    assert sentence(much).startswith("Much of the gap lies in the phase “accelerate” (40%")
-    load = [Share("load", f"{m} kg", s, (s, s), 0.5) for m, s in ((18, 0.8), (14, 0.2))]
-    assert sentence(load).startswith("Most of the gap lies at 18 kg (80%")
-    both = sentence([*much, *load])
+    assert localization_sentence(much).startswith(
+        "Much of the gap lies in the phase “accelerate” (40%"
+    )
+    load = [GapShare("load", f"{m} kg", s, (s, s), 0.5) for m, s in ((18, 0.8), (14, 0.2))]
+    assert localization_sentence(load).startswith("Most of the gap lies at 18 kg (80%")
+    both = localization_sentence([*much, *load])
     assert both.startswith("Most of the gap lies at 18 kg (80%")
     assert "; much of it in the phase “accelerate” (40%" in both
 
@@ -227,7 +227,7 @@ def test_a_driven_carriage_has_a_slip_and_forces():
     residual = nothing(case)
     residual[0][case.channels.index("fx")] = 3.0
     residual[0][case.channels.index("torque")] = 0.1
-    shares = where(case, residual, FLOOR)
+    shares = localize(case, residual, FLOOR)
     check(shares)
     assert on(shares, "channel")["fx"] == pytest.approx(0.9, abs=EXACT)
     assert "travel" in {each.axis for each in shares}
@@ -238,16 +238,18 @@ def test_what_is_drawn_does_not_hang_on_names_of_groups():
     numbers = [*range(8), *range(8)]
     sizes = [4] * len(numbers)
     named = [f"{number} kg on the wheel" for number in numbers]
-    one, other = (drawn_anew(np.random.default_rng(0), sizes, each) for each in (numbers, named))
+    one, other = (
+        bootstrap_counts(np.random.default_rng(0), sizes, each) for each in (numbers, named)
+    )
     np.testing.assert_array_equal(one, other)
 
 
 def test_no_gap_has_no_shares():
     case = case_of(run_of(0.5))
-    assert where(case, nothing(case), FLOOR) == []
-    assert where(case, [], FLOOR) == []
-    assert where(case, [np.zeros((2, 0))], FLOOR) == []
-    assert sentence([]) == "There is no gap to speak of."
+    assert localize(case, nothing(case), FLOOR) == []
+    assert localize(case, [], FLOOR) == []
+    assert localize(case, [np.zeros((2, 0))], FLOOR) == []
+    assert localization_sentence([]) == "There is no gap to speak of."
 
 
 def test_a_sentence_names_where_the_gap_is_dense():
@@ -255,7 +257,7 @@ def test_a_sentence_names_where_the_gap_is_dense():
     residual = nothing(case)
     for each in residual:
         each[case.channels.index("z"), case.time(0) > 11.0] = 1e-3
-    told = sentence(where(case, residual, FLOOR))
+    told = localization_sentence(localize(case, residual, FLOOR))
     assert "“decelerate”" in told
     assert "in z beside the changes of x (" in told
 
@@ -266,7 +268,9 @@ def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts
         np.array([0.0, 0.0, 0.5, 0.5, -0.5, -0.5]),
     )
     run = run_of(0.5, 10.0)
-    motion = motion_of_run(case_of(dataclasses.replace(run, command=Command(knots, omega))), 0)
+    motion = kinematics_of_run(
+        case_of(dataclasses.replace(run, command=RecordedCommand(knots, omega))), 0
+    )
     assert motion.angle[-1] == pytest.approx(0.25 + 1 + 0 - 1, abs=SAMPLE)
     assert motion.turning[-1] == pytest.approx(0.25 + 1 + 1 + 1, abs=SAMPLE)
     phases = np.array(PHASES)[motion.phase]
@@ -281,7 +285,7 @@ def test_a_grouser_s_ripple_is_told_of_a_wheel_that_turns_backward():
         setup = setup_of((time, [sense * each for each in omega]))
         setup.integrator.step, setup.start.angle = FAST_STEP, sense * 0.1
         each = coarse("run", recorded(setup, noise=0.0), model=setup, step=FAST_STEP)
-        paths.append(Case.of([each]).trace(0, 0.0))
+        paths.append(RigDataset.of([each]).linearized(0, 0.0))
     forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in paths)
     assert np.all(np.abs(forward).max(axis=0) > 10 * RIPPLE)
     np.testing.assert_allclose(backward * [1, -1], forward, rtol=0, atol=RIPPLE)
@@ -290,4 +294,4 @@ def test_a_grouser_s_ripple_is_told_of_a_wheel_that_turns_backward():
 def test_shares_of_noise_add_up():
     case = case_of(*(run_of(0.5 + 0.1 * k, 24.0) for k in range(9)))
     residual = [np.random.default_rng(0).normal(size=each.shape) for each in nothing(case)]
-    check(where(case, residual, FLOOR))
+    check(localize(case, residual, FLOOR))

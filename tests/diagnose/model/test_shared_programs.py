@@ -8,13 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case, with_zeta
-from diagnose.model.augmented_model import Model, predict, respond, with_effects
+from diagnose.dataset import RigDataset, with_zeta
+from diagnose.model.augmented_model import (
+    AugmentedModel,
+    predict,
+    predict_with_jacobian,
+    with_effects,
+)
 from diagnose.model.shared_programs import SHORTEST_ROW, in_modes, program_of
 from drftjax.common.arrays import as_real
-from drftjax.effects.correction import STAGES, correction, fields, known_to, with_values
+from drftjax.effects.correction import STAGES, correction, fields, states_known_to, with_values
 from drftjax.effects.sensor import TravelGain
-from drftjax.recorded.batch import Observed, between_rows
+from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
@@ -37,13 +42,13 @@ HEIGHTS = np.array([0.5, -1.0, 0.25, 1.5])
 
 
 @cache
-def case() -> Case:
+def case() -> RigDataset:
     setup = setup_of(([0.0, 0.25, 0.75, 2.0], [0.0, 0.0, 1.0, 1.0]), 0.75)
     setup.integrator.step = 1e-3
-    return Case.of([coarse("run", recorded(setup), step=1e-3)])
+    return RigDataset.of([coarse("run", recorded(setup), step=1e-3)])
 
 
-def of_trial(trial: Trial, observed: Observed) -> jax.Array:
+def of_trial(trial: Trial, observed: PaddedObservations) -> jax.Array:
     return between_rows(trial.run_to(observed.compared_rows, ("x", "z")), observed)
 
 
@@ -59,15 +64,15 @@ def simulated(kind, values) -> np.ndarray:
 
 def predicted(kind, coordinates) -> np.ndarray:
     of = case().channels, case().trials[0], case().observed[0], as_real(0.0)
-    return np.asarray(predict(Model((kind,)), *of, np.asarray(coordinates)))
+    return np.asarray(predict(AugmentedModel((kind,)), *of, np.asarray(coordinates)))
 
 
 # zeta may follow all variables there are; the other stages tell theirs in their own ways.
-STANDING = [("zeta", variable) for variable in known_to("zeta")]
+STANDING = [("zeta", variable) for variable in states_known_to("zeta")]
 STANDING += [
     (stage, variable)
     for stage in ("force_z", "speed", "height", "reading z")
-    for variable in (known_to(stage)[0], known_to(stage)[-1])
+    for variable in (states_known_to(stage)[0], states_known_to(stage)[-1])
 ]
 
 
@@ -84,7 +89,7 @@ def test_curves_of_a_stage_share_one_program():
     kinds = [correction("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
     kinds.append(in_modes(kinds[0], np.eye(4)[:, :2], 1.0))
     assert len({program_of(each).effect for each in kinds}) == 1
-    assert len({Model((each,)).program[0] for each in kinds}) == 1
+    assert len({AugmentedModel((each,)).program[0] for each in kinds}) == 1
 
 
 def test_a_curve_of_more_knots_than_the_row_has_a_longer_one():
@@ -109,10 +114,10 @@ def test_the_derivative_is_by_the_effects_own_coordinates():
         correction("zeta", "travel", PLACES["travel"]), np.array([[1.0], [0.5], [0.0], [-1.0]]), 0.2
     )
     # The gain of a reading beside it stays a number of its own.
-    model = Model((TravelGain, kind))
+    model = AugmentedModel((TravelGain, kind))
     at = np.array([*(0.3 for _ in range(len(model.free) - 1)), 0.5])
     of = case().channels, case().trials[0], case().observed[0], as_real(0.01)
-    value, slope = respond(model, *of, at)
+    value, slope = predict_with_jacobian(model, *of, at)
     assert slope.shape == (*value.shape, 1 + len(at))
     trial = with_zeta(case().trials[0], 0.01)
     observed = case().observed[0]

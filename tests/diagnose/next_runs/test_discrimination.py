@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case
-from diagnose.hypotheses.screening import search
+from diagnose.dataset import RigDataset
+from diagnose.hypotheses.screening import screen_effects
 from diagnose.next_runs.discrimination import (
     TELLING,
     _scaled,
@@ -34,7 +34,9 @@ def pulled():
 @pytest.fixture(scope="module")
 def advice(pulled):
     # Both pull back all the while as long as the carriage only goes forward.
-    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    singles = {
+        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+    }
     first, second = (singles[(name,)] for name in NAMES)
     return next_run(pulled, first, [second], FLOORS)
 
@@ -52,7 +54,7 @@ def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
 
 
 def test_no_run_goes_farther_than_the_longest_so_far(pulled):
-    farthest = max(_ways(each.trial)[-1] for each in pulled.candidates)
+    farthest = max(_ways(each.trial)[-1] for each in pulled.runs)
     found = {each.words: each for each in _variations(pulled, 0)}
     cut = [each for words, each in found.items() if "its first" in words and "deg/s" in words]
     assert cut
@@ -64,7 +66,7 @@ def test_no_run_goes_farther_than_the_longest_so_far(pulled):
 
 
 def test_no_run_outlasts_a_command_that_ends_in_motion(pulled):
-    (end,) = {float(each.trial.time[-1]) for each in pulled.candidates[:2]}
+    (end,) = {float(each.trial.time[-1]) for each in pulled.runs[:2]}
     assert pulled.trials[0].time[-1] > end
     for each in _variations(pulled, 0):
         assert each.lasts <= end, each.words
@@ -77,11 +79,11 @@ def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
     def turned(each):
         return dataclasses.replace(each, trial=_scaled(each.trial, -1.0))
 
-    name = pulled.candidates[0].name
+    name = pulled.runs[0].name
     assert ways(pulled) == [f"{name} backward"]
-    assert ways(Case.of([turned(each) for each in pulled.candidates])) == [f"{name} forward"]
-    first, *others = pulled.candidates
-    assert ways(Case.of([turned(first), *others])) == []
+    assert ways(RigDataset.of([turned(each) for each in pulled.runs])) == [f"{name} forward"]
+    first, *others = pulled.runs
+    assert ways(RigDataset.of([turned(first), *others])) == []
 
 
 def test_a_driven_carriage_goes_with_its_wheel(pulled):
@@ -114,8 +116,8 @@ def test_runs_without_travel_are_advised_too(channels):
         )
         for n, zeta in enumerate((0.75, 0.76))
     ]
-    case = Case.of(runs)
-    found = search(case, [effect_class("vertical_spring"), effect_class("loosening")])
+    case = RigDataset.of(runs)
+    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")])
     floors = dict.fromkeys(case.channels, 1e-9)
     first, second = found.none, found.singles[0]
     told = next_run(case, first, [second], floors)
@@ -127,7 +129,9 @@ def test_runs_without_travel_are_advised_too(channels):
 
 def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
     names = ("drawbar", "horizontal_coulomb", "bulldozing")
-    singles = {each.names: each for each in search(pulled, [*map(effect_class, names)]).singles}
+    singles = {
+        each.names: each for each in screen_effects(pulled, [*map(effect_class, names)]).singles
+    }
     first, second, third = (singles[(name,)] for name in names)
     both = next_run(pulled, first, [second, third], FLOORS)
     each = [next_run(pulled, first, [rival], FLOORS)["run"]["floors"] for rival in (second, third)]
@@ -137,7 +141,9 @@ def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
 
 
 def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled):
-    singles = {each.names: each for each in search(pulled, [*map(effect_class, NAMES)]).singles}
+    singles = {
+        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+    }
     first, second = (singles[(name,)] for name in NAMES)
     # Nothing parts an explanation from itself.
     told = next_run(pulled, first, [second, first], FLOORS)

@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 from diagnose.blind.plant import plant
 from diagnose.blind.plant.run_plan import TELLING as BLIND_TELLING
 from diagnose.commands.protocol import app
-from diagnose.next_runs.recommended_runs import TELLING, telling_runs
+from diagnose.next_runs.recommended_runs import TELLING, recommended_runs
 from drftjax.commands.options import USUAL_OMEGA_MAX
 from drftjax.common.errors import InputError
 from drftjax.common.package_data import data_file
 from drftjax.physics.integrator import sharpest_ramp
 from drftjax.runlog.hdf5.api import write_run
-from drftjax.runlog.record import Command, Measured, RunLog, Setup
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 from drftjax.setups.setup import SetUp, read_setup
 from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp, profile
@@ -26,7 +26,7 @@ RIG = read_setup(data_file("paper.toml"))
 
 
 def test_they_go_backward_stop_and_repeat_one():
-    runs = {run.name: (run, setup.command.build()) for run, setup in telling_runs(RIG)}
+    runs = {run.name: (run, setup.command.build()) for run, setup in recommended_runs(RIG)}
     assert len(runs) == len(TELLING) == 9
     assert [name for name, (_, each) in runs.items() if each.omega.min() < 0] == ["backward"]
     assert runs["paper"][0].speed == runs["again"][0].speed
@@ -36,7 +36,7 @@ def test_they_go_backward_stop_and_repeat_one():
 
 def test_no_ramp_is_sharper_than_fits_can_step():
     sharpest = sharpest_ramp(RIG.wheel.radius)
-    for _, setup in telling_runs(RIG):
+    for _, setup in recommended_runs(RIG):
         command = setup.command.build()
         assert np.abs(np.diff(command.omega) / np.diff(command.time)).max() < sharpest
 
@@ -45,7 +45,7 @@ def test_loads_are_shares_of_the_rigs_and_starts_are_at_rest():
     rig = copy.deepcopy(RIG)
     rig.rig.mass_z = 10.0
     sinkages = {}
-    for run, setup in telling_runs(rig):
+    for run, setup in recommended_runs(rig):
         assert setup.rig.mass_z == pytest.approx(10.0 * run.load)
         sinkages[run.load] = setup.start.sinkage
     ordered = [sinkages[load] for load in sorted(sinkages)]
@@ -55,7 +55,7 @@ def test_loads_are_shares_of_the_rigs_and_starts_are_at_rest():
 
 @pytest.mark.parametrize("limit", [114.59, 57.29, 29.97, 2.86])
 def test_no_rounding_passes_a_limit(limit):
-    for _, setup in telling_runs(RIG, max_speed=limit, max_travel=0.3):
+    for _, setup in recommended_runs(RIG, max_speed=limit, max_travel=0.3):
         command = setup.command.build()
         assert np.degrees(np.abs(command.omega).max()) <= limit
         way = RIG.wheel.radius * np.trapezoid(np.abs(command.omega), command.time)
@@ -63,7 +63,7 @@ def test_no_rounding_passes_a_limit(limit):
 
 
 def test_limits_are_kept():
-    for _, setup in telling_runs(RIG, max_speed=50.0, max_travel=0.4):
+    for _, setup in recommended_runs(RIG, max_speed=50.0, max_travel=0.4):
         command = setup.command.build()
         assert np.degrees(np.abs(command.omega).max()) <= 50.0
         way = 0.150 * np.trapezoid(np.abs(command.omega), command.time)
@@ -72,7 +72,7 @@ def test_limits_are_kept():
 
 
 def test_ramps_stay_as_they_are_where_only_the_way_is_limited():
-    for (run, setup), limit in zip(telling_runs(RIG, max_travel=1.4), TELLING, strict=True):
+    for (run, setup), limit in zip(recommended_runs(RIG, max_travel=1.4), TELLING, strict=True):
         assert np.allclose(setup.command.omega, limit.speed), run.name
 
 
@@ -80,14 +80,14 @@ def test_a_driven_carriage_is_refused():
     rig = copy.deepcopy(RIG)
     rig.rig.carriage = "driven"
     with pytest.raises(InputError, match="driven"):
-        list(telling_runs(rig))
+        list(recommended_runs(rig))
 
 
 def test_sand_that_does_not_bear_the_wheel_is_refused():
     soft = copy.deepcopy(RIG)
     soft.terrain.zeta = 0.02
     with pytest.raises(InputError, match=r"a zeta of 0\.02 carries .* its load is 184.8 N, must"):
-        list(telling_runs(soft))
+        list(recommended_runs(soft))
 
 
 def test_the_blind_sets_are_of_the_same_runs():
@@ -107,7 +107,7 @@ def test_the_command_writes_nine_set_ups(tmp_path):
     assert [each.name for each in written] == [
         f"{n}_{t.name}.toml" for n, t in enumerate(TELLING, 1)
     ]
-    for path, (_, setup) in zip(written, telling_runs(RIG), strict=True):
+    for path, (_, setup) in zip(written, recommended_runs(RIG), strict=True):
         assert read_setup(path) == setup
 
 
@@ -166,14 +166,14 @@ def test_fast_runs_are_told_with_the_limit_and_the_way_out_that_they_need(drft, 
 def driven_run(path: Path, mass_x: float | None = None) -> Path:
     """A run log as `drft hils run` leaves it: the carriage at the simulated speed."""
     time = np.linspace(0.0, 1.0, 11)
-    known = Setup(
+    known = RecordedSetup(
         wheel_radius=0.15, wheel_width=0.12, mass_x=mass_x, mass_z=18.0, sinkage_static=0.0176
     )
     write_run(
         path,
         RunLog(
             setup=known,
-            command=Command(time, 0.1 * time, 0.01 * time),
+            command=RecordedCommand(time, 0.1 * time, 0.01 * time),
             measured=Measured(time, x=0.005 * time**2, z=np.full(11, -0.0176)),
             source="measured",
             title="in the loop",

@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case
-from diagnose.evaluation.evaluate import measured_on
+from diagnose.dataset import RigDataset
+from diagnose.evaluation.evaluate import prediction_on
 from diagnose.evaluation.model_reader import read_model_file
-from diagnose.gap.selected_effects import Added, most_helpful
-from diagnose.localization.localization import sentence
+from diagnose.gap.selected_effects import SelectedEffects, best_selection
+from diagnose.localization.localization import localization_sentence
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import page, paragraphs, write
 from diagnose.result import Diagnosis
-from diagnose.rig_runs import gather
-from drftjax.effects.base import About, AbstractZetaFactor, Memory, Moment, strength
+from diagnose.rig_runs import gather_runs
+from drftjax.effects.base import AbstractZetaFactor, EffectInfo, Memory, StepContext, strength
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.correction import Curve
 from drftjax.effects.serialization import entry_of
@@ -45,7 +45,7 @@ MEAN_ZETA = 0.1e-3
 class Packing(AbstractZetaFactor):
     """zeta rises with the square of the sinkage."""
 
-    about: ClassVar = About(
+    about: ClassVar = EffectInfo(
         "packing", "terrain", "ζ = ζ exp(rise H²)", "sand that packs with depth"
     )
     rise: float = strength("-", 0.1, "log zeta gained at 30 mm")
@@ -53,10 +53,10 @@ class Packing(AbstractZetaFactor):
     def begin(self) -> Memory:
         return ()
 
-    def advance(self, memory: Memory, moment: Moment) -> Memory:
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return ()
 
-    def factor(self, moment: Moment, memory: Memory):
+    def factor(self, moment: StepContext, memory: Memory):
         return jnp.exp(self.rise * (moment.position[1] / DEPTH) ** 2)
 
 
@@ -79,7 +79,7 @@ def found(packing, tmp_path_factory) -> Diagnosis:
     folder = tmp_path_factory.mktemp("packing")
     for number, each in enumerate(CONDITIONS):
         written(folder, f"run_{number}", *each, seed=number)
-    return diagnose(Case.of(gather([folder]).candidates), ())
+    return diagnose(RigDataset.of(gather_runs([folder]).runs), ())
 
 
 @pytest.fixture(scope="module")
@@ -89,16 +89,16 @@ def files(found, tmp_path_factory) -> Path:
     return folder
 
 
-def leaving(found: Diagnosis, share: float) -> Added:
+def leaving(found: Diagnosis, share: float) -> SelectedEffects:
     """As the correction, but such a share of the gap is left with it."""
     gap = {c: dataclasses.replace(g, after=share * g.before) for c, g in found.gap.items()}
-    return dataclasses.replace(found.added, gap=gap)
+    return dataclasses.replace(found.selected, gap=gap)
 
 
 def test_the_simplest_signal_is_a_zeta_that_follows_the_sinkage(found):
     assert found.verdict == ("unknown",)
-    assert found.unwritten.stage.name == "zeta"
-    (first, share), *_ = found.unwritten.follows
+    assert found.unknown_effect.stage.name == "zeta"
+    (first, share), *_ = found.unknown_effect.follows
     assert first == "sinkage"
     assert share > NEARLY_ALL
     assert any("one of zeta" in note and "it follows sinkage" in note for note in found.notes)
@@ -172,13 +172,13 @@ def test_the_model_file_says_what_the_curve_leaves(found, files):
 def test_what_does_not_help_is_not_offered_and_the_page_says_so(found):
     useless = leaving(found, 1.0)
     reference = dataclasses.replace(useless, effects=())
-    assert most_helpful([useless], reference) is reference
-    tried = dataclasses.replace(found.unwritten.tried, added=useless)
-    signal = dataclasses.replace(found.unwritten, tried=tried)
+    assert best_selection([useless], reference) is reference
+    tried = dataclasses.replace(found.unknown_effect.tried, added=useless)
+    signal = dataclasses.replace(found.unknown_effect, tried=tried)
     (_, said) = signal.sentences(offered=False)
     left = f"{useless.before:.1f} of {useless.before:.1f} noise floors are left"
     assert "over sinkage was tried and is not offered: " + left in said
-    other = dataclasses.replace(found, added=reference, unwritten=signal)
+    other = dataclasses.replace(found, selected=reference, unknown_effect=signal)
     assert other.document()["correction"] is None
     assert "is not offered" in page(other)
     assert "Nothing tried in its place shrinks the gap" in " ".join(paragraphs(other))
@@ -188,9 +188,9 @@ def test_what_does_not_help_is_not_offered_and_the_page_says_so(found):
 def test_what_leaves_least_is_added_be_it_known_or_a_curve(found):
     tried = [leaving(found, share) for share in (0.5, 0.2, 0.89)]
     reference = dataclasses.replace(leaving(found, 1.0), effects=())
-    assert most_helpful(tried, reference) is tried[1]
+    assert best_selection(tried, reference) is tried[1]
     # A tenth of the gap at least.
-    assert most_helpful([leaving(found, 0.91)], reference) is reference
+    assert best_selection([leaving(found, 0.91)], reference) is reference
 
 
 def test_what_makes_a_channel_worse_is_not_added(found):
@@ -202,19 +202,19 @@ def test_what_makes_a_channel_worse_is_not_added(found):
     costly = dataclasses.replace(best, gap=pays)
     # Else it would be left out for that.
     assert costly.left < 0.9 * costly.before
-    assert most_helpful([costly], reference) is reference
-    assert most_helpful([best, costly], reference) is best
+    assert best_selection([costly], reference) is reference
+    assert best_selection([best, costly], reference) is best
 
 
 def test_promise_is_of_what_the_model_file_holds(found, files, packing, tmp_path):
     document = json.loads((files / "diagnosis.json").read_text())
     assert document["gap"] == document["correction"]["gap"]
-    fresh = measured_on(found, [written(tmp_path, "fresh", *FRESH, seed=9)])
+    fresh = prediction_on(found, [written(tmp_path, "fresh", *FRESH, seed=9)])
     assert fresh["z"].shrinkage == pytest.approx(document["gap"]["z"]["shrinkage"], abs=KEPT)
 
 
 def test_what_follows_nothing_is_said_to(found):
-    nothing = dataclasses.replace(found.unwritten, follows=[("travel", 0.2)], tried=None)
+    nothing = dataclasses.replace(found.unknown_effect, follows=[("travel", 0.2)], tried=None)
     (said,) = nothing.sentences(offered=False)
     assert "it follows none of the variables known" in said
     fast = dataclasses.replace(nothing, too_fast=0.8)
@@ -222,14 +222,14 @@ def test_what_follows_nothing_is_said_to(found):
 
 
 def test_slow_gap_is_not_too_fast_for_a_signal(found):
-    by_hertz = {each.label: each.share for each in found.where if each.axis == "frequency"}
+    by_hertz = {each.label: each.share for each in found.localization if each.axis == "frequency"}
     over = by_hertz["1 to 3 Hz"] + by_hertz["3 to 10 Hz"] + by_hertz["over 10 Hz"]
-    assert found.unwritten.too_fast == pytest.approx(over)
+    assert found.unknown_effect.too_fast == pytest.approx(over)
     assert 0 < over < 0.5
 
 
 def test_shares_of_stages_have_intervals_from_drawing_runs_anew(found):
-    stages = {each.label.split(":")[0]: each for each in found.where if each.axis == "stage"}
+    stages = {each.label.split(":")[0]: each for each in found.localization if each.axis == "stage"}
     for each in stages.values():
         low, high = each.interval
         assert 0 <= low <= each.share <= high <= 1
@@ -237,4 +237,4 @@ def test_shares_of_stages_have_intervals_from_drawing_runs_anew(found):
     assert NEARLY_ALL < low < high
     # A reading of x has nothing to do with it, and the runs say so.
     assert stages["reading x"].interval[1] < 1 - NEARLY_ALL
-    assert "stage" not in sentence(found.where)
+    assert "stage" not in localization_sentence(found.localization)

@@ -8,22 +8,29 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
-from diagnose.dataset import Case, with_zeta
-from diagnose.linear.input_sensitivity import READINGS, kick, respond_to
-from diagnose.model.augmented_model import Model
-from diagnose.unknown.dependence import CURVES, TIED, against, fitted, follows, simplest
-from diagnose.unknown.disturbances import Stage, stages
+from diagnose.dataset import RigDataset, with_zeta
+from diagnose.linear.input_sensitivity import READINGS, effect_sensitivity, propagate
+from diagnose.model.augmented_model import AugmentedModel
+from diagnose.unknown.dependence import (
+    CURVES,
+    TIED,
+    choose_disturbance,
+    fit_curve,
+    rank_dependence,
+    signal_against,
+)
+from diagnose.unknown.disturbances import Disturbance, estimate_disturbances
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
-    About,
     AbstractPlane,
     AbstractSensor,
     AbstractStressFactor,
+    EffectInfo,
     MemorylessZetaFactor,
     strength,
 )
-from drftjax.effects.catalogue import numbers
-from drftjax.effects.correction import correction, fields, known_to
+from drftjax.effects.catalogue import field_metadata
+from drftjax.effects.correction import correction, fields, states_known_to
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
@@ -48,36 +55,38 @@ SIGMAS, NEARLY_EVERYWHERE = 3.0, 0.9
 
 
 @cache
-def case() -> Case:
+def case() -> RigDataset:
     runs = []
     for speed in (0.8, 1.0, 1.4):
         profile = ([0.0, 0.25, 1.25, 3.5, 4.5], [0.0, 0.0, speed, speed, 0.2 * speed])
         setup = setup_of(profile, TRUE_ZETA)
         setup.integrator.step = 5e-4
         runs.append(coarse(f"run {speed:g}", recorded(setup), step=5e-4))
-    return Case.of(runs)
+    return RigDataset.of(runs)
 
 
 @cache
-def driven_case() -> Case:
+def driven_case() -> RigDataset:
     profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
     setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
     run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
-    return Case.of([coarse("driven", run)])
+    return RigDataset.of([coarse("driven", run)])
 
 
 def log_zeta() -> np.ndarray:
-    return np.full(len(case().candidates), np.log(TRUE_ZETA / BELIEVED_ZETA))
+    return np.full(len(case().runs), np.log(TRUE_ZETA / BELIEVED_ZETA))
 
 
 @cache
 def plain() -> list[np.ndarray]:
-    return [case().predicted(Model(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())]
+    return [
+        case().predicted(AugmentedModel(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())
+    ]
 
 
 def with_(effect: type, **values: float) -> list[np.ndarray]:
     """What every run would record with an effect, but for noise."""
-    model = Model((effect,))
+    model = AugmentedModel((effect,))
     at = [f.coordinate(values[f.field]) if f.field in values else 0.0 for f in model.free]
     return [case().predicted(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
 
@@ -91,11 +100,11 @@ def left(recorded: list[np.ndarray], seed: int = 0) -> list[np.ndarray]:
 
 
 @cache
-def of_gain() -> list[Stage]:
-    return stages(case(), log_zeta(), left(with_(SpeedGain, gain=0.05)))
+def of_gain() -> list[Disturbance]:
+    return estimate_disturbances(case(), log_zeta(), left(with_(SpeedGain, gain=0.05)))
 
 
-def named(found: list[Stage], name: str) -> Stage:
+def named(found: list[Disturbance], name: str) -> Disturbance:
     return next(each for each in found if each.name == name)
 
 
@@ -104,7 +113,7 @@ def values_of(values) -> dict[str, float]:
 
 
 def test_noise_needs_no_stage():
-    found = stages(case(), log_zeta(), left(plain()))
+    found = estimate_disturbances(case(), log_zeta(), left(plain()))
     assert max(each.evidence for each in found) < 3
     assert max(each.explained for each in found) < NEXT_TO_NOTHING
 
@@ -114,14 +123,14 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert found[0].name == "speed"
     assert found[0].evidence > found[1].evidence + TIED
     assert found[0].explained > 0.95  # of the gap: noise is under a per mille of it
-    ranked = [(v, s) for v, s in follows(case(), found[0]) if v in known_to("speed")]
+    ranked = [(v, s) for v, s in rank_dependence(case(), found[0]) if v in states_known_to("speed")]
     assert ranked[0][0] == "angular velocity"
     assert ranked[0][1] > NEARLY_ALL
 
 
 @pytest.mark.parametrize("which", range(len(CURVES)))
 def test_a_curve_in_its_place_closes_the_gap(which):
-    found = fitted(case(), of_gain()[0], "angular velocity")[which]
+    found = fit_curve(case(), of_gain()[0], "angular velocity")[which]
     knots, values = np.asarray(found.kind.knots), found.values
     assert np.polyfit(knots, values, 1)[0] == pytest.approx(0.05, abs=SLOPE)
     before = with_(SpeedGain, gain=0.05)
@@ -133,26 +142,26 @@ def test_a_curve_in_its_place_closes_the_gap(which):
 
 
 def test_sand_that_loosens_is_an_unknown_zeta_that_follows_the_turning():
-    found = stages(case(), log_zeta(), left(with_(Loosening, loss=0.15, decay=1.5)))
+    found = estimate_disturbances(case(), log_zeta(), left(with_(Loosening, loss=0.15, decay=1.5)))
     zeta = named(found, "zeta")
     # A slow change of the load sinks the wheel alike.
     assert found[0].name in ("zeta", "force_z")
     assert zeta.evidence > found[0].evidence - TIED
     assert zeta.evidence > named(found, "speed").evidence + TIED
-    shares = dict(follows(case(), zeta))
+    shares = dict(rank_dependence(case(), zeta))
     assert max(shares["turning"], shares["travel"]) > NEARLY_ALL
     assert max(shares, key=lambda each: shares[each]) in ("turning", "travel")
-    first, followed = simplest(case(), found)
+    first, followed = choose_disturbance(case(), found)
     assert first.name in ("zeta", "force_z")
     assert followed[0][0] in ("turning", "travel")
-    (where, signal), *_ = against(case(), zeta, "turning")
+    (where, signal), *_ = signal_against(case(), zeta, "turning")
     assert where.shape == signal.shape
     assert signal[0] > signal[-2]
 
 
 def test_a_slope_is_an_unknown_height_that_follows_the_travel():
-    found = stages(case(), log_zeta(), left(with_(SurfaceSlope, slope=0.02)))
-    first, followed = simplest(case(), found)
+    found = estimate_disturbances(case(), log_zeta(), left(with_(SurfaceSlope, slope=0.02)))
+    first, followed = choose_disturbance(case(), found)
     # Rising slowly, the surface and a reading of z differ by the slope's pull alone.
     assert first.name in ("height", "reading z")
     assert {"travel", "turning"} == {name for name, _ in followed[:2]}
@@ -162,14 +171,14 @@ def test_a_known_force_is_recovered_within_its_error():
     knots = np.linspace(0, 5, KNOTS)
     truth = np.array([0.0, 0.0, -4.0, -4.0, 2.0, 2.0])
     kind = correction("force_x", "time", knots.tolist())
-    found = stages(case(), log_zeta(), left(with_(kind, **values_of(truth))))
+    found = estimate_disturbances(case(), log_zeta(), left(with_(kind, **values_of(truth))))
     assert found[0].name == "force_x"
     inside = []
     for time, signal, error in zip(found[0].time, found[0].signal, found[0].error, strict=True):
         away = np.abs(signal - np.interp(time, knots, truth))
         inside.append(away < SIGMAS * error)
     assert np.concatenate(inside).mean() > NEARLY_EVERYWHERE
-    assert dict(follows(case(), found[0]))["time"] > NEARLY_ALL
+    assert dict(rank_dependence(case(), found[0]))["time"] > NEARLY_ALL
 
 
 @pytest.mark.parametrize(
@@ -186,12 +195,12 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
     assert kind is correction(stage, variable, list(knots))
     for null, reference in zip(with_(kind), plain(), strict=True):
         assert np.array_equal(null, reference)
-    small = 0.01 * numbers(kind)["at_1"]["typical"]
+    small = 0.01 * field_metadata(kind)["at_1"]["typical"]
     moved = with_(kind, at_1=small)[0]
     trial = with_zeta(case().trials[0], float(log_zeta()[0]))
-    path = case().trace(0, float(log_zeta()[0]))
-    of = kick(kind, trial, path, jnp.asarray(case().node(0)), {}, {})
-    slope = np.asarray(respond_to(path, of))
+    path = case().linearized(0, float(log_zeta()[0]))
+    of = effect_sensitivity(kind, trial, path, jnp.asarray(case().node_interval(0)), {}, {})
+    slope = np.asarray(propagate(path, of))
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     z = slope[: len(nodes), READINGS.index("z"), 1]
     line = small * np.interp(case().time(0), nodes, z)
@@ -204,7 +213,7 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
 class LooserAndLower(MemorylessZetaFactor, AbstractPlane):
     """Acts in two places at once, as an effect of a user's own may."""
 
-    about = About("looser_and_lower", "terrain", "ζ = ζ (1 - loss), h = -lower", "two in one")
+    about = EffectInfo("looser_and_lower", "terrain", "ζ = ζ (1 - loss), h = -lower", "two in one")
     loss: Float[Array, ""] = strength("-", 0.02, "share of zeta lost")
     lower: Float[Array, ""] = strength("m", 0.002, "how far the surface lies lower")
 
@@ -218,9 +227,14 @@ class LooserAndLower(MemorylessZetaFactor, AbstractPlane):
 @pytest.mark.parametrize(("field", "small"), [("loss", 2e-4), ("lower", 2e-5)])
 def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
     trial = with_zeta(case().trials[0], float(log_zeta()[0]))
-    path = case().trace(0, float(log_zeta()[0]))
+    path = case().linearized(0, float(log_zeta()[0]))
     slope = np.asarray(
-        respond_to(path, kick(LooserAndLower, trial, path, jnp.asarray(case().node(0)), {}, {}))
+        propagate(
+            path,
+            effect_sensitivity(
+                LooserAndLower, trial, path, jnp.asarray(case().node_interval(0)), {}, {}
+            ),
+        )
     )
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     column = slope[: len(nodes), READINGS.index("z"), ("loss", "lower").index(field)]
@@ -234,7 +248,9 @@ def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
 class StrongerAndReadSo(AbstractStressFactor, AbstractSensor):
     """Bears on plates, and on the scale that their force is read by."""
 
-    about = About("stronger_and_read_so", "terrain", "σ = σ (1 + more), F read so", "two in one")
+    about = EffectInfo(
+        "stronger_and_read_so", "terrain", "σ = σ (1 + more), F read so", "two in one"
+    )
     more: Float[Array, ""] = strength("-", 0.02, "share of stress, and of what is read of it")
 
     def factor(self, motion):
@@ -252,18 +268,20 @@ def test_an_effect_on_plates_and_on_a_scale_is_read_once():
     driven = driven_case()
     at = log_zeta()[0]
     trial = with_zeta(driven.trials[0], float(at))
-    path = driven.trace(0, float(at))
-    node = jnp.asarray(driven.node(0))
-    slope = np.asarray(respond_to(path, kick(StrongerAndReadSo, trial, path, node, {}, {})))
+    path = driven.linearized(0, float(at))
+    node = jnp.asarray(driven.node_interval(0))
+    slope = np.asarray(
+        propagate(path, effect_sensitivity(StrongerAndReadSo, trial, path, node, {}, {}))
+    )
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
     fz = slope[: len(nodes), READINGS.index("fz"), 0]
     line = more * np.interp(driven.time(0), nodes, fz)
-    model = Model((StrongerAndReadSo,))
+    model = AugmentedModel((StrongerAndReadSo,))
     strengths = np.array([f.coordinate(more) for f in model.free])
     row = driven.channels.index("fz")
     exact = (
         driven.predicted(model, 0, at, strengths)[row]
-        - driven.predicted(Model(), 0, at, np.zeros(0))[row]
+        - driven.predicted(AugmentedModel(), 0, at, np.zeros(0))[row]
     )
     # The wheel carries its load all along: what it weighs, read too high by that share.
     weight = float(trial.simulator.rig.mass_z) * 9.81
@@ -282,20 +300,20 @@ def test_a_correction_refuses_what_its_stage_cannot_know():
 
 
 def test_one_run_alone_is_described():
-    one = Case.of(case().candidates[:1])
-    found = stages(one, log_zeta()[:1], left(with_(SpeedGain, gain=0.05))[:1])
+    one = RigDataset.of(case().runs[:1])
+    found = estimate_disturbances(one, log_zeta()[:1], left(with_(SpeedGain, gain=0.05))[:1])
     assert found[0].name == "speed"
-    assert follows(one, found[0])[0][1] > NEARLY_ALL
+    assert rank_dependence(one, found[0])[0][1] > NEARLY_ALL
 
 
 def test_a_driven_carriage_has_stages_too():
     driven = driven_case()
     at = log_zeta()[:1]
-    reference = driven.predicted(Model(), 0, at[0], np.zeros(0))
+    reference = driven.predicted(AugmentedModel(), 0, at[0], np.zeros(0))
     shifted = reference.copy()
     growing = 2.0 * np.clip(driven.time(0) - 1, 0, 2)
     shifted[driven.channels.index("torque")] += growing
-    found = stages(driven, at, [reference - shifted])
+    found = estimate_disturbances(driven, at, [reference - shifted])
     assert found[0].name == "reading torque"
     # A bend's corner lies between two knots: a little of it, beside the error.
     assert found[0].signal[0][6] == pytest.approx(4.0, abs=SIGMAS * found[0].error[0][6] + 0.05)

@@ -7,18 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import Case
+from diagnose.dataset import RigDataset
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.gap.gap import Gap
-from diagnose.gap.selected_effects import Added
+from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import paragraphs, verdict, write
 from diagnose.result import Diagnosis
-from diagnose.rig_runs import gather
-from diagnose.selection.verdict import by_name, in_another_form
-from diagnose.unknown.correction_fit import BOTH_WAYS, Correction, listed_among, meaning
-from drftjax.effects.base import About, MemorylessZetaFactor, strength
+from diagnose.rig_runs import gather_runs
+from diagnose.selection.verdict import by_name, reassign_unknown
+from diagnose.unknown.correction_fit import (
+    BOTH_WAYS,
+    Correction,
+    equivalent_effect,
+    match_listed_effect,
+)
+from drftjax.effects.base import EffectInfo, MemorylessZetaFactor, strength
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.correction import Curve, correction, with_values
 from drftjax.effects.terrain import TerrainVariation
@@ -35,7 +40,7 @@ BUMP = (0.0, 0.05, 0.0, -0.02, 0.0)
 class Furrows(MemorylessZetaFactor):
     """zeta goes up and down along the bed."""
 
-    about: ClassVar = About("furrows", "terrain", "ζ = ζ exp(swing sin 2πx/L)", "uneven sand")
+    about: ClassVar = EffectInfo("furrows", "terrain", "ζ = ζ exp(swing sin 2πx/L)", "uneven sand")
     swing: float = strength("-", 0.1, "largest change of log zeta")
 
     def factor(self, moment, memory):
@@ -52,7 +57,7 @@ def found(tmp_path_factory) -> Diagnosis:
             effect = {"name": "furrows", "swing": SWING}
             run = run_with(effect, speed, mass, zeta, seed=number)
             write_run(folder / f"run_{number}.h5", run)
-    return diagnose(Case.of(gather([folder]).candidates), (TerrainVariation,))
+    return diagnose(RigDataset.of(gather_runs([folder]).runs), (TerrainVariation,))
 
 
 def test_a_zeta_that_goes_up_and_down_along_the_bed_is_a_variation_of_the_terrain(found):
@@ -94,56 +99,56 @@ def curve(stage: str, variable: str, values=BUMP, left: float = 1.0) -> Correcti
     knots = np.linspace(0.0, 1.0, len(values)).tolist()
     effect = with_values(correction(stage, variable, knots), list(values))
     gap = {"z": Gap(20.0, left, 1.0, 1.0, (0.0, 1.0))}
-    return Correction(effect, 1.0, Added((effect,), np.zeros(1), [], gap))
+    return Correction(effect, 1.0, SelectedEffects((effect,), np.zeros(1), [], gap))
 
 
 def test_a_curve_means_an_effect_where_that_is_what_the_effect_is():
-    assert meaning(curve("zeta", "travel")) == "terrain_variation"
-    assert meaning(curve("height", "travel")) == "surface_profile"
+    assert equivalent_effect(curve("zeta", "travel")) == "terrain_variation"
+    assert equivalent_effect(curve("height", "travel")) == "surface_profile"
     for stage, variable in (("zeta", "turning"), ("zeta", "time"), ("force_x", "travel")):
-        assert meaning(curve(stage, variable)) is None
+        assert equivalent_effect(curve(stage, variable)) is None
 
 
 def test_it_must_explain_as_much_as_unknown_is_taken_to():
-    assert meaning(curve("zeta", "travel", left=2.9)) == "terrain_variation"
-    assert meaning(curve("zeta", "travel", left=3.1)) is None
+    assert equivalent_effect(curve("zeta", "travel", left=2.9)) == "terrain_variation"
+    assert equivalent_effect(curve("zeta", "travel", left=3.1)) is None
 
 
 def test_what_only_falls_may_be_wear():
     falling = (0.05, 0.03, 0.01, 0.0, -0.01)
-    assert meaning(curve("zeta", "travel", falling)) is None
+    assert equivalent_effect(curve("zeta", "travel", falling)) is None
     back = (*falling[:-1], BOTH_WAYS * 0.05 + 0.003)
-    assert meaning(curve("zeta", "travel", back)) == "terrain_variation"
+    assert equivalent_effect(curve("zeta", "travel", back)) == "terrain_variation"
 
 
 def test_a_leap_on_the_way_is_of_a_place_and_one_at_the_start_may_not_be():
     leap = (0.0, 0.001, 0.002, 0.003, 0.0, 0.05, 0.051, 0.052, 0.053)
-    assert meaning(curve("zeta", "travel", leap)) == "terrain_variation"
+    assert equivalent_effect(curve("zeta", "travel", leap)) == "terrain_variation"
     settling = (0.05, 0.01, 0.0, -0.001, -0.002, -0.003, -0.004, -0.005, -0.006)
-    assert meaning(curve("zeta", "travel", settling)) is None
+    assert equivalent_effect(curve("zeta", "travel", settling)) is None
 
 
 def test_it_must_be_told_from_curves_over_other_things():
     place, follows = curve("zeta", "travel"), {"travel": 0.95, "time": 0.5}
-    found = listed_among([place, curve("zeta", "vx", left=1.5)], follows)
+    found = match_listed_effect([place, curve("zeta", "vx", left=1.5)], follows)
     assert found is not None
     assert found.means == "terrain_variation"
     # Way and turning are one where slip is; anything else must leave clearly more.
-    assert listed_among([place, curve("zeta", "turning", left=0.9)], follows) is not None
-    assert listed_among([place, curve("zeta", "turning", left=0.7)], follows) is None
-    assert listed_among([place, curve("zeta", "vx", left=1.1)], follows) is None
+    assert match_listed_effect([place, curve("zeta", "turning", left=0.9)], follows) is not None
+    assert match_listed_effect([place, curve("zeta", "turning", left=0.7)], follows) is None
+    assert match_listed_effect([place, curve("zeta", "vx", left=1.1)], follows) is None
     # Another curve over the way is no rival, whatever it looks like.
     wear = curve("zeta", "travel", (0.05, 0.03, 0.01, 0.0, -0.01), left=1.1)
-    assert listed_among([place, wear], follows) is not None
+    assert match_listed_effect([place, wear], follows) is not None
     # Runs of one profile do not tell places from moments.
-    assert listed_among([place], follows | {"time": 0.94}) is None
-    assert listed_among([curve("zeta", "turning")], follows) is None
+    assert match_listed_effect([place], follows | {"time": 0.94}) is None
+    assert match_listed_effect([curve("zeta", "turning")], follows) is None
 
 
 def test_what_was_unknown_goes_to_the_effect():
     share = {("none",): 0.1, ("unknown",): 0.6, ("loosening",): 0.1, ("terrain_variation",): 0.2}
-    moved = in_another_form(share, "terrain_variation")
+    moved = reassign_unknown(share, "terrain_variation")
     assert by_name(moved)["terrain_variation"] == pytest.approx(0.8)
     assert moved["unknown",] == 0
     del share["terrain_variation",]
-    assert in_another_form(share, "terrain_variation")["terrain_variation",] == 0.6
+    assert reassign_unknown(share, "terrain_variation")["terrain_variation",] == 0.6

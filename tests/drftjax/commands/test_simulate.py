@@ -12,7 +12,7 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5.api import read_run, write_result
-from drftjax.setups.command_knots import thinned
+from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
@@ -370,7 +370,7 @@ def test_thinned_command_keeps_its_corners_and_nothing_else():
     time = np.linspace(0, 24, 2401)
     knots = [0, 2, 7, 17, 22, 24]
     omega = np.interp(time, knots, [0, 0, 0.5, 0.5, 0, 0])
-    thin = thinned(CommandSetUp(time.tolist(), omega.tolist()))
+    thin = decimate_command(CommandSetUp(time.tolist(), omega.tolist()))
     np.testing.assert_allclose(thin.time, knots, rtol=0, atol=ROUNDING)
 
 
@@ -379,7 +379,7 @@ def test_thinned_command_is_the_same_function_of_time():
     time = np.cumsum(random.uniform(0.01, 0.1, 200))
     omega = np.where(time < 3, np.sin(time), 0.4)
     vx = np.interp(time, [1, 4], [0, 0.2])
-    thin = thinned(CommandSetUp(time.tolist(), omega.tolist(), vx.tolist()))
+    thin = decimate_command(CommandSetUp(time.tolist(), omega.tolist(), vx.tolist()))
     assert len(thin.time) < len(time)
     np.testing.assert_allclose(np.interp(time, thin.time, thin.omega), omega, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(np.interp(time, thin.time, thin.vx), vx, rtol=0, atol=ROUNDING)

@@ -22,9 +22,9 @@ from drftjax.effects.base import (
     AbstractStressFactor,
     AbstractSurface,
     AbstractZetaFactor,
-    Moment,
+    StepContext,
 )
-from drftjax.effects.catalogue import OURS, catalogue, numbers, shapes, strengths
+from drftjax.effects.catalogue import OURS, catalogue, field_metadata, shapes, strengths
 from drftjax.physics.state import State
 from drftjax.physics.stress import plate_motion
 from drftjax.runlog.hdf5.api import read_run
@@ -127,12 +127,12 @@ def test_an_effect_says_what_it_is(name):
     assert effect.about.formula
     assert effect.about.meaning
     assert strengths(effect), "an effect has a strength"
-    assert set(strengths(effect)) | set(shapes(effect)) == set(numbers(effect))
-    for about in numbers(effect).values():
+    assert set(strengths(effect)) | set(shapes(effect)) == set(field_metadata(effect))
+    for about in field_metadata(effect).values():
         assert about["unit"]
         assert about["meaning"]
     for field in shapes(effect):
-        starts = numbers(effect)[field]["starts"]
+        starts = field_metadata(effect)[field]["starts"]
         assert min(starts) > 0
         assert min(starts) <= float(getattr(effect(), field)) <= max(starts)
 
@@ -147,8 +147,14 @@ def test_at_zero_strength_every_hook_gives_back_what_it_was_given(name):
     output = sim.observe(state, command)
     dt = jnp.asarray(DT)
     pair = jnp.asarray(random.normal(size=2))
-    moment = Moment(*map(jnp.asarray, (0.3, DT)), pair, 0.1 * pair, *map(jnp.asarray, (1.0, 0.5)),
-                    jnp.asarray(0.5), sim.wheel.radius)  # fmt: skip
+    moment = StepContext(
+        *map(jnp.asarray, (0.3, DT)),
+        pair,
+        0.1 * pair,
+        *map(jnp.asarray, (1.0, 0.5)),
+        jnp.asarray(0.5),
+        sim.wheel.radius,
+    )
     plates = sim.wheel.cut().plates(state.angle)
     motion = plate_motion(plates, jnp.asarray(0.13), pair, moment.omega, jnp.asarray(0.0), pair)
 
@@ -315,8 +321,16 @@ def test_loads_factors_and_surfaces_act_in_any_order():
     forward = built(values, leave_out=("wheel_radius", "grouser_height"))
     sim = simulator().prepared()
     state = START()
-    moment = Moment(jnp.asarray(0.3), jnp.asarray(DT), state.position, state.velocity, state.angle,
-                    state.omega, state.omega, sim.wheel.radius)  # fmt: skip
+    moment = StepContext(
+        jnp.asarray(0.3),
+        jnp.asarray(DT),
+        state.position,
+        state.velocity,
+        state.angle,
+        state.omega,
+        state.omega,
+        sim.wheel.radius,
+    )
     plates = sim.wheel.cut().plates(state.angle)
     height = jnp.asarray(0.13)
     motion = plate_motion(plates, height, state.velocity, state.omega, height * 0, state.velocity)
@@ -327,7 +341,7 @@ def test_loads_factors_and_surfaces_act_in_any_order():
         return (
             chain.zeta_factor(effects, memory, moment),
             chain.stress_factor(effects, motion),
-            chain.on_surface(effects, memory, motion, place[0], plates.x).depth,
+            chain.relative_to_surface(effects, memory, motion, place[0], plates.x).depth,
             chain.loads(effects, memory, place, speed, moment, of_the_sand=True),
             chain.loads(effects, memory, place, speed, moment, of_the_sand=False),
         )

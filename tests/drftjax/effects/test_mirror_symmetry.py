@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from drftjax.effects.base import Moment
-from drftjax.effects.catalogue import numbers, shapes
-from drftjax.effects.serialization import built
+from drftjax.effects.base import StepContext
+from drftjax.effects.catalogue import field_metadata, shapes
+from drftjax.effects.serialization import build_effects
 from drftjax.physics.command import with_zeros
 from drftjax.physics.integrator import HeldPace, steady_step
 from drftjax.physics.state import Output, State
@@ -160,7 +160,7 @@ def test_every_effect_says_what_the_mirror_does_to_it():
     assert list(MIRROR) == list(KNOWN)
     for name, (fields, why) in MIRROR.items():
         assert why
-        assert set(fields) <= set(numbers(KNOWN[name]))
+        assert set(fields) <= set(field_metadata(KNOWN[name]))
 
 
 @pytest.mark.parametrize("name", list(KNOWN))
@@ -225,7 +225,7 @@ def resistance(turns, speed=1.0, dt=0.01):
         for _ in range(round(abs(turn) / (speed * dt))):
             position = jnp.asarray([x, 0.0])
             velocity = jnp.asarray([0.15 * omega, 0.0])
-            moment = Moment(nought, jnp.asarray(dt), position, velocity, nought,
+            moment = StepContext(nought, jnp.asarray(dt), position, velocity, nought,
                             jnp.asarray(omega), jnp.asarray(omega), radius)  # fmt: skip
             x += 0.15 * omega * dt
             felt.append(effect.load(jnp.asarray([x, 0.0]), velocity, moment, memory)[0])
@@ -252,7 +252,7 @@ def test_a_wheel_that_turns_back_a_little_finds_its_pile_again():
 
 
 def test_a_patch_may_lie_behind_the_start():
-    assert built({"name": "terrain_variation", "excess": 0.1, "centre": -0.4}, 1) == KNOWN[
+    assert build_effects({"name": "terrain_variation", "excess": 0.1, "centre": -0.4}, 1) == KNOWN[
         "terrain_variation"
     ](excess=0.1, centre=-0.4)
 

@@ -250,11 +250,11 @@ def test_imbalance_pulls_outward_with_the_square_of_the_speed():
 
 
 def _moment():
-    from drftjax.effects.base import Moment
+    from drftjax.effects.base import StepContext
 
     nought = jnp.zeros(())
     one = jnp.ones(())
-    return Moment(nought, one, jnp.zeros(2), jnp.zeros(2), nought, one, one, one)
+    return StepContext(nought, one, jnp.zeros(2), jnp.zeros(2), nought, one, one, one)
 
 
 # Terrain

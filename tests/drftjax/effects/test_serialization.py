@@ -13,11 +13,11 @@ import pytest
 from rich.console import Console
 
 from drftjax.effects.catalogue import catalogue
-from drftjax.effects.correction import STAGES, known_to
+from drftjax.effects.correction import STAGES, states_known_to
 from drftjax.effects.listing import listing, markdown
-from drftjax.effects.serialization import built, entry_of, typical
+from drftjax.effects.serialization import build_effects, entry_of, typical
 from drftjax.effects.terrain import Loosening
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_run, write_result
 from drftjax.setups.fitted_model import model_group, read_model
 from drftjax.setups.setup import CommandSetUp, SetUp, read_setup
@@ -74,7 +74,7 @@ def test_every_effect_comes_back_from_a_file(tmp_path, name):
     (effect,) = read_setup(path).trial().simulator.effects
     assert type(effect) is catalogue()[name]
     assert entry_of(effect) == entry
-    assert entry_of(built({"name": name}, 1)) == entry_of(catalogue()[name]())
+    assert entry_of(build_effects({"name": name}, 1)) == entry_of(catalogue()[name]())
 
 
 def test_copies_and_results_carry_effects(tmp_path):
@@ -183,7 +183,7 @@ def test_a_larger_outline_is_larger_all_over(tmp_path):
 def test_a_fit_compares_runs_with_the_effects_of_its_model():
     model = setup_of()
     model.effects = [{"name": "vertical_load", "force": 30.0}]
-    asked = candidate("a", recorded(setup_of()), model=model)
+    asked = prepare_run("a", recorded(setup_of()), model=model)
     (load,) = asked.trial.simulator.effects
     assert entry_of(load) == asked.setup.effects[0] == model.effects[0]
 
@@ -221,7 +221,7 @@ def test_corrections_of_nothing_in_every_stage_are_the_reference_model_to_the_bi
         {
             "name": "correction",
             "stage": stage,
-            "variable": "sinkage" if "sinkage" in known_to(stage) else "turning",
+            "variable": "sinkage" if "sinkage" in states_known_to(stage) else "turning",
             "knots": [0.0, 0.02, 0.5],
             "values": [0.0, 0.0, 0.0],
         }

@@ -7,7 +7,7 @@ import pytest
 
 import drftjax
 from drftjax.common.errors import InputError
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
@@ -35,7 +35,7 @@ def test_a_channel_left_out_counts_no_more_than_one_not_recorded(run):
 
 
 def test_what_is_not_compared_is_told_as_unused(run):
-    observation = candidate("run", run, compare=("x",)).observation
+    observation = prepare_run("run", run, compare=("x",)).observation
     assert observation.channels == ("x",)
     assert "z" in observation.unused
 

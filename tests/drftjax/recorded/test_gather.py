@@ -10,7 +10,7 @@ from drftjax.recorded.gather import gather
 from drftjax.runlog.files import each_once, run_files
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.plausibility import doubts
-from drftjax.runlog.record import Command
+from drftjax.runlog.record import RecordedCommand
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
 
 RUNS = Path(__file__).parents[3] / "data" / "runs"
@@ -37,7 +37,7 @@ def test_a_copy_or_a_file_given_twice_counts_once(folder):
 def test_a_recording_is_no_repeat_of_itself(folder):
     told: list[str] = []
     gathered = gather([folder], tell=told.append)
-    assert [each.name for each in gathered.candidates] == ["a"]
+    assert [each.name for each in gathered.runs] == ["a"]
     (sentence,) = told
     assert sentence.startswith(f"left out: {folder / 'copy.h5'}: is the same as")
 
@@ -45,7 +45,7 @@ def test_a_recording_is_no_repeat_of_itself(folder):
 def test_files_with_names_alike_keep_their_names(folder):
     shutil.copy(RUNS / "slow_b.h5", folder / "b.h5")
     gathered = gather([folder / "a.h5", folder / "b.h5", folder / "a.h5"])
-    assert [each.name for each in gathered.candidates] == ["a", "b"]
+    assert [each.name for each in gathered.runs] == ["a", "b"]
 
 
 def test_folders_are_taken_wherever_runs_are_looked_at(drft, folder):
@@ -71,7 +71,7 @@ def test_a_lone_file_that_cannot_be_used_is_one_sentence(drft, tmp_path, command
 
 def test_likely_slips_of_unit_are_told(tmp_path):
     run = recorded(setup_of(SLOW, 0.75), 1)
-    command = Command(time=run.command.time, omega=60 * run.command.omega)
+    command = RecordedCommand(time=run.command.time, omega=60 * run.command.omega)
     path = tmp_path / "turning.h5"
     write_run(path, dataclasses.replace(run, command=command))
     told: list[str] = []

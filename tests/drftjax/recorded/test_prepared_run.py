@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drftjax.recorded.commanded_motion import asked_to_move
+from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.recorded.observation import observe, white_noise
-from drftjax.recorded.prepared_run import candidate
-from drftjax.runlog.record import Command, Measured
+from drftjax.recorded.prepared_run import prepare_run
+from drftjax.runlog.record import Measured, RecordedCommand
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 RADIUS = 0.150
@@ -27,7 +27,7 @@ def test_start_is_read_before_the_wheel_sets_off(rest, counted):
     time = [0.0, rest, rest + 0.1, 2.0] if rest else [0.0, 0.1, 2.0]
     omega = [0.0, 0.0, 2.0, 2.0] if rest else [0.0, 2.0, 2.0]
     run = recorded(setup_of((time, omega)))
-    start = candidate("run", run).setup.start
+    start = prepare_run("run", run).setup.start
     assert start.x == run.measured.x[:counted].mean()
     assert start.sinkage == -run.measured.z[:counted].mean()
 
@@ -39,7 +39,7 @@ def test_the_sinkage_that_a_standing_wheel_creeps_by_is_none_of_its_start():
     noise = 20e-6 * np.random.default_rng(2).standard_normal(len(time))
     z = -0.0176 - CREEP * time + noise
     creeping = dataclasses.replace(run, measured=Measured(time, x=run.measured.x, z=z))
-    start = candidate("run", creeping).setup.start
+    start = prepare_run("run", creeping).setup.start
     assert start.sinkage == pytest.approx(0.0176, abs=LINE)
     assert -z[:10].mean() - 0.0176 > LINE
     assert start.x == run.measured.x[:10].mean()
@@ -47,7 +47,7 @@ def test_the_sinkage_that_a_standing_wheel_creeps_by_is_none_of_its_start():
     curved = -0.0176 - SLOWING * (1 - np.exp(-time / 0.2)) + noise / 2
     assert -np.polyfit(time[:26], curved[:26], 1)[1] - 0.0176 > 2 * LINE
     slowing = dataclasses.replace(run, measured=Measured(time, x=run.measured.x, z=curved))
-    assert candidate("run", slowing).setup.start.sinkage == pytest.approx(0.0176, abs=LINE)
+    assert prepare_run("run", slowing).setup.start.sinkage == pytest.approx(0.0176, abs=LINE)
 
 
 @pytest.mark.parametrize("noise", [0.0, 20e-6])
@@ -55,7 +55,7 @@ def test_start_of_a_wheel_that_still_settles_is_its_first_sample(noise):
     setup = setup_of(([0.0, 0.5, 1.0, 2.0], [0.0, 0.0, 0.5, 0.5]))
     setup.start.sinkage -= 1.2e-3
     run = recorded(setup, noise=noise)
-    start = candidate("run", run).setup.start
+    start = prepare_run("run", run).setup.start
     assert start.sinkage == -run.measured.z[0]
     assert start.x == run.measured.x[0]
     # A mean over 0.2 s is that much deeper.
@@ -71,8 +71,8 @@ def test_what_was_recorded_before_the_command_begins_is_neither_start_nor_compar
         x=np.r_[0 * before, plain.measured.x],
         z=np.r_[np.linspace(0.02, 0.0, len(before)), plain.measured.z],
     )
-    early = candidate("run", dataclasses.replace(plain, measured=measured))
-    late = candidate("run", plain)
+    early = prepare_run("run", dataclasses.replace(plain, measured=measured))
+    late = prepare_run("run", plain)
     assert early.setup.start == late.setup.start
     np.testing.assert_array_equal(early.observation.counts[len(before) :], late.observation.counts)
     assert not early.observation.counts[: len(before)].any()
@@ -96,14 +96,14 @@ def test_dust_on_a_wheel_that_is_locked_does_not_keep_its_carriage_moving():
     found = observe(dataclasses.replace(plain, command=dusty), RADIUS)
     np.testing.assert_array_equal(found.counts, observe(plain, RADIUS).counts)
     assert not found.counts[found.time > 3.0].any()
-    trial = candidate("dusty", dataclasses.replace(plain, command=dusty)).trial
+    trial = prepare_run("dusty", dataclasses.replace(plain, command=dusty)).trial
     np.testing.assert_array_equal(
-        asked_to_move(trial, np.array([0.5, 2.5, 3.5])), [True, True, False]
+        is_commanded_to_move(trial, np.array([0.5, 2.5, 3.5])), [True, True, False]
     )
 
 
 def test_samples_after_the_last_stop_are_left_out_unless_kept():
-    command = Command(time=[2.0, 3.0, 4.0, 6.0], omega=[0.0, 1.0, 0.0, 0.0])
+    command = RecordedCommand(time=[2.0, 3.0, 4.0, 6.0], omega=[0.0, 1.0, 0.0, 0.0])
     measured = Measured(time=np.arange(2.0, 8.0, 0.5), z=np.zeros(12))
     base = recorded(setup_of())
     run = dataclasses.replace(base, command=command, measured=measured)

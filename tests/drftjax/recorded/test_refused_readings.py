@@ -8,8 +8,8 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import gather
-from drftjax.recorded.observation import refused_readings, without_refused
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.observation import drop_refused, refused_readings
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.record import RunLog
 from hils.events import TickFlag
@@ -40,7 +40,7 @@ def test_what_the_loop_refused_is_not_compared(log):
     assert refused.sum() == flagged(log) > 2
     off = np.abs(log.measured.z - np.median(log.measured.z))
     assert off[refused].min() > ABSURD > off[~refused].max()
-    seen = candidate("run", log).observation
+    seen = prepare_run("run", log).observation
     assert set(seen.time) <= set(log.measured.time[~refused] - log.command.time[0])
     assert np.ptp(seen.by_channel()["z"][0]) < ABSURD
 
@@ -61,7 +61,7 @@ def test_all_readings_stay_where_a_log_does_not_tell_which(log):
         dataclasses.replace(log, online=online),
         dataclasses.replace(log, online=None, events=None),
     ):
-        assert without_refused(each) is each
+        assert drop_refused(each) is each
 
 
 def test_a_free_run_tells_them_by_its_events(log):
@@ -72,4 +72,4 @@ def test_a_free_run_tells_them_by_its_events(log):
 def test_a_run_of_refused_readings_alone_cannot_be_used(log):
     online = dataclasses.replace(log.online, flags=log.online.flags | TickFlag.REFUSED)
     with pytest.raises(InputError, match="the loop refused all its readings"):
-        candidate("run", dataclasses.replace(log, online=online))
+        prepare_run("run", dataclasses.replace(log, online=online))

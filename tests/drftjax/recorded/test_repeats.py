@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from diagnose.gap.noise_floor import noise_floors
-from drftjax.recorded.prepared_run import Candidate, candidate
-from drftjax.recorded.repeats import conditions
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
+from drftjax.recorded.repeats import group_by_condition
 from drftjax.setups.setup import SetUp
-from identify.cluster.result_codec import decoded, encoded
+from identify.cluster.result_codec import decode_result, encode_result
 from identify.commands.fit_cluster import _together
-from identify.results.findings import between
-from identify.results.noise_floor import _pairs, noise_floor, repeated
+from identify.results.findings import between_run_sentences
+from identify.results.noise_floor import _pairs, noise_floor, repeated_runs
 from identify.results.result import FitResult
 from identify.results.values import RunFit, Value
 from tests.helpers.synthetic_runs import recorded, setup_of
@@ -28,11 +28,11 @@ PROFILE = ([0.0, 0.3, 1.3, 2.0], [0.0, 0.0, 0.5, 0.5])
 
 
 @pytest.fixture(scope="module")
-def whole() -> Candidate:
-    return candidate("whole", recorded(setup_of(PROFILE), rate=100.0))
+def whole() -> PreparedRun:
+    return prepare_run("whole", recorded(setup_of(PROFILE), rate=100.0))
 
 
-def changed(one: Candidate, **numbers) -> Candidate:
+def changed(one: PreparedRun, **numbers) -> PreparedRun:
     """The same run under a command or a set-up that differs in some numbers."""
     setup: SetUp = copy.deepcopy(one.setup)
     for name, value in numbers.items():
@@ -41,7 +41,7 @@ def changed(one: Candidate, **numbers) -> Candidate:
     return dataclasses.replace(one, setup=setup)
 
 
-def stopped(one: Candidate, end: float) -> Candidate:
+def stopped(one: PreparedRun, end: float) -> PreparedRun:
     """The same run stopped early [s]."""
     keep = one.observation.time <= end
     observation = dataclasses.replace(
@@ -57,14 +57,14 @@ def stopped(one: Candidate, end: float) -> Candidate:
 
 
 def test_a_run_that_was_stopped_early_is_of_the_condition_of_the_whole_one(whole):
-    assert conditions([whole, stopped(whole, 1.6)]) == [[0, 1]]
+    assert group_by_condition([whole, stopped(whole, 1.6)]) == [[0, 1]]
 
 
 def test_the_same_profile_told_by_more_knots_is_the_same_command(whole):
     more = changed(
         whole, command_time=[0.0, 0.3, 0.8, 1.3, 2.0], command_omega=[0.0, 0.0, 0.25, 0.5, 0.5]
     )
-    assert conditions([whole, more]) == [[0, 1]]
+    assert group_by_condition([whole, more]) == [[0, 1]]
 
 
 @pytest.mark.parametrize(
@@ -78,18 +78,18 @@ def test_the_same_profile_told_by_more_knots_is_the_same_command(whole):
     ],
 )
 def test_another_command_load_length_or_sand_is_another_condition(whole, other):
-    assert conditions([whole, changed(whole, **other)]) == [[0], [1]]
+    assert group_by_condition([whole, changed(whole, **other)]) == [[0], [1]]
 
 
 def test_runs_at_two_carriage_speeds_are_two_conditions(whole):
     slow, fast = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.05, 0.06))
-    assert conditions([slow, fast, slow]) == [[0, 2], [1]]
+    assert group_by_condition([slow, fast, slow]) == [[0, 2], [1]]
 
 
 def test_carriages_tuned_to_their_sinkage_repeat_each_other(whole):
     # What two runs of a rig in the loop differ by, each tuned by its own sinkage.
     one, again = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.0777, 0.0778))
-    assert conditions([one, again]) == [[0, 1]]
+    assert group_by_condition([one, again]) == [[0, 1]]
 
 
 @pytest.mark.parametrize("what", ["lengths", "sands", "paces"])
@@ -103,12 +103,12 @@ def test_the_order_of_the_runs_is_no_matter(whole, what):
     }[what]
     found = set()
     for order in itertools.permutations(range(3)):
-        groups = conditions([runs[k] for k in order])
+        groups = group_by_condition([runs[k] for k in order])
         found.add(frozenset(frozenset(order[k] for k in group) for group in groups))
     assert found == {frozenset([frozenset([0, 1]), frozenset([2])])}
 
 
-def pair_of(whole: Candidate, short: Candidate) -> SimpleNamespace:
+def pair_of(whole: PreparedRun, short: PreparedRun) -> SimpleNamespace:
     return SimpleNamespace(
         candidates=[whole, short],
         channels=("x", "z"),
@@ -154,7 +154,7 @@ def test_what_grows_in_two_repeats_is_no_chance_where_one_is_shorter(whole):
     assert floors == pytest.approx({"x": 0.0, "z": 0.0}, abs=ROUNDING)
     # Of fits, whose other numbers move too, only runs of about one length are compared.
     fits = [fitted("a", 0.7), altered(fitted("b", 0.7, 5e-4), samples=80)]
-    assert repeated(fits) == [[0, 1]]
+    assert repeated_runs(fits) == [[0, 1]]
     assert noise_floor(fits) == {}
 
 
@@ -178,7 +178,7 @@ def test_repeats_of_a_channel_are_those_that_have_it(whole):
     own = {"x": 0.0, "z": 0.0}
     floors, _ = noise_floors(case, residual, residual, own, of_one_length)  # pyright: ignore
     assert floors == pytest.approx({"x": 1e-3 / np.sqrt(2), "z": 0.0})
-    case.candidates = [lacking, lacking, whole]
+    case.runs = [lacking, lacking, whole]
     _, how = noise_floors(case, residual, residual, own, of_one_length)  # pyright: ignore
     assert how.endswith("; that of x, which no repeats have, from fast scatter.")
 
@@ -223,7 +223,7 @@ def test_without_repeats_the_floor_is_the_noise_of_the_runs_that_have_the_channe
         noise=observation.noise[1:],
     )
     other = dataclasses.replace(changed(whole, rig_mass_z=25.0), observation=lacking)
-    case = SimpleNamespace(candidates=[whole, other], channels=("x", "z"))
+    case = SimpleNamespace(runs=[whole, other], channels=("x", "z"))
     # What is left scatters by more than the readings do.
     random = np.random.default_rng(0)
     scale = 10 * np.array(observation.noise)[:, None]
@@ -277,7 +277,7 @@ def altered(run: RunFit, delay: float = 0.0, samples: int | None = None, **numbe
 )
 def test_clocks_and_roundings_make_no_other_run(other):
     run = fitted("a", 0.7)
-    assert repeated([run, altered(run, **other)]) == [[0, 1]]
+    assert repeated_runs([run, altered(run, **other)]) == [[0, 1]]
     # What differs by half a millimetre differs by it, whatever the clocks.
     off = fitted("b", 0.7, 5e-4)
     floor = noise_floor([run, altered(off, **other)])
@@ -294,7 +294,7 @@ def test_the_floor_of_repeats_is_the_same_in_any_order(order):
 
 def test_a_repeat_too_short_to_compare_parts_no_others():
     fits = [fitted("a", 0.7), altered(fitted("b", 0.7), samples=80), fitted("c", 0.7, 5e-4)]
-    assert repeated(fits) == [[0, 1, 2]]
+    assert repeated_runs(fits) == [[0, 1, 2]]
     assert noise_floor(fits) == pytest.approx({"z": 5e-4 / np.sqrt(2)})
 
 
@@ -345,7 +345,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
 )
 def test_fits_of_another_load_wheel_or_command_are_no_repeats(other):
     run = fitted("a", 0.7)
-    assert repeated([run, altered(run, **other)]) == []
+    assert repeated_runs([run, altered(run, **other)]) == []
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
@@ -354,7 +354,7 @@ def test_a_fit_goes_with_the_longest_run_that_it_repeats_in_any_order(order):
     runs = [
         altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.3, 8.3, end]) for end in (9, 8.92, 8.84)
     ]
-    groups = repeated([runs[k] for k in order])
+    groups = repeated_runs([runs[k] for k in order])
     assert [{order[k] for k in group} for group in groups] == [{0, 1}]
 
 
@@ -363,28 +363,38 @@ def test_a_rig_is_compared_as_it_was_believed_to_be():
     other = altered(run, rig_mass_z=18.9)
     believed = (run.setup.wheel, run.setup.rig)
     fits = [dataclasses.replace(each, believed=believed) for each in (run, other)]
-    assert repeated(fits) == [[0, 1]]
-    assert decoded(encoded(FitResult({}, fits[1:], "converged", 1, {}))).run.believed == believed
+    assert repeated_runs(fits) == [[0, 1]]
+    assert (
+        decode_result(encode_result(FitResult({}, fits[1:], "converged", 1, {}))).run.believed
+        == believed
+    )
 
 
 def test_a_run_that_diverged_says_nothing_of_what_runs_differ_by():
     runs = [fitted("a", 0.70), fitted("b", 0.75, 2e-4), fitted("c", 0.80)]
-    told = between(runs)
+    told = between_run_sentences(runs)
     assert [sentence.split(" ")[0] for sentence in told] == ["zeta", "repeated"]
     assert "scatters by 6.7 %" in told[0]
     assert "z 0.115 mm" in told[1]
-    assert between([*runs, fitted("lost", 0.78, 0.1, "diverged")]) == told
+    assert between_run_sentences([*runs, fitted("lost", 0.78, 0.1, "diverged")]) == told
 
 
 def test_runs_fitted_on_a_cluster_are_compared_as_in_one_process():
     runs = [fitted("a", 0.70), fitted("b", 0.75, 2e-4), fitted("c", 0.80)]
     lone = [
-        FitResult({}, [run], "converged", 5, {}, [f"{run.name} is fine", *between([run])])
+        FitResult(
+            {}, [run], "converged", 5, {}, [f"{run.name} is fine", *between_run_sentences([run])]
+        )
         for run in runs
     ]
     together = _together(
-        {run.name: encoded(each) for run, each in zip(runs, lone, strict=True)},
+        {run.name: encode_result(each) for run, each in zip(runs, lone, strict=True)},
         {run.name: 64 * run.name for run in runs},
         {},
     )
-    assert together.findings == [*between(runs), "a is fine", "b is fine", "c is fine"]
+    assert together.findings == [
+        *between_run_sentences(runs),
+        "a is fine",
+        "b is fine",
+        "c is fine",
+    ]

@@ -64,7 +64,7 @@ def test_whitened_residuals_scatter_by_one_on_both_sides_of_gaps():
     )
     batch = make_batch([run.trial], [short], jax.device_count())
     problem = Problem(batch, (), jnp.full(2, RHO), device_mesh())
-    share = np.asarray(jax.vmap(problem.carried)(batch.observed))[0]
+    share = np.asarray(jax.vmap(problem.ar1_coefficients)(batch.observed))[0]
     length = len(short.time)
     usual = short.intervals
     expected = np.where(short.counts, RHO**usual, 0)

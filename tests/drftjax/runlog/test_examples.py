@@ -10,7 +10,7 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.check import check_files, read_runs_guarded
 from drftjax.runlog.hdf5.api import read_result, read_run, write_result, write_run
-from drftjax.runlog.record import Command, Events, Measured, Online, RunLog, Setup
+from drftjax.runlog.record import Events, Measured, Online, RecordedCommand, RecordedSetup, RunLog
 from drftjax.runlog.result_file import ResultGroup
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
@@ -27,7 +27,7 @@ def example_run(rows: int = 60) -> RunLog:
     ticks = 0.004 + 0.02 * np.arange(rows // 2)
     wave = np.sin(ticks)
     return RunLog(
-        setup=Setup(
+        setup=RecordedSetup(
             wheel_radius=0.15,
             wheel_width=0.12,
             grouser_count=12,
@@ -40,7 +40,7 @@ def example_run(rows: int = 60) -> RunLog:
             sinkage_static=0.0176,
             scaling_factor_initial=0.7823,
         ),
-        command=Command(time, 0.5 * np.sin(time), 0.01 + 0.0 * time),
+        command=RecordedCommand(time, 0.5 * np.sin(time), 0.01 + 0.0 * time),
         measured=Measured(
             time + 0.003, time * 0.07, -0.02 - 0.01 * time, time + 1, time + 180, time - 2
         ),
@@ -105,8 +105,8 @@ MEANINGS = {1: "tick_late", 2: "fault"}
 
 def test_the_smallest_run_comes_back_as_it_was_written(tmp_path):
     run = RunLog(
-        setup=Setup(),
-        command=Command([0.0], [0.0]),
+        setup=RecordedSetup(),
+        command=RecordedCommand([0.0], [0.0]),
         measured=Measured([5.0], z=[-0.01]),
         source="measured",
         title="",
@@ -228,17 +228,17 @@ def test_a_result_is_refused_as_another_kind_or_from_a_newer_program(tmp_path):
 @pytest.mark.parametrize(
     ("build", "reason"),
     [
-        (lambda: Command([0, 1], [0, 1, 2]), "omega has 3 rows but time has 2"),
-        (lambda: Command([0, 0], [0, 1]), "time must increase"),
-        (lambda: Command([0, 1], [0, np.nan]), "omega has 1 values that are not finite"),
-        (lambda: Command([], []), "time has no rows"),
-        (lambda: Command([[0]], [[1]]), "must be one column"),
-        (lambda: Command(["0"], [1]), "must hold real numbers"),
+        (lambda: RecordedCommand([0, 1], [0, 1, 2]), "omega has 3 rows but time has 2"),
+        (lambda: RecordedCommand([0, 0], [0, 1]), "time must increase"),
+        (lambda: RecordedCommand([0, 1], [0, np.nan]), "omega has 1 values that are not finite"),
+        (lambda: RecordedCommand([], []), "time has no rows"),
+        (lambda: RecordedCommand([[0]], [[1]]), "must be one column"),
+        (lambda: RecordedCommand(["0"], [1]), "must hold real numbers"),
         (lambda: Measured([0.0]), "nothing was measured"),
-        (lambda: Setup(wheel_radius=-0.1), "wheel_radius is -0.1, it must be above 0"),
-        (lambda: Setup(grouser_count=1.5), "whole number"),
-        (lambda: Setup(mass_x=np.inf), "finite"),
-        (lambda: Setup().require("mass_z"), "does not give mass_z"),
+        (lambda: RecordedSetup(wheel_radius=-0.1), "wheel_radius is -0.1, it must be above 0"),
+        (lambda: RecordedSetup(grouser_count=1.5), "whole number"),
+        (lambda: RecordedSetup(mass_x=np.inf), "finite"),
+        (lambda: RecordedSetup().require("mass_z"), "does not give mass_z"),
         (lambda: Events([1, 0], [1, 1], [0, 0]), "event_time must increase"),
         (lambda: dataclasses.replace(example_run(), source="me"), "source is 'me'"),
         (lambda: dataclasses.replace(example_run().online, tick=0.0), "tick is 0.0"),
@@ -252,7 +252,7 @@ def test_a_record_that_cannot_be_is_refused_when_it_is_built(build, reason):
 
 def test_a_record_cannot_be_changed():
     given = np.array([0.0, 1.0])
-    command = Command(given, given)
+    command = RecordedCommand(given, given)
     given[0] = 9.0
     assert command.time[0] == 0.0
     with pytest.raises(ValueError, match="read-only"):

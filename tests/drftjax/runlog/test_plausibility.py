@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.prepared_run import candidate
+from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.content import Level
 from drftjax.runlog.hdf5.api import read_run, survey_run, write_run
 from drftjax.runlog.plausibility import height_problems
@@ -40,7 +40,7 @@ def test_a_run_with_z_downward_is_refused_where_it_is_compared(drft, tmp_path):
     assert reason.startswith("stands 16.9 mm or more above touch-down throughout")
     assert reason.endswith("z counts upward from touch-down, so sinkage is -z")
     with pytest.raises(InputError, match=r"^down: measured z stands 16\.9 mm .* sinkage is -z$"):
-        candidate("down", scaled(z=-1))
+        prepare_run("down", scaled(z=-1))
     for command in (["fit"], ["crosscheck"], ["diagnose"], ["simulate", "--like"]):
         refusal = drft(*command, path).refusal
         assert str(path) in refusal
@@ -78,9 +78,9 @@ def test_millimetres_and_degrees_are_noted(tmp_path):
 
 def test_refusals_of_such_numbers_ask_for_the_unit():
     with pytest.raises(InputError, match=r"start sinkage is 16\.9.* are these mm\?"):
-        candidate("mm", scaled(z=1e3))
+        prepare_run("mm", scaled(z=1e3))
     with pytest.raises(InputError, match=r"omega is 240, .* are these deg/s\?"):
-        candidate("deg", scaled(omega=180 / np.pi))
+        prepare_run("deg", scaled(omega=180 / np.pi))
 
 
 def test_a_static_sinkage_above_the_sand_is_refused_where_it_is_used(drft, tmp_path):
@@ -96,4 +96,4 @@ def test_a_static_sinkage_above_the_sand_is_refused_where_it_is_used(drft, tmp_p
         refusal = drft(*command, path).refusal
         assert refusal.startswith(f"{path}: setup sinkage_static is -1")
     # A fit starts from the recorded sinkage.
-    assert candidate("upward", dataclasses.replace(run, setup=upward)).setup.start.sinkage > 0
+    assert prepare_run("upward", dataclasses.replace(run, setup=upward)).setup.start.sinkage > 0

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drftjax.recorded.prepared_run import candidate
-from drftjax.runlog.record import Command
-from drftjax.setups.command_knots import SCATTER, cornered, thinned
+from drftjax.recorded.prepared_run import prepare_run
+from drftjax.runlog.record import RecordedCommand
+from drftjax.setups.command_knots import SCATTER, decimate_command, simplify_command
 from drftjax.setups.setup import CommandSetUp, SetUp
 from identify.parameters.phase_zeta import phases_of
 from identify.uncertainty.estimate import phases_of as numbered
@@ -40,18 +40,18 @@ MEASURED = [noisy(1e-5), noisy(0.001 * 2.0), rounded(1e-4), rounded(2 * np.pi / 
 @pytest.mark.parametrize("vx", [None, [0.0, 0.0, 0.25, 0.3, 0.1, 0.0]])
 def test_a_profile_as_given_keeps_exactly_its_knots(time, vx):
     given = CommandSetUp(time, OMEGA, vx)
-    assert cornered(given) == given == thinned(given)
+    assert simplify_command(given) == given == decimate_command(given)
     dense = np.interp(DENSE + time[0], time, OMEGA).tolist()
     if vx is None:
-        assert cornered(CommandSetUp((DENSE + time[0]).tolist(), dense)).omega == pytest.approx(
-            OMEGA, abs=ROUNDING
-        )
+        assert simplify_command(
+            CommandSetUp((DENSE + time[0]).tolist(), dense)
+        ).omega == pytest.approx(OMEGA, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("omega", MEASURED)
 def test_what_a_measured_speed_scatters_by_is_no_phase(omega):
     command = CommandSetUp(DENSE.tolist(), omega.tolist())
-    lines = cornered(command)
+    lines = simplify_command(command)
     assert len(lines.time) == len(TIME)
     off = np.interp(DENSE, lines.time, lines.omega) - omega
     assert np.abs(off).max() <= SCATTER * np.abs(omega).max() * (1 + ROUNDING)
@@ -73,10 +73,10 @@ def test_constants_of_a_model_last_as_long_as_the_phases_of_a_measured_command(o
 
 def test_a_measured_command_rests_while_it_scatters_about_zero():
     run = recorded(setup_of((TIME, OMEGA)))
-    measured = dataclasses.replace(run, command=Command(time=DENSE, omega=noisy(1e-3)))
-    starts = [candidate("run", each).setup.start for each in (run, measured)]
+    measured = dataclasses.replace(run, command=RecordedCommand(time=DENSE, omega=noisy(1e-3)))
+    starts = [prepare_run("run", each).setup.start for each in (run, measured)]
     assert starts[0] == starts[1]
     creeping = np.maximum(noisy(0.0), 0.01)
-    creeps = dataclasses.replace(run, command=Command(time=DENSE, omega=creeping))
+    creeps = dataclasses.replace(run, command=RecordedCommand(time=DENSE, omega=creeping))
     assert run.measured.x is not None
-    assert candidate("run", creeps).setup.start.x == run.measured.x[0]
+    assert prepare_run("run", creeps).setup.start.x == run.measured.x[0]

@@ -14,7 +14,7 @@ from drftjax.physics.rig import DrivenCarriage, FreeCarriage
 from drftjax.physics.stress import Dynamic, QuasiStatic, StressCoefficients
 from drftjax.physics.terrain import KnotZeta
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
-from drftjax.runlog.record import Command, Measured, RunLog, Setup
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, read_setup
 
@@ -289,8 +289,8 @@ KNOWN = {
 def recorded(vx=None, **changes) -> RunLog:
     """A run whose set-up is `KNOWN` with changes; None leaves an entry out."""
     return RunLog(
-        setup=Setup(**(KNOWN | changes)),
-        command=Command(time=[0.0, 2.0, 3.0], omega=[0.0, 0.5, 0.5], vx=vx),
+        setup=RecordedSetup(**(KNOWN | changes)),
+        command=RecordedCommand(time=[0.0, 2.0, 3.0], omega=[0.0, 0.5, 0.5], vx=vx),
         measured=Measured(time=[0.0, 3.0], z=[-0.013, -0.02]),
         source="measured",
         title="a run on the moon",

@@ -14,7 +14,14 @@ from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
 from drftjax.tuning.kalman_tuner import KalmanTuner
 from drftjax.tuning.pi_tuner import ProportionalIntegralTuner
-from drftjax.tuning.step_tuner import Loop, begun, replay, tick_commands, tunable, tuned_tick
+from drftjax.tuning.step_tuner import (
+    Loop,
+    replay,
+    tick_commands,
+    tuned_tick,
+    with_tuner_memory,
+    with_zeta_per_step,
+)
 
 # The law by hand: a few roundings of numbers of order one.
 SAME = 1e-14
@@ -137,12 +144,12 @@ def test_rate_of_zeta_is_limited():
 def test_filter_goes_by_the_derivative_of_the_simulation(simulator):
     """The sensitivity that it carries along, put together again, is dH/dzeta of the whole run."""
     tuner, ticks = KalmanTuner(), 60
-    asked, ready = turning(ticks), tunable(simulator)
+    asked, ready = turning(ticks), with_zeta_per_step(simulator)
 
     @jax.jit
     def sinkage(zeta):
         loop = begin(0.0)
-        loop = begun(tuner, Loop(loop.state, zeta))
+        loop = with_tuner_memory(tuner, Loop(loop.state, zeta))
 
         def tick(carried, commands):
             loop, whole = carried
@@ -166,11 +173,11 @@ def test_filter_goes_by_the_derivative_of_the_simulation(simulator):
 
 def test_filter_learns_nothing_of_a_wheel_that_rests():
     tuner = KalmanTuner()
-    ready = tunable(Simulator(GrouserWheel(plate_size=0.01), integrator=HeldPace()))
+    ready = with_zeta_per_step(Simulator(GrouserWheel(plate_size=0.01), integrator=HeldPace()))
     still = Command(*(jnp.zeros(SUBSTEPS) for _ in range(3)))
     one = eqx.filter_jit(tuned_tick)
     # Far stronger sand than the load needs: the wheel does not sink at all.
-    loop = begun(tuner, begin(3.0))
+    loop = with_tuner_memory(tuner, begin(3.0))
     for _ in range(20):
         loop, tick = one(ready, tuner, loop, still, jnp.asarray(START + 5e-4))
     memory = loop.memory

@@ -17,8 +17,8 @@ from drftjax.tuning.step_tuner import (
     known_sinkage,
     replay,
     tick_commands,
-    tunable,
     tuned_tick,
+    with_zeta_per_step,
 )
 
 # Scan and single calls run the same operations; only the order of fused sums may differ.
@@ -95,7 +95,7 @@ def test_replay_is_the_loop_that_runs_tick_by_tick(simulator):
     recorded = START + 2e-3 * jnp.sin(jnp.arange(80.0) / 9.0)
     last, ticks = roll(simulator, begin(), asked, recorded, tuner)
 
-    ready, one = tunable(simulator), eqx.filter_jit(tuned_tick)
+    ready, one = with_zeta_per_step(simulator), eqx.filter_jit(tuned_tick)
     loop = begin()
     for number in range(80):
         command = jax.tree.map(lambda values, n=number: values[n], asked)

@@ -13,7 +13,7 @@ import pytest
 from hils.commands.run import run
 from hils.link import ports as port_module
 from hils.link.link import LinkLost
-from hils.link.ports import Listed, latency_timer, open_port
+from hils.link.ports import ListedPort, latency_timer, open_port
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 
 BOOT = 0x0BADCAFE
@@ -108,7 +108,7 @@ def test_a_port_in_use_is_left_alone(drft, terminal):
 
 
 def test_ports_are_listed_with_what_is_known_of_them(drft, monkeypatch):
-    monkeypatch.setattr(port_module, "ports", lambda: [Listed("/dev/ttyX9", "USB, FTDI")])
+    monkeypatch.setattr(port_module, "ports", lambda: [ListedPort("/dev/ttyX9", "USB, FTDI")])
     monkeypatch.setattr(port_module, "latency_timer", lambda name: 16)
     answer = drft("hils", "ports", "--no-hello")
     assert answer.out.splitlines() == [

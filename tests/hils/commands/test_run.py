@@ -22,7 +22,7 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run, survey_run
 from drftjax.runlog.record import RunLog
 from hils.commands import stop
-from hils.procedure.active_runs import UnderWay, alive, announced, runs_under_way
+from hils.procedure.active_runs import ActiveRun, is_alive, registered, runs_under_way
 from tests.helpers.recording_host import committed
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
@@ -300,9 +300,9 @@ def test_stop_without_a_run_says_so(drft, base):
 
 
 def test_stop_names_no_file_where_none_was_made(drft, base, monkeypatch):
-    monkeypatch.setattr("hils.procedure.active_runs.tell", lambda run, kind: None)
-    monkeypatch.setattr("hils.procedure.active_runs.ended", lambda run, within: True)
-    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+    monkeypatch.setattr("hils.procedure.active_runs.send_signal", lambda run, kind: None)
+    monkeypatch.setattr("hils.procedure.active_runs.wait_until_ended", lambda run, within: True)
+    with registered("/dev/ttyUSB0", [base / "run.h5"]):
         assert drft("hils", "stop").out == "the run on /dev/ttyUSB0 has ended\n"
         (base / "run.h5").touch()
         assert f"has ended; its file is {base / 'run.h5'}" in drft("hils", "stop").out
@@ -311,11 +311,11 @@ def test_stop_names_no_file_where_none_was_made(drft, base, monkeypatch):
 def test_stop_speaks_of_the_emergency_stop_while_the_file_is_closed_and_waits_on(
     drft, base, monkeypatch
 ):
-    monkeypatch.setattr("hils.procedure.active_runs.tell", lambda run, kind: None)
+    monkeypatch.setattr("hils.procedure.active_runs.send_signal", lambda run, kind: None)
     # `hils.commands.stop` is the command itself, not its module.
     monkeypatch.setattr(sys.modules[stop.__module__], "LONGEST_RAMP", 0.1)
     monkeypatch.setattr("hils.recording.recorder.CLOSE_LIMIT", 0.3)
-    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+    with registered("/dev/ttyUSB0", [base / "run.h5"]):
         answer = drft("hils", "stop")
     first, second = answer.err.splitlines()
     assert "has not ended in 0.1 s; its file may be being closed. Where the rig" in first
@@ -327,14 +327,14 @@ def test_stop_speaks_of_the_emergency_stop_while_the_file_is_closed_and_waits_on
 def test_runs_are_found_while_they_last_and_not_after(monkeypatch, base):
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/of/this/terminal")
     monkeypatch.setenv("TMPDIR", "/of/this/terminal")
-    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+    with registered("/dev/ttyUSB0", [base / "run.h5"]):
         monkeypatch.setenv("XDG_RUNTIME_DIR", "/of/another")
         monkeypatch.delenv("TMPDIR")
         (found,) = runs_under_way()
         assert found.port == "/dev/ttyUSB0"
-        assert alive(found)
+        assert is_alive(found)
         # Another process that was given the same number is not that run.
-        assert not alive(UnderWay(found.pid, "1", found.port, found.output))
+        assert not is_alive(ActiveRun(found.pid, "1", found.port, found.output))
     assert runs_under_way() == []
 
 
@@ -348,7 +348,7 @@ def test_folder_that_others_may_write_to_names_no_runs(base, mode):
 
 
 def test_what_a_killed_run_left_is_removed(base):
-    with announced("/dev/ttyUSB0", [base / "run.h5"]):
+    with registered("/dev/ttyUSB0", [base / "run.h5"]):
         (entry,) = base.glob("drft-hils-*/*.json")
         entry.write_text(entry.read_text().replace('"born":"', '"born":"9'))
         assert runs_under_way() == []

@@ -8,19 +8,19 @@ import pytest
 from drftjax.common.errors import InputError
 from hils.control.limits import (
     CommandLimits,
-    Demand,
     Reading,
     ReadingLimits,
+    ReadingMonitor,
+    RigCommand,
     Verdict,
-    Watch,
-    judge,
-    limited,
+    check_reading,
+    limit_command,
     require_profile,
 )
 
 TICK = 0.01
 LIMITS = ReadingLimits()
-START = Watch(0.0, -0.0176)
+START = ReadingMonitor(0.0, -0.0176)
 COMMANDS = CommandLimits(omega=2.0, vx=0.3, omega_slew=5.0, vx_slew=1.0)
 # Sums of decimals.
 SAME = 1e-12
@@ -30,10 +30,10 @@ def reading(time: float, z: float, omega: float = 0.5) -> Reading:
     return Reading(time, 0.0, z, omega)
 
 
-def follow(readings: list[Reading], omega: float = 0.5) -> tuple[Watch, list[Verdict]]:
+def follow(readings: list[Reading], omega: float = 0.5) -> tuple[ReadingMonitor, list[Verdict]]:
     watch, verdicts = START, []
     for each in readings:
-        watch, verdict = judge(LIMITS, watch, each, omega)
+        watch, verdict = check_reading(LIMITS, watch, each, omega)
         verdicts.append(verdict)
     return watch, verdicts
 
@@ -56,7 +56,7 @@ def follow(readings: list[Reading], omega: float = 0.5) -> tuple[Watch, list[Ver
     ],
 )
 def test_reading_that_the_wheel_cannot_have_made_is_refused(z, verdict):
-    watch, found = judge(LIMITS, START, reading(TICK, z), 0.5)
+    watch, found = check_reading(LIMITS, START, reading(TICK, z), 0.5)
     assert found is verdict
     assert watch.refused == (0 if verdict is Verdict.USED else 1)
     assert watch.z == (z if verdict is Verdict.USED else START.z)
@@ -99,12 +99,14 @@ def test_drive_that_lags_is_flagged_after_a_while_and_cleared():
     assert not follow([*slow, reading(0.81, -0.0184, 0.5)])[0].drive_off
 
 
-def travelling(readings: list[float], vx: float, limits: ReadingLimits) -> tuple[Watch, Verdict]:
+def travelling(
+    readings: list[float], vx: float, limits: ReadingLimits
+) -> tuple[ReadingMonitor, Verdict]:
     """What is remembered after these readings of x, a tick apart, and the last one's verdict."""
     watch, verdict = START, Verdict.USED
     for number, x in enumerate(readings, start=1):
         z = START.z - 1e-5 * number
-        watch, verdict = judge(limits, watch, Reading(TICK * number, x, z, 0.5), 0.5, vx)
+        watch, verdict = check_reading(limits, watch, Reading(TICK * number, x, z, 0.5), 0.5, vx)
     return watch, verdict
 
 
@@ -136,16 +138,16 @@ def test_x_is_stuck_only_while_the_carriage_is_driven():
     [(2.1, 0.0), (-2.1, 0.0), (0.0, 0.31), (math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0)],
 )
 def test_demand_beyond_the_limits_is_refused_and_not_clipped(asked):
-    assert limited(COMMANDS, Demand(0.0, 0.0), Demand(*asked), TICK) is None
+    assert limit_command(COMMANDS, RigCommand(0.0, 0.0), RigCommand(*asked), TICK) is None
 
 
 def test_demand_within_the_limits_passes_as_it_is():
-    asked = Demand(0.5, 0.08)
-    assert limited(COMMANDS, Demand(0.49, 0.079), asked, TICK) == (asked, False)
+    asked = RigCommand(0.5, 0.08)
+    assert limit_command(COMMANDS, RigCommand(0.49, 0.079), asked, TICK) == (asked, False)
 
 
 def test_sudden_demand_is_held_to_the_slew_limits_and_says_so():
-    found = limited(COMMANDS, Demand(0.5, 0.08), Demand(-1.0, 0.2), TICK)
+    found = limit_command(COMMANDS, RigCommand(0.5, 0.08), RigCommand(-1.0, 0.2), TICK)
     assert found is not None
     demand, held_back = found
     assert held_back

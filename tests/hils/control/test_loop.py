@@ -15,14 +15,14 @@ from drftjax.tuning.registry import TunerSetUp
 from hils.control.limits import CommandLimits
 from hils.control.loop import Overruns
 from hils.control.loop_config import LoopRecord, LoopSetUp
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event, TickFlag
 from hils.link.link import Arrival
 from hils.link.messages import Bye, Drive, EmergencyStop, Frame, RigState, Stop
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, ZeroAt, run
 from hils.recording.recorder import Recorder
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.replay import replay
 from hils.rig_sim.faults import Disconnect, DriveFault, Fault, FaultScript, Reset, Window
 from hils.rig_sim.in_process import soft_rig
@@ -131,7 +131,7 @@ def test_rows_replay_to_the_same_zeta_bit_for_bit(tuner):
     check_replay(whole(tuner).rows)
 
 
-def check_replay(rows: KeptRows) -> None:
+def check_replay(rows: InMemorySink) -> None:
     """The ticks come out again, and every reading is one tick's."""
     assert replay(rows.run()).exact
     fresh = [row for row in rows.ticks if int(row.flags) & TickFlag.FRESH]
@@ -183,7 +183,7 @@ def test_x_that_the_rig_does_not_measure_is_absent_from_the_log(tmp_path, free):
 
 
 def ask(reason: str = "asked", emergency: bool = False):
-    wish = Wish(reason, Event.STOP_ASKED)
+    wish = StopReason(reason, Event.STOP_ASKED)
     return lambda stop, link: stop.ask(wish, emergency)
 
 
@@ -306,7 +306,7 @@ def assert_told_after_the_profile(made, event, arg):
 )
 def test_what_happens_to_the_rig_after_the_profile_is_in_the_log(fault, event, arg, reason):
     script = FaultScript((Fault(fault, Window("stop", 0.0, 0.02)),))
-    soft, rows = soft_rig(script=script), KeptRows()
+    soft, rows = soft_rig(script=script), InMemorySink()
     given = Procedure(loop=loop_setup(), countdown=0.3)
     report = run(given, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
     assert report.completed

@@ -14,14 +14,14 @@ from hils.control.loop_config import LoopSetUp
 from hils.experiment.experiment import (
     CLOSE,
     Experiment,
-    Result,
-    Track,
-    apart,
+    ExperimentResult,
+    Trajectory,
     by_tick,
     hils_run,
     loosening_rig,
     make,
     steady,
+    trajectory_distance,
 )
 from hils.experiment.report import report
 from hils.experiment.spectrum import order, spectrum
@@ -51,7 +51,7 @@ def loop(**options) -> LoopSetUp:
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
+def result() -> ExperimentResult:
     return make(Experiment(loop=loop(), runs=RUNS))
 
 
@@ -75,7 +75,7 @@ def test_zeta_follows_the_sand_that_loosens(result):
 
 
 def test_tuned_runs_are_closer_to_the_free_ones_than_constant_zeta(result):
-    found = result.apart()
+    found = result.distances()
     # Of the 6 mm in the end, over the whole course.
     assert found["DRFT"].plane > 4e-3
     for name in ("HILS (sim)", "HILS (real)"):
@@ -127,7 +127,7 @@ def test_the_document_holds_what_was_found(result):
     assert told["schema"] == "drft-hils-paper"
     assert told["close"] == RUNS
     assert [each["rmse_z_mm"] for each in told["hils"]] == [1e3 * r.rmse for r in result.hils]
-    assert told["from_free_mm"]["DRFT"]["plane"] == 1e3 * result.apart()["DRFT"].plane
+    assert told["from_free_mm"]["DRFT"]["plane"] == 1e3 * result.distances()["DRFT"].plane
     assert told["paper_mm"] == {"HILS-DRFT": 5.0, "DRFT": 8.4}
 
 
@@ -136,7 +136,7 @@ def test_the_report_names_the_paper_s_figures_beside_ours(result):
     assert f"under 1 mm: {RUNS} of {RUNS}." in text
     drft = next(line for line in text.splitlines() if line.startswith("| DRFT"))
     assert drft.endswith("| 8.4 |")
-    assert f"| {1e3 * result.apart()['DRFT'].plane:.2f} |" in drft
+    assert f"| {1e3 * result.distances()['DRFT'].plane:.2f} |" in drft
 
 
 # Measures -----------------------------------------------------------------------------------------
@@ -144,19 +144,21 @@ def test_the_report_names_the_paper_s_figures_beside_ours(result):
 
 def test_distances_of_trajectories_that_are_known():
     x = np.linspace(0.0, 1.0, 500)
-    path = Track(x, -0.03 * x)
-    deeper = apart(Track(x, path.z - 1e-3), path)
+    path = Trajectory(x, -0.03 * x)
+    deeper = trajectory_distance(Trajectory(x, path.z - 1e-3), path)
     assert deeper == pytest.approx((1e-3, 1e-3, 0.0, 1e-3), abs=ROUNDING)
     # Late by 0.01 m on the same course: apart at equal times only.
-    late = apart(Track(x - 0.01, -0.03 * (x - 0.01)), path)
+    late = trajectory_distance(Trajectory(x - 0.01, -0.03 * (x - 0.01)), path)
     assert late.x == pytest.approx(0.01)
     assert late.z == pytest.approx(3e-4)
     assert late.plane == pytest.approx(np.hypot(0.01, 3e-4))
     assert late.course < ROUNDING
     # The same of wheels that go backward.
-    back = Track(-x, path.z)
-    assert apart(Track(-x, path.z - 1e-3), back) == pytest.approx(deeper, abs=ROUNDING)
-    assert apart(Track(0.01 - x, -0.03 * (x - 0.01)), back).course < ROUNDING
+    back = Trajectory(-x, path.z)
+    assert trajectory_distance(Trajectory(-x, path.z - 1e-3), back) == pytest.approx(
+        deeper, abs=ROUNDING
+    )
+    assert trajectory_distance(Trajectory(0.01 - x, -0.03 * (x - 0.01)), back).course < ROUNDING
 
 
 def test_a_spectrum_tells_a_sinusoid_s_frequency_and_amplitude():

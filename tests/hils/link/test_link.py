@@ -7,7 +7,7 @@ import pytest
 from drftjax.common.errors import InputError
 from hils.clock import MonotonicClock, VirtualClock
 from hils.link.framing import Receiver
-from hils.link.link import LinkLost, SoftLink
+from hils.link.link import InProcessLink, LinkLost
 from hils.link.messages import (
     FROM_HOST,
     Arm,
@@ -19,7 +19,7 @@ from hils.link.messages import (
     RigState,
     Stop,
 )
-from hils.link.send_queue import Outbox
+from hils.link.send_queue import SendQueue
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 
 SESSION = 9
@@ -35,7 +35,7 @@ def drive(omega: float) -> Drive:
 # What waits to be sent ---------------------------------------------------------------------------
 
 
-def taken(outbox: Outbox) -> list:
+def taken(outbox: SendQueue) -> list:
     receiver = Receiver(FROM_HOST)
     receiver.expect(SESSION)
     data = b"".join(iter(outbox.take, b""))
@@ -45,8 +45,8 @@ def taken(outbox: Outbox) -> list:
 
 
 @pytest.fixture
-def outbox() -> Outbox:
-    outbox = Outbox()
+def outbox() -> SendQueue:
+    outbox = SendQueue()
     outbox.begin(SESSION)
     return outbox
 
@@ -72,7 +72,7 @@ def test_an_emergency_stop_overtakes_all_that_waits(outbox):
 
 
 def test_sequence_numbers_count_on_over_sessions_and_wrap():
-    outbox = Outbox(first=2**32 - 1)
+    outbox = SendQueue(first=2**32 - 1)
     outbox.begin(1)
     assert outbox.put(Arm(), 0.0).seq == 2**32 - 1
     outbox.begin(2)
@@ -143,8 +143,8 @@ def clock() -> VirtualClock:
 
 
 @pytest.fixture
-def link(clock: VirtualClock) -> SoftLink:
-    link = SoftLink(RigProtocol(RigIdentity(boot_id=3)), clock)
+def link(clock: VirtualClock) -> InProcessLink:
+    link = InProcessLink(RigProtocol(RigIdentity(boot_id=3)), clock)
     link.begin(SESSION)
     return link
 
@@ -210,7 +210,7 @@ def test_quality_counts_both_ways(link, clock):
 
 def test_a_lost_line_is_told_by_every_call_and_never_by_the_clock():
     clock = VirtualClock()
-    link = SoftLink(BrokenRig(), clock)
+    link = InProcessLink(BrokenRig(), clock)
     link.begin(SESSION)
     clock.sleep_until(2.0)
     for call in (

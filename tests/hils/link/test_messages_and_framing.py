@@ -8,7 +8,7 @@ import pytest
 from cobs import cobs
 
 from drftjax.common.errors import InputError
-from hils.link.framing import Receiver, Splitter
+from hils.link.framing import FrameSplitter, Receiver
 from hils.link.messages import (
     FROM_HOST,
     FROM_RIG,
@@ -284,7 +284,7 @@ def test_a_frame_after_noise_counts():
 
 
 def test_babble_without_end_is_counted_once_and_kept_nowhere():
-    splitter = Splitter()
+    splitter = FrameSplitter()
     for _ in range(200):
         assert splitter.packets(b"\xff" * 1000) == []
     assert splitter.overlong == 1

@@ -16,14 +16,14 @@ from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
 from hils.events import Phase
-from hils.monitor.dashboard import Picture, Point, plot
-from hils.monitor.observer import Onlooker, Seen, unwatched, watched
-from hils.monitor.status import INTERVAL, WHOLE, Scene, Scenes
+from hils.monitor.dashboard import Dashboard, Point, plot
+from hils.monitor.observer import RunInfo, RunObserver, observed_run, unobserved_run
+from hils.monitor.status import INTERVAL, WHOLE, RunStatus, StatusReader
 from hils.monitor.view_process import StopKey
-from hils.procedure.active_runs import UnderWay
-from hils.procedure.operator_prompts import AbstractDialogue
+from hils.procedure.active_runs import ActiveRun
+from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import VirtualSetUp
 from hils.rig_sim.in_process import QUICK, soft_rig
 from hils.rig_sim.sensors import Instruments
@@ -40,7 +40,7 @@ STANDS, SETTLES = 0.0165, 3e-4
 ONE = 1.5 * TICK
 
 
-class Told(AbstractDialogue):
+class Told(AbstractPrompts):
     """Keeps what it is told."""
 
     def __init__(self):
@@ -75,9 +75,9 @@ def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
     )
     scales = Instruments(x_scale=x_scale)
     soft = soft_rig(setup=VirtualSetUp(physics=QUICK, instruments=scales))
-    kept, told, scenes, stop = KeptRows(), Told(), [], StopRequest()
-    onlooker = Onlooker(
-        Seen("a run", "/dev/rig", "run.h5", 3.0, RADIUS),
+    kept, told, scenes, stop = InMemorySink(), Told(), [], StopRequest()
+    onlooker = RunObserver(
+        RunInfo("a run", "/dev/rig", "run.h5", 3.0, RADIUS),
         lambda scene: scenes.append((soft.clock.now(), scene)),
         soft.clock,
         soft.link.quality,
@@ -177,7 +177,7 @@ def test_questions_come_before_the_view_and_what_is_told_meanwhile_is_told_later
 
 
 def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkeypatch, tmp_path):
-    scenes: list[Scene] = []
+    scenes: list[RunStatus] = []
 
     class Shown:
         def __init__(self, run):
@@ -186,17 +186,17 @@ def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkey
     monkeypatch.setattr("hils.monitor.observer.LiveView", Shown)
     setup = SetUp(command=CommandSetUp([2.0, 3.0, 5.0], [0.0, 0.5, 0.0]))
     procedure = Procedure(loop=LoopSetUp(setup=setup, commands=CommandLimits(2.0, 0.3)))
-    soft, whole = soft_rig(), UnderWay(1, "", "/dev/rig", "run-01.h5 to run-09.h5")
-    given = procedure, soft.link, soft.clock, KeptRows(), Told(), StopRequest()
-    with watched(whole, tmp_path / "run-03.h5", *given) as seen:
+    soft, whole = soft_rig(), ActiveRun(1, "", "/dev/rig", "run-01.h5 to run-09.h5")
+    given = procedure, soft.link, soft.clock, InMemorySink(), Told(), StopRequest()
+    with observed_run(whole, tmp_path / "run-03.h5", *given) as seen:
         seen.begin()
     assert scenes[0].duration == 3.0
     assert scenes[0].output.endswith("run-03.h5")
 
 
 def test_without_a_view_rows_and_words_go_where_they_went():
-    rows, told = KeptRows(), Told()
-    seen = unwatched(rows, told)
+    rows, told = InMemorySink(), Told()
+    seen = unobserved_run(rows, told)
     assert (seen.rows, seen.dialogue) == (rows, told)
 
 
@@ -204,29 +204,29 @@ def test_without_a_view_rows_and_words_go_where_they_went():
 
 
 def test_scenes_survive_any_cutting_of_the_bytes():
-    sent = [Scene(phase=Phase.RUNNING, time=each / 7, words=["é…"]) for each in range(20)]
+    sent = [RunStatus(phase=Phase.RUNNING, time=each / 7, words=["é…"]) for each in range(20)]
     data = b"".join(scene.line() for scene in sent) + b"no scene\n" + sent[0].line()
     for size in (1, 7, 1000):
-        scenes = Scenes()
+        scenes = StatusReader()
         pieces = (data[start : start + size] for start in range(0, len(data), size))
         assert [scene for piece in pieces for scene in scenes.feed(piece)] == [*sent, sent[0]]
 
 
 def test_no_scene_is_longer_than_a_pipe_takes_whole():
-    long = Scene(title="\x01" * 3000, words=["ab" * 3000])
+    long = RunStatus(title="\x01" * 3000, words=["ab" * 3000])
     assert len(long.line()) <= WHOLE
-    assert Scenes().feed(long.line())[0].phase is Phase.CHECKING
+    assert StatusReader().feed(long.line())[0].phase is Phase.CHECKING
 
 
 # The picture --------------------------------------------------------------------------------------
 
 
-def picture(**changes) -> Picture:
-    drawn = Picture()
+def picture(**changes) -> Dashboard:
+    drawn = Dashboard()
     for each in range(100):
         time = each * INTERVAL
         drawn.add(
-            Scene(
+            RunStatus(
                 phase=Phase.RUNNING,
                 time=time,
                 duration=24.0,
@@ -287,10 +287,12 @@ def test_hostile_words_give_the_terminal_no_orders():
     scenes, stop = [], StopRequest()
     clock = soft_rig(setup=VirtualSetUp(physics=QUICK)).clock
     quality = soft_rig(setup=VirtualSetUp(physics=QUICK)).link.quality
-    onlooker = Onlooker(Seen("\x1b[2J", "p", "o", 3.0, 0.1), scenes.append, clock, quality, stop)
+    onlooker = RunObserver(
+        RunInfo("\x1b[2J", "p", "o", 3.0, 0.1), scenes.append, clock, quality, stop
+    )
     onlooker.begin()
     onlooker.told("\x1b]0;title\x07 and\nmore")
-    drawn = Picture()
+    drawn = Dashboard()
     drawn.add(scenes[-1], 0.0)
     escapes = re.findall("\x1b[^m]{0,12}.", "".join(drawn.lines(100, 30, 0.0, keys=True)))
     assert all(re.match("\x1b\\[[0-9;]*m", each) for each in escapes)

@@ -8,11 +8,11 @@ from drftjax.common.errors import InputError
 from hils.clock import VirtualClock
 from hils.control.stop_request import StopRequest
 from hils.events import Phase
-from hils.link.link import SoftLink
+from hils.link.link import InProcessLink
 from hils.link.messages import Bye, RigState
 from hils.procedure.operator_prompts import Unattended
 from hils.procedure.procedure import Procedure, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import VirtualSetUp
 from hils.rig_sim.in_process import QUICK, rig_physics, soft_rig
 from hils.rig_sim.rig import VirtualRig
@@ -20,10 +20,10 @@ from tests.helpers.hils_runs import START, LoggedLink, loop_setup, make, resting
 
 
 def test_lost_link_closes_the_file_and_says_so():
-    class Torn(KeptRows):
+    class Torn(InMemorySink):
         """Lets the link break in the middle of the profile."""
 
-        link: SoftLink
+        link: InProcessLink
 
         def command(self, time, omega, vx=None):
             super().command(time, omega, vx)
@@ -47,7 +47,7 @@ def test_lost_link_closes_the_file_and_says_so():
 
 
 def test_dead_recorder_brings_the_rig_to_rest():
-    class Dies(KeptRows):
+    class Dies(InMemorySink):
         dead = False
 
         @property
@@ -70,7 +70,7 @@ def test_dead_recorder_brings_the_rig_to_rest():
 
 
 def test_fault_of_the_program_still_stops_the_rig():
-    class Breaks(KeptRows):
+    class Breaks(InMemorySink):
         def online(self, row):
             if row.time > 2.0:
                 raise ZeroDivisionError("of a bug")
@@ -102,6 +102,6 @@ def test_nothing_that_is_told_can_prevent_the_stop():
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
     link, given = LoggedLink(rig, clock), Procedure(loop=loop_setup(), countdown=0.3)
     with pytest.raises(InputError, match="OSError: the terminal is gone"):
-        run(given, link, clock, KeptRows(), Speechless(quiet=True), StopRequest())
+        run(given, link, clock, InMemorySink(), Speechless(quiet=True), StopRequest())
     assert isinstance(link.said[-1][1], Bye)
     assert rig.state is RigState.IDLE

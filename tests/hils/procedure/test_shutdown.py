@@ -6,11 +6,11 @@ import struct
 import pytest
 
 from hils.control.event_log import EventLog
-from hils.control.stop_request import StopRequest, Wish
+from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.messages import Bye, Drive, EmergencyStop, RigState, Stop
-from hils.procedure.shutdown import LONGEST_STOP, Rest
-from hils.recording.sinks import KeptRows
+from hils.procedure.shutdown import LONGEST_STOP, Shutdown
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 from tests.helpers.protocol_variants import HELLO, HOLD, OtherRig, Table
 
@@ -53,13 +53,13 @@ class Resting(Table):
         self.session.arm(HOLD)
         self.said, send = [], self.link.send
         self.link.send = lambda message: (self.said.append(message), send(message))[1]
-        self.rows = KeptRows()
+        self.rows = InMemorySink()
         self.log = EventLog(self.rows, self.clock)
         self.log.begin(0.0)
 
     def bring(self) -> bool:
         given = self.session, self.link, self.clock, self.ack, self.stop, self.log
-        return Rest(*given, HOLD, 0.01, RAMP).bring()
+        return Shutdown(*given, HOLD, 0.01, RAMP).bring_to_rest()
 
     @property
     def logged(self) -> list:
@@ -71,7 +71,7 @@ def test_commands_at_rest_keep_the_watchdog_quiet_while_the_wheel_ramps_down():
     table.drive(1.0, omega=1.0)
     table.said.clear()
     # The firmware takes four times its watchdog to ramp down.
-    assert table.bring()
+    assert table.bring_to_rest()
     assert RigState.SAFE not in table.rig.states
     assert isinstance(table.said[0], Stop)
     assert table.said[-1] == Bye()
@@ -82,13 +82,13 @@ def test_commands_at_rest_keep_the_watchdog_quiet_while_the_wheel_ramps_down():
 @pytest.mark.parametrize("ways", [{}, {"runs_at_arm": True}])
 def test_a_wheel_that_stands_is_seen_to_rest(ways):
     table = Resting(OtherRig(**ways))
-    assert table.bring()
+    assert table.bring_to_rest()
     assert not any(isinstance(each, EmergencyStop) for each in table.said)
 
 
 def test_a_wheel_that_turns_on_is_not_believed_to_rest_though_the_rig_says_that_it_is_safe():
     table = Resting(OtherRig(omega=0.5))
-    assert not table.bring()
+    assert not table.bring_to_rest()
     assert table.rig.state == 0  # it took ESTOP and BYE, and turns
     assert table.clock.now() > LONGEST_STOP
 
@@ -100,28 +100,28 @@ def test_a_rig_that_falls_silent_is_not_believed_to_rest():
     table.rig.measure(table.clock.now(), 0)
     table.clock.sleep_until(table.clock.now() + 0.01)
     table.rig.say = lambda *_: None
-    assert not table.bring()
+    assert not table.bring_to_rest()
     assert table.said[-1] == Bye()
 
 
 def test_a_wheel_that_is_not_measured_rests_no_sooner_than_it_can():
     table = Resting(OtherRig(omega=math.nan))
     began = table.clock.now()
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.clock.now() - began >= RAMP
 
 
 def test_a_carriage_that_rolls_on_does_not_rest():
-    assert not Resting(Rolling(greeting=WITH_X)).bring()
+    assert not Resting(Rolling(greeting=WITH_X)).bring_to_rest()
     table = Resting(Rolling(greeting=WITH_X, stands_from=1.0))
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.clock.now() > 1.0
 
 
 def test_an_emergency_stop_asked_for_meanwhile_goes_out_at_once():
     table = Resting(OtherRig(omega=0.5))
-    table.stop.ask(Wish("asked", Event.STOP_ASKED), emergency=True)
-    table.bring()
+    table.stop.ask(StopReason("asked", Event.STOP_ASKED), emergency=True)
+    table.bring_to_rest()
     assert table.said[0] == EmergencyStop(1)
 
 
@@ -146,7 +146,7 @@ class Failing(OtherRig):
 
 def test_a_fault_that_the_rig_reports_is_logged_once_and_asks_for_no_further_run():
     table = Resting(Failing())
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.logged == [(Event.RIG_STATE, RigState.FAULT), (Event.RIG_FAULT, 7)]
     assert table.stop.wish.reason == "the rig reports fault 7"
     assert not table.stop.emergency
@@ -159,7 +159,7 @@ def test_a_rig_that_goes_safe_is_logged_and_may_run_again():
             super().measure(now, seq)
 
     table = Resting(Safe())
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.logged == [(Event.RIG_STATE, RigState.SAFE)]
     assert table.stop.wish is None
 
@@ -167,7 +167,7 @@ def test_a_rig_that_goes_safe_is_logged_and_may_run_again():
 def test_what_ended_the_run_is_not_logged_again():
     table = Resting(Failing())
     table.log.note(Event.RIG_FAULT, 7)
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.logged == [(Event.RIG_FAULT, 7), (Event.RIG_STATE, RigState.FAULT)]
 
 
@@ -184,7 +184,7 @@ class Parting(OtherRig):
 
 def test_an_emergency_stop_at_the_farewell_is_answered_logged_and_asks_for_no_further_run():
     table = Resting(Parting())
-    assert table.bring()
+    assert table.bring_to_rest()
     assert table.logged == [(Event.EMERGENCY_STOP, 12)]
     assert table.stop.wish.reason.startswith("the rig made an emergency stop, reason 12")
     assert table.said[-2:] == [Bye(), EmergencyStop(12)]
@@ -192,14 +192,14 @@ def test_an_emergency_stop_at_the_farewell_is_answered_logged_and_asks_for_no_fu
 
 def test_an_emergency_stop_that_answers_the_hosts_is_not_the_rigs_own():
     table = Resting(Parting(at=7, reason=1))
-    table.stop.ask(Wish("asked", Event.EMERGENCY_STOP, 10.0), emergency=True)
-    table.bring()
+    table.stop.ask(StopReason("asked", Event.EMERGENCY_STOP, 10.0), emergency=True)
+    table.bring_to_rest()
     assert table.logged == [(Event.EMERGENCY_STOP, 10.0)]
 
 
 def test_a_second_wish_is_logged_as_the_emergency_stop_that_it_is():
     table = Resting(OtherRig(omega=0.5))
-    table.stop.ask(Wish("asked", Event.STOP_ASKED, 12.0))
-    table.stop.ask(Wish("asked", Event.STOP_ASKED, 12.0))
-    table.bring()
+    table.stop.ask(StopReason("asked", Event.STOP_ASKED, 12.0))
+    table.stop.ask(StopReason("asked", Event.STOP_ASKED, 12.0))
+    table.bring_to_rest()
     assert table.logged == [(Event.STOP_ASKED, 12.0), (Event.EMERGENCY_STOP, 12.0)]

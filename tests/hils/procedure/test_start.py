@@ -13,7 +13,7 @@ from hils.control.stop_request import StopRequest
 from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
 from hils.procedure.operator_prompts import LOOK, Unattended
 from hils.procedure.procedure import Procedure, run
-from hils.recording.sinks import KeptRows
+from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
 from tests.helpers.hils_runs import START, Cue, LoggedLink, loop_setup
 from tests.helpers.protocol_variants import Buttons, OtherRig
@@ -32,7 +32,7 @@ class InTheAir(OtherRig):
 
 @pytest.mark.parametrize("over", [0.0, 0.03])
 def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over, tmp_path):
-    told, clock, rows = [], VirtualClock(START), KeptRows()
+    told, clock, rows = [], VirtualClock(START), InMemorySink()
 
     class Listener(Unattended):
         def tell(self, text):
@@ -69,7 +69,7 @@ def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, ove
     clock, given = VirtualClock(START), Procedure(loop=loop_setup(), countdown=0.3, free=free)
     link = LoggedLink(InTheAir(over=over), clock)
     with pytest.raises(InputError, match=f"rests {said}"):
-        run(given, link, clock, KeptRows(), Unattended(quiet=True), StopRequest())
+        run(given, link, clock, InMemorySink(), Unattended(quiet=True), StopRequest())
     assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
 
 
@@ -89,7 +89,7 @@ class Pressing(Unattended):
 @pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down", "none: held"])
 def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(question):
     clock, rig = VirtualClock(START), Buttons()
-    link, rows = LoggedLink(rig, clock), KeptRows()
+    link, rows = LoggedLink(rig, clock), InMemorySink()
     Cue(clock, START + 0.2 if "none" in question else math.inf, lambda: rig.press(12, clock.now()))
     given = Procedure(loop=loop_setup(), countdown=0.3)
     with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
@@ -115,7 +115,7 @@ class Resetting(Unattended):
 @pytest.mark.parametrize("question", ["Hold the wheel", "Let the wheel down"])
 def test_rig_that_is_reset_at_a_question_is_refused_as_such(question):
     clock, rig = VirtualClock(START), Buttons()
-    link, rows = LoggedLink(rig, clock), KeptRows()
+    link, rows = LoggedLink(rig, clock), InMemorySink()
     given = Procedure(loop=loop_setup(), countdown=0.3)
     said = "the rig on the virtual rig was reset before it was armed: start again$"
     with pytest.raises(InputError, match=said):
@@ -125,7 +125,7 @@ def test_rig_that_is_reset_at_a_question_is_refused_as_such(question):
 
 
 def test_a_file_that_cannot_be_recorded_any_more_after_the_questions_is_refused():
-    class Filling(KeptRows):
+    class Filling(InMemorySink):
         asked = 0
 
         def require_room(self, head):
@@ -164,7 +164,7 @@ class Waiting(Unattended):
 
 def test_rigs_own_emergency_stop_ends_an_open_question():
     clock, rig = VirtualClock(START), Buttons()
-    link, rows = LoggedLink(rig, clock), KeptRows()
+    link, rows = LoggedLink(rig, clock), InMemorySink()
     given = Procedure(loop=loop_setup(), countdown=0.3)
     with pytest.raises(InputError, match=r"stop, reason 12 .*: release it and start"):
         run(given, link, clock, rows, Waiting(rig, clock), StopRequest())
@@ -182,6 +182,6 @@ def test_rig_that_is_safe_from_before_is_told_of_and_driven():
     soft.link.begin(7)
     for message in (Hello(10_000, 50), EmergencyStop(1)):
         soft.link.send(message)
-    run(given, soft.link, soft.clock, rows := KeptRows(), Listener(quiet=True), StopRequest())
+    run(given, soft.link, soft.clock, rows := InMemorySink(), Listener(quiet=True), StopRequest())
     assert rows.end_reason == "completed"
     assert told[0] == "The rig was SAFE before this run; ARM lets it move again."

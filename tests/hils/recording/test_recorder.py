@@ -15,14 +15,14 @@ from drftjax.commands.log import app
 from drftjax.common.errors import InputError
 from drftjax.runlog.check import check_file
 from drftjax.runlog.hdf5.api import read_run
-from drftjax.runlog.hdf5.checksum import seal_holds
+from drftjax.runlog.hdf5.checksum import checksum_matches
 from drftjax.runlog.recording_lock import part_path
 from drftjax.runlog.repair import repair
 from drftjax.runlog.schema import UNITS
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
 from hils.recording.recorder import Recorder
 from hils.recording.row_stream import Kind, OnlineRow, RowStream, pack_end, pack_head, row_packer
-from hils.recording.sanitize import SoundRows
+from hils.recording.sanitize import RowSanitizer
 from tests.helpers.recording_host import (
     await_outcome,
     committed,
@@ -66,7 +66,7 @@ def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
     flags = OnlineRow._fields.index("flags")
     tick[:, 0] = [0.0, 0.1, 0.2]
     tick[1, 3], tick[1, flags] = np.inf, TickFlag.FRESH | TickFlag.LATE
-    kept, told = SoundRows().sound(Kind.ONLINE, tick)
+    kept, told = RowSanitizer().sanitized(Kind.ONLINE, tick)
     assert kept[1, 3] == 0.0
     assert kept[1, flags] == TickFlag.FRESH | TickFlag.LATE | TickFlag.NOT_FINITE
     np.testing.assert_array_equal(kept[[0, 2]], tick[[0, 2]])
@@ -76,20 +76,20 @@ def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
 @pytest.mark.parametrize("kind", [Kind.COMMAND, Kind.MEASURED])
 def test_a_command_or_a_reading_that_is_not_finite_is_left_out_and_told(kind):
     rows = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 1.0, 2.0]])
-    kept, told = SoundRows().sound(kind, rows)
+    kept, told = RowSanitizer().sanitized(kind, rows)
     np.testing.assert_array_equal(kept, rows[[0, 2]])
     assert told.tolist() == [[0.1, float(Event.ROW_NOT_FINITE), float(kind)]]
 
 
 def test_times_that_do_not_increase_move_up_by_the_least_there_is():
-    sound = SoundRows()
-    first, _ = sound.sound(Kind.MEASURED, np.array([[0.5, 1.0], [0.5, 2.0], [0.4, 3.0]]))
-    again, _ = sound.sound(Kind.MEASURED, np.array([[0.5, 4.0], [0.6, 5.0]]))
+    sound = RowSanitizer()
+    first, _ = sound.sanitized(Kind.MEASURED, np.array([[0.5, 1.0], [0.5, 2.0], [0.4, 3.0]]))
+    again, _ = sound.sanitized(Kind.MEASURED, np.array([[0.5, 4.0], [0.6, 5.0]]))
     times = np.concatenate([first, again])[:, 0]
     assert (np.diff(times) > 0).all()
     # By three units in the last place in all.
     np.testing.assert_allclose(times, [0.5, 0.5, 0.5, 0.5, 0.6], rtol=0, atol=4 * np.spacing(0.5))
-    events, _ = sound.sound(Kind.EVENTS, np.array([[0.5, 1.0, 0.0], [0.4, 2.0, 0.0]]))
+    events, _ = sound.sanitized(Kind.EVENTS, np.array([[0.5, 1.0, 0.0], [0.4, 2.0, 0.0]]))
     assert events[:, 0].tolist() == [0.5, 0.5]
 
 
@@ -99,7 +99,7 @@ def test_a_tick_has_a_number_for_each_channel_of_the_format():
 
 def test_whole_numbers_of_a_tick_are_kept_within_their_types():
     tick = np.full((1, len(OnlineRow._fields)), 2.0**32 + 300.4)
-    kept, _ = SoundRows().sound(Kind.ONLINE, tick)
+    kept, _ = RowSanitizer().sanitized(Kind.ONLINE, tick)
     row = OnlineRow(*kept[0])
     assert (row.tuned, row.flags, row.seq_sent, row.seq_received) == (44, 300, 300, 300)
     assert {row.fz_sim, row.late, row.rig_time} == {2.0**32 + 300.4}
@@ -148,7 +148,7 @@ def test_a_closed_recording_is_an_ordinary_run_log_bit_for_bit(path):
     assert (run.online.tick, run.online.loop) == (head.online.tick, head.online.loop)
     assert run.end_reason == "completed"
     assert check_file(path) == []
-    assert seal_holds(path)
+    assert checksum_matches(path)
     assert list(path.parent.iterdir()) == [path]
     with h5py.File(path) as file:
         assert file.attrs["complete"] == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from hils.rig_sim.fault_injection import FaultRun
+from hils.rig_sim.fault_injection import FaultInjector
 from hils.rig_sim.faults import (
     INT32,
     KINDS,
@@ -32,8 +32,8 @@ from hils.rig_sim.faults import (
     read_faults,
     split_frames,
 )
-from hils.rig_sim.firmware import Demand
-from hils.rig_sim.serial_line import LARGEST_BACKLOG, Line, Packet
+from hils.rig_sim.firmware import MotorDemand
+from hils.rig_sim.serial_line import LARGEST_BACKLOG, DelayedPacket, SerialLine
 
 FRAME = b"\x00" + bytes(range(1, 38)) + b"\x00"
 EACH = [LostFrames, DamagedFrames, DuplicatedFrames, ReorderedFrames, DelayedFrames]
@@ -44,9 +44,11 @@ def random(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def struck(what, count: int = 1, seed: int = 0) -> list[Packet]:
+def struck(what, count: int = 1, seed: int = 0) -> list[DelayedPacket]:
     generator = random(seed)
-    return [after for _ in range(count) for after in what.strike(Packet(1.0, FRAME), generator)]
+    return [
+        after for _ in range(count) for after in what.strike(DelayedPacket(1.0, FRAME), generator)
+    ]
 
 
 @pytest.mark.parametrize("kind", EACH)
@@ -60,8 +62,8 @@ def test_frames_are_lost_twice_and_late_as_often_as_the_rate_says():
     # A quarter of 1,000, to one and a half standard deviations of sqrt(1000 * 3 / 16) = 14.
     assert 230 < len(struck(LostFrames(rate=0.75), 1000)) < 270
     assert [each.data for each in struck(DuplicatedFrames())] == [FRAME, FRAME]
-    assert struck(DelayedFrames(delay=0.25)) == [Packet(1.25, FRAME)]
-    assert struck(ReorderedFrames(delay=0.25)) == [Packet(1.25, FRAME, in_order=False)]
+    assert struck(DelayedFrames(delay=0.25)) == [DelayedPacket(1.25, FRAME)]
+    assert struck(ReorderedFrames(delay=0.25)) == [DelayedPacket(1.25, FRAME, in_order=False)]
 
 
 def test_damaged_frame_differs_by_one_bit_and_keeps_its_delimiters():
@@ -91,7 +93,7 @@ def test_delayed_bytes_open_a_gap_within_the_frame():
 
 
 def test_stuck_scale_keeps_what_it_read_when_the_fault_began():
-    run = FaultRun(FaultScript((Fault(Stuck("z"), Window(start=1.0, duration=1.0)),)))
+    run = FaultInjector(FaultScript((Fault(Stuck("z"), Window(start=1.0, duration=1.0)),)))
     run.mark("power", 10.0)
     assert run.counts(Counts(5, 6, 0.1), 10.5) == (5, 6, 0.1)
     assert run.counts(Counts(7, 8, 0.1), 11.0) == (7, 8, 0.1)
@@ -112,12 +114,12 @@ def test_absurd_reading_jumps_either_way_and_fits_the_wire():
 
 
 def test_saturated_drive_keeps_the_sense_of_rotation():
-    assert Saturated(0.2).drive(Demand(-0.5, 0.1, True)) == (-0.2, 0.1, True)
-    assert Saturated(0.2).drive(Demand(0.1, 0.1, True)) == (0.1, 0.1, True)
+    assert Saturated(0.2).drive(MotorDemand(-0.5, 0.1, True)) == (-0.2, 0.1, True)
+    assert Saturated(0.2).drive(MotorDemand(0.1, 0.1, True)) == (0.1, 0.1, True)
 
 
 def test_window_opens_after_the_first_of_its_occasions():
-    run = FaultRun(FaultScript((Fault(Disconnect(), Window("arm", 0.5, 1.0)),)))
+    run = FaultInjector(FaultScript((Fault(Disconnect(), Window("arm", 0.5, 1.0)),)))
     assert run.next_edge(0.0) == math.inf
     run.mark("arm", 3.0)
     run.mark("arm", 9.0)
@@ -127,15 +129,15 @@ def test_window_opens_after_the_first_of_its_occasions():
 
 
 def test_faults_strike_only_towards_their_end():
-    run = FaultRun(FaultScript((Fault(LostFrames(towards="rig")),)))
+    run = FaultInjector(FaultScript((Fault(LostFrames(towards="rig")),)))
     run.mark("power", 0.0)
     assert run.packets([FRAME], "rig", 1.0) == []
-    assert run.packets([FRAME], "host", 1.0) == [Packet(1.0, FRAME)]
+    assert run.packets([FRAME], "host", 1.0) == [DelayedPacket(1.0, FRAME)]
 
 
 def test_a_seed_gives_the_same_faults_and_one_more_fault_leaves_the_others_be():
     def lost(*further: Fault) -> list[int]:
-        run = FaultRun(FaultScript((Fault(LostFrames(rate=0.5)), *further), seed=3))
+        run = FaultInjector(FaultScript((Fault(LostFrames(rate=0.5)), *further), seed=3))
         run.mark("power", 0.0)
         return [len(run.packets([FRAME], "host", 1.0)) for _ in range(64)]
 
@@ -153,11 +155,11 @@ def test_frames_are_cut_from_a_stream_at_any_place():
 
 
 def test_line_without_baud_is_instant_and_with_it_takes_ten_bits_a_byte():
-    line = Line()
-    line.send([Packet(0.0, FRAME)])
+    line = SerialLine()
+    line.send([DelayedPacket(0.0, FRAME)])
     assert line.take(0.0) == FRAME
-    line = Line(baud=115200)
-    line.send([Packet(0.0, FRAME), Packet(0.0, FRAME)])
+    line = SerialLine(baud=115200)
+    line.send([DelayedPacket(0.0, FRAME), DelayedPacket(0.0, FRAME)])
     second = 2 * len(FRAME) * 10 / 115200
     assert line.next_event() == pytest.approx(second / 2)
     assert line.take(second / 4) == FRAME[: len(FRAME) // 2]
@@ -168,31 +170,31 @@ def test_line_without_baud_is_instant_and_with_it_takes_ten_bits_a_byte():
 
 @pytest.mark.parametrize("latency", [0.001, 0.016])
 def test_adapter_holds_bytes_until_its_timer_rings_or_its_packet_is_full(latency):
-    line = Line(latency=latency)
-    line.send([Packet(1.0, b"few")])
+    line = SerialLine(latency=latency)
+    line.send([DelayedPacket(1.0, b"few")])
     assert line.take(1.0) == b""
     assert line.next_event() == pytest.approx(1.0 + latency)
-    line.send([Packet(1.0 + latency / 2, b"more")])
+    line.send([DelayedPacket(1.0 + latency / 2, b"more")])
     assert line.take(1.0 + 0.99 * latency) == b""
     assert line.take(1.0 + latency) == b"fewmore"
-    line.send([Packet(2.0, bytes(100))])
+    line.send([DelayedPacket(2.0, bytes(100))])
     assert line.take(2.0) == bytes(62)
     assert line.take(2.0 + latency) == bytes(38)
 
 
 def test_frames_are_overtaken_on_the_line_only_where_told():
-    line = Line()
-    line.send([Packet(1.2, b"late"), Packet(1.0, b"next")])
+    line = SerialLine()
+    line.send([DelayedPacket(1.2, b"late"), DelayedPacket(1.0, b"next")])
     assert line.take(1.1) == b""
     assert line.take(1.2) == b"latenext"
-    line.send([Packet(2.2, b"late", in_order=False), Packet(2.0, b"next")])
+    line.send([DelayedPacket(2.2, b"late", in_order=False), DelayedPacket(2.0, b"next")])
     assert line.take(2.1) == b"next"
     assert line.take(2.2) == b"late"
 
 
 def test_backlog_of_a_line_is_bounded():
-    line = Line(baud=9600)
-    line.send([Packet(0.0, bytes(1000)) for _ in range(100)])
+    line = SerialLine(baud=9600)
+    line.send([DelayedPacket(0.0, bytes(1000)) for _ in range(100)])
     assert line.overflowed == 100 - LARGEST_BACKLOG // 1000
     assert len(line.take(1e6)) == LARGEST_BACKLOG // 1000 * 1000
 

@@ -44,9 +44,9 @@ from hils.rig_sim.faults import (
     Window,
 )
 from hils.rig_sim.in_process import QUICK, SoftRig, rig_physics, soft_rig
-from hils.rig_sim.physics import LOWERING_TIME, REST, Demand
+from hils.rig_sim.physics import LOWERING_TIME, REST, MotorDemand
 from hils.rig_sim.rig import RigFault
-from hils.rig_sim.sensors import Instruments, Noise, RigClock
+from hils.rig_sim.sensors import Instruments, RigClock, SensorNoise
 
 DATA = Path(__file__).resolve().parents[3] / "data"
 TICK = 0.01
@@ -125,7 +125,7 @@ def test_block_of_steps_is_the_simulator():
     """Two blocks, driven evenly from one demand to the next, are as many single steps."""
     physics, setup = rig_physics(quick()), quick()
     packed = physics.held()
-    demands = [REST, Demand(0.2, 0.0, False), Demand(0.5, 0.0, False)]
+    demands = [REST, MotorDemand(0.2, 0.0, False), MotorDemand(0.5, 0.0, False)]
     for start, end in pairwise(demands):
         packed = physics.advance(packed, 50, start, end)
     omega = np.concatenate([np.linspace(0, 0.2, 51)[1:], np.linspace(0.2, 0.5, 51)[1:]])
@@ -237,11 +237,11 @@ def test_reading_is_counts_of_the_truth_with_the_noise_given():
 
 def test_noise_is_the_same_whoever_asks_and_how_often():
     times = np.arange(0.0, 4.0, 0.001)
-    one, other = Noise(5), Noise(5)
+    one, other = SensorNoise(5), SensorNoise(5)
     often = np.asarray([one.at(t) for t in times])
     seldom = np.asarray([other.at(t) for t in times[::7]])
     assert np.array_equal(often[::7], seldom)
-    assert not np.array_equal(often[0], Noise(6).at(0.0))
+    assert not np.array_equal(often[0], SensorNoise(6).at(0.0))
     # Four standard deviations of one of so many numbers.
     assert np.std(often) == pytest.approx(1, abs=4 / math.sqrt(2 * often.size))
 

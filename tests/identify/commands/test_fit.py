@@ -9,7 +9,7 @@ import pytest
 
 from drftjax.recorded.prepared_run import names_of
 from drftjax.runlog.hdf5.api import read_result, read_run, write_run
-from drftjax.runlog.record import Command, Measured
+from drftjax.runlog.record import Measured, RecordedCommand
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
 from identify.commands.fit import _stem
 from tests.helpers.drft_command import Answer
@@ -39,7 +39,7 @@ def folder(tmp_path_factory) -> Path:
     )
     write_run(folder / "first.h5", first)
     write_run(folder / f"{BRACKETS}.h5", second)
-    standing = Command(time=[0.0, 1.5], omega=[0.0, 0.0])
+    standing = RecordedCommand(time=[0.0, 1.5], omega=[0.0, 0.0])
     write_run(folder / "standing.h5", dataclasses.replace(first, command=standing))
     plain = dataclasses.replace(first.setup, grouser_count=0)
     write_run(folder / "plain.h5", dataclasses.replace(first, setup=plain))
