@@ -110,7 +110,7 @@ def test_the_order_of_the_runs_is_no_matter(whole, what):
 
 def pair_of(whole: PreparedRun, short: PreparedRun) -> SimpleNamespace:
     return SimpleNamespace(
-        candidates=[whole, short],
+        runs=[whole, short],
         channels=("x", "z"),
         time=lambda run: (whole, short)[run].observation.time,
     )
@@ -171,7 +171,7 @@ def test_repeats_of_a_channel_are_those_that_have_it(whole):
     )
     runs = [whole, lacking, whole]
     case = SimpleNamespace(
-        candidates=runs, channels=("x", "z"), time=lambda run: whole.observation.time
+        runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time
     )
     residual = [np.zeros((2, len(whole.observation.time))) for _ in runs]
     residual[2][0] = 1e-3
@@ -199,7 +199,7 @@ def test_samples_that_one_of_two_repeats_lost_are_not_compared(whole, lost, shor
     kept = [np.ones(len(time), bool), np.ones(len(time), bool)]
     kept[shorter] = lost(time)
     case = SimpleNamespace(
-        candidates=[whole, whole], channels=("z",), time=lambda run: time[kept[run]]
+        runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]]
     )
     residual = [1e-3 * np.sin(5 * time[each])[None] for each in kept]
     response = lambda run: np.ones((1, int(kept[run].sum())))  # noqa: E731
@@ -325,7 +325,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
     observation = dataclasses.replace(whole.observation, noise=np.full(2, noise))
     told = dataclasses.replace(whole, observation=observation)
     case = SimpleNamespace(
-        candidates=[told, told], channels=("z",), time=lambda run: time + run * delay
+        runs=[told, told], channels=("z",), time=lambda run: time + run * delay
     )
     residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
     response = lambda run: np.zeros((1, len(time)))  # noqa: E731
