@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.table import Table
 
 from drftjax.common.jax_config import configure_jax
-
 from tests.studies import cmu_data as data
 from tests.studies import cmu_driving as driving
 from tests.studies import cmu_intrusion as intrusion

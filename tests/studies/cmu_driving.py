@@ -13,7 +13,6 @@ from drftjax.physics.integrator import AbstractIntegrator, HeldPace, Rosenbrock
 from drftjax.physics.stress import Dynamic
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
-
 from tests.studies.cmu_data import (
     GROUSER,
     GROUSER_HEIGHT,

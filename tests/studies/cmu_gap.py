@@ -30,7 +30,6 @@ from drftjax.effects.base import StepContext
 from drftjax.effects.catalogue import effect_class, field_metadata
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
-
 from tests.studies import cmu_data as data
 from tests.studies import cmu_driving as driving
 from tests.studies.cmu import NOMINAL_LOAD, summarise

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 from drftjax.physics.stress import NEWTON_PER_CUBIC_CENTIMETRE, StressCoefficients
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import vertical_support
-
 from tests.studies.cmu_data import Intrusion, Reals
 from tests.studies.cmu_steady import pitch_of
 
