@@ -53,8 +53,8 @@ def gather(
             try:
                 run = run_from(*surveyed)
                 each = ready(name, run)
-                if sinkage and "z" not in each.observation.channels:
-                    raise InputError("has no /measured/z, so its sinkage is not known")
+                if sinkage:
+                    each.observation.sinkage()
                 candidates.append(each)
                 for doubt in doubts(drop_refused(run)):
                     tell(f"note: {path}: {doubt}")

@@ -90,6 +90,16 @@ class Observation:
             unused=(*self.unused, *others),
         )
 
+    def sinkage(self) -> np.ndarray:
+        """Recorded sinkage H = -z [m], shape (samples,).
+
+        Raises:
+            InputError: the run has none.
+        """
+        if "z" not in self.channels:
+            raise InputError("has no /measured/z, so its sinkage is not known")
+        return -self.values[self.channels.index("z")]
+
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
         """Values and noise by the channel's name."""
         return {
