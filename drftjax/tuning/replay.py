@@ -42,6 +42,9 @@ class ReplaySettings:
     clock_rounding: float = 1e-9
 
 
+DEFAULT_REPLAY = ReplaySettings()
+
+
 class TickGrid(NamedTuple):
     """Ticks of a replay.
 
@@ -90,7 +93,7 @@ def known_sinkage(
     tick_time: np.ndarray,
     time: np.ndarray,
     sinkage: np.ndarray,
-    settings: ReplaySettings = ReplaySettings(),
+    settings: ReplaySettings = DEFAULT_REPLAY,
 ) -> np.ndarray:
     """Newest recorded sinkage [m] at or before each tick; NaN where there is none or it is old.
 
