@@ -1,7 +1,7 @@
 """What a case's runs cannot say, whatever comes of them."""
 
 from diagnose.dataset import RigDataset
-from drftjax.recorded.observation import comparable
+from drftjax.recorded.observation import comparable_channels
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -38,7 +38,7 @@ def _of_channels(case: RigDataset) -> list[str]:
         notes.append(
             "The carriage was driven: x is given, and effects show in sinkage, forces and torque."
         )
-    for channel in comparable(driven):
+    for channel in comparable_channels(driven):
         lacking = [c.name for c in case.runs if channel not in c.observation.channels]
         # Torque of a free carriage is more than most rigs record.
         if len(lacking) == len(case.runs) and (driven or channel != "torque"):

@@ -52,7 +52,7 @@ def paper(
 
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.common.structured_files import as_json
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits

@@ -42,8 +42,11 @@ def run(
     baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = USUAL_BAUD,
     tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
     tuner: Annotated[
-        Literal["step", "pi", "kalman"],
-        typer.Option(help="How zeta is moved: eq. 7's fixed step, or one of docs/hils-tuners.md."),
+        str,
+        typer.Option(
+            help="How zeta is moved: step (eq. 7's fixed step), pi, kalman (docs/hils-tuners.md), "
+            "or one that an installed package adds."
+        ),
     ] = "step",
     zeta_step: Annotated[
         float | None,

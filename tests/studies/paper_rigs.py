@@ -43,7 +43,7 @@ def main() -> None:
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp

@@ -214,7 +214,7 @@ def whole() -> list[tuple[str, ...]]:
     """Some settings in the loop itself: link, clock, guard, counts, and the paper's profile."""
     import msgspec
 
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.setups.setup import read_setup
     from drftjax.tuning.registry import TunerSetUp
     from hils.control.limits import CommandLimits

@@ -14,7 +14,8 @@ import numpy as np
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects.serialization import Entry
-from drftjax.setups.setup import TerrainSetUp, ZetaKnots, read_setup
+from drftjax.setups.setup import read_setup
+from drftjax.setups.terrain_setup import DynamicTerrain, ZetaKnots
 from drftjax.tuning.registry import TunerSetUp
 from hils.clock import VirtualClock
 from hils.control.limits import CommandLimits
@@ -77,7 +78,7 @@ def sands() -> dict[str, VirtualSetUp]:
     return {
         "as believed": VirtualSetUp(physics=PHYSICS),
         "loosening": VirtualSetUp(physics=PHYSICS, effects=loose),
-        "soft patch": VirtualSetUp(physics=PHYSICS, terrain=TerrainSetUp(zeta=patch)),
+        "soft patch": VirtualSetUp(physics=PHYSICS, terrain=DynamicTerrain(zeta=patch)),
     }
 
 

@@ -14,7 +14,7 @@ from diagnose.commands.protocol import app
 from diagnose.next_runs.recommended_runs import TELLING, recommended_runs
 from drftjax.commands.options import USUAL_OMEGA_MAX
 from drftjax.common.errors import InputError
-from drftjax.common.package_data import data_file
+from drftjax.common.packages import data_file
 from drftjax.physics.integrator import sharpest_ramp
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog

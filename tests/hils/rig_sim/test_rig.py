@@ -12,7 +12,8 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
-from drftjax.setups.setup import TerrainSetUp, WheelSetUp
+from drftjax.setups.setup import WheelSetUp
+from drftjax.setups.terrain_setup import DynamicTerrain
 from drftjax.simulation.rollout import simulate
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import sinkage_under_load
@@ -352,7 +353,7 @@ def test_drive_fault_stands_still_until_power_up():
 
 
 def test_wheel_that_sinks_to_its_end_stop_is_a_fault():
-    soft = opened(quick(terrain=TerrainSetUp(zeta=0.02)))
+    soft = opened(quick(terrain=DynamicTerrain(zeta=0.02)))
     soft.link.send(Arm())
     read = drive(soft, 3.0)
     assert (read[-1].state, read[-1].fault) == (RigState.FAULT, RigFault.END_STOP)
