@@ -84,7 +84,7 @@ class SmoothedSignal:
     mean: np.ndarray
     covariance: np.ndarray
     freedom: float
-    left: np.ndarray
+    residual_power: np.ndarray
     level: float
     noise: np.ndarray
 

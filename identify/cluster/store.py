@@ -29,7 +29,7 @@ SCHEMA_VERSION: Final = 1
 _CHECKED: Final = re.compile(rb'\{"crc32":"([0-9a-f]{8})",(.*\})\n', re.DOTALL)
 
 
-class Header(msgspec.Struct, forbid_unknown_fields=True):
+class StoreHeader(msgspec.Struct, forbid_unknown_fields=True):
     """The first line.
 
     Attributes:
@@ -57,7 +57,7 @@ class FinishedFit(msgspec.Struct, forbid_unknown_fields=True):
     result: bytes
 
 
-class Store:
+class FitStore:
     """Finished fits of one set of settings. Use as a context manager.
 
     Attributes:
@@ -88,7 +88,7 @@ class Store:
             self._lock()
             # As JSON gives them back: a tuple is a list.
             plain = msgspec.json.decode(msgspec.json.encode(settings))
-            self._read(_line(Header(SCHEMA, SCHEMA_VERSION, plain)), plain)
+            self._read(_line(StoreHeader(SCHEMA, SCHEMA_VERSION, plain)), plain)
         except BaseException:
             os.close(self._handle)
             raise
@@ -160,7 +160,7 @@ class Store:
     def _settings(self, line: bytes) -> dict[str, Any]:
         """What the first line says of the fits below it."""
         try:
-            header = msgspec.json.decode(_checked(line), type=Header)
+            header = msgspec.json.decode(_checked(line), type=StoreHeader)
         except ValueError:
             raise InputError(
                 f"{self.path}: is damaged in line 1, or no store of fits at all; move it away to "
@@ -192,7 +192,7 @@ class Store:
         self._places[digest] = place, len(line)
 
 
-def _line(content: Header | FinishedFit) -> bytes:
+def _line(content: StoreHeader | FinishedFit) -> bytes:
     body = msgspec.json.encode(content)
     return b'{"crc32":"%08x",' % crc32(body) + body[1:] + b"\n"
 

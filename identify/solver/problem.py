@@ -48,9 +48,9 @@ class Problem(eqx.Module):
             return jnp.stack(columns, axis=1) if columns else jnp.zeros((runs, 0))
 
         shared = coordinates(self.shared, self.batch.trials)[0]
-        return self.everywhere((shared, coordinates(self.own, self.batch.trials)))
+        return self.on_all_devices((shared, coordinates(self.own, self.batch.trials)))
 
-    def everywhere(self, values: Values) -> Values:
+    def on_all_devices(self, values: Values) -> Values:
         """`values` on every device; where they lie is part of what a program is compiled for."""
         return eqx.filter_shard(values, NamedSharding(self.mesh, PartitionSpec()))
 
@@ -73,13 +73,13 @@ class Problem(eqx.Module):
         def of(parameters: tuple[Parameter, ...], values: Array) -> Array:
             if not parameters:
                 return values
-            columns = [p.belief(values[..., k]) for k, p in enumerate(parameters)]
+            columns = [p.prior_residual(values[..., k]) for k, p in enumerate(parameters)]
             return jnp.stack(columns, axis=-1)
 
         return of(self.shared, shared), of(self.own, own) * true_run[:, None]
 
     @eqx.filter_jit
-    def predicted(
+    def prediction(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
         """Simulated channels at the recorded times [m, N, N m]."""
@@ -180,7 +180,7 @@ def normal_equations(
 
 def predict(problem: Problem, coordinates: Coordinates) -> np.ndarray:
     """Simulated channels of every run at its recorded times [m, N, N m]."""
-    return np.asarray(problem.predicted(*coordinates))
+    return np.asarray(problem.prediction(*coordinates))
 
 
 def linearize(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:

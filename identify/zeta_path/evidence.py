@@ -43,12 +43,12 @@ class InstrumentFloor:
         longest: Largest correlation of a sample with the one before [-].
     """
 
-    floor: float
-    longest: float
+    smallest: float
+    largest_correlation: float
 
-    def white(self, spread: float) -> AR1Noise:
+    def white_noise(self, spread: float) -> AR1Noise:
         """White noise of this standard deviation [m], or of the smallest."""
-        return AR1Noise(max(float(spread), self.floor), 0.0)
+        return AR1Noise(max(float(spread), self.smallest), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,9 @@ class LaggedProducts:
 
     intervals: np.ndarray
     samples: np.ndarray
-    own: np.ndarray
+    current: np.ndarray
     lagged: np.ndarray
-    before: np.ndarray
+    previous: np.ndarray
 
     @classmethod
     def of(cls, columns: np.ndarray, intervals: np.ndarray) -> "LaggedProducts":
@@ -95,13 +95,13 @@ class LaggedProducts:
             np.stack([last.T @ last for _, last in pairs]),
         )
 
-    def whitened(self, noise: AR1Noise) -> np.ndarray:
+    def whitened_gram(self, noise: AR1Noise) -> np.ndarray:
         """columns^T C^-1 columns."""
         rho = self.ar1_coefficient(noise)[:, None, None]
-        bare = (self.own - rho * self.lagged + rho**2 * self.before) / (1 - rho**2)
+        bare = (self.current - rho * self.lagged + rho**2 * self.previous) / (1 - rho**2)
         return bare.sum(axis=0) / noise.spread**2
 
-    def volume(self, noise: AR1Noise) -> float:
+    def log_determinant(self, noise: AR1Noise) -> float:
         """Logarithm of the determinant of the noise's covariance."""
         fresh = np.log1p(-(self.ar1_coefficient(noise) ** 2))
         return float((self.samples * (np.log(noise.spread**2) + fresh)).sum())
@@ -110,7 +110,7 @@ class LaggedProducts:
         """What a sample keeps of the one before, by kind: nothing where that is infinitely far."""
         return np.where(np.isfinite(self.intervals), noise.correlation**self.intervals, 0.0)
 
-    def noise(
+    def most_probable_noise(
         self, residual: np.ndarray, covariance: np.ndarray, instrument: InstrumentFloor
     ) -> AR1Noise:
         """The noise that makes this residual, known to a covariance, most probable.
@@ -128,14 +128,16 @@ class LaggedProducts:
             return float(residual @ sums @ residual + spread)
 
         near = self.intervals == 1
-        both = power((self.own[near] + self.before[near]).sum(axis=0))
+        both = power((self.current[near] + self.previous[near]).sum(axis=0))
         rho = np.clip(
-            power(self.lagged[near].sum(axis=0)) / max(both, 1e-300), 0, instrument.longest
+            power(self.lagged[near].sum(axis=0)) / max(both, 1e-300),
+            0,
+            instrument.largest_correlation,
         )
         # Rounding can make nothing of it where the derivative is many times what is left.
-        left = max(power(self.whitened(AR1Noise(1.0, float(rho)))), 0.0)
+        left = max(power(self.whitened_gram(AR1Noise(1.0, float(rho)))), 0.0)
         spread = np.sqrt(left / self.samples.sum())
-        return AR1Noise(max(float(spread), instrument.floor), float(rho))
+        return AR1Noise(max(float(spread), instrument.smallest), float(rho))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +168,7 @@ def posterior(
         weight: Weight of squared second differences.
         noise: Of each channel.
     """
-    whitened = np.sum([p.whitened(n) for p, n in zip(products, noise, strict=True)], axis=0)
+    whitened = np.sum([p.whitened_gram(n) for p, n in zip(products, noise, strict=True)], axis=0)
     information, slope, power = whitened[:-1, :-1], whitened[:-1, -1], whitened[-1, -1]
     prior = smoothness_prior(knots, len(information), weight)
     # Second differences do not see a level, so it is their mean that the prior needs to be told.
@@ -177,7 +179,7 @@ def posterior(
     mean = covariance @ (slope + prior @ centre)
     misfit = power - 2 * mean @ slope + mean @ information @ mean
     away = (mean - centre) @ prior @ (mean - centre)
-    noise_volume = sum(p.volume(n) for p, n in zip(products, noise, strict=True))
+    noise_volume = sum(p.log_determinant(n) for p, n in zip(products, noise, strict=True))
     volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(prior)[1] + noise_volume
     evidence = -0.5 * float(misfit + away + volume)
     return Posterior(mean, covariance, information, evidence, weight, tuple(noise))
@@ -191,7 +193,7 @@ def smoothness_prior(knots: int, size: int, weight: float) -> np.ndarray:
     return prior
 
 
-def smoothest_given(
+def maximize_evidence_given_noise(
     products: Sequence[LaggedProducts],
     knots: int,
     level: float,
@@ -204,7 +206,7 @@ def smoothest_given(
     return max(found, key=lambda each: each.evidence)
 
 
-def most_probable(
+def maximize_evidence(
     products: Sequence[LaggedProducts],
     knots: int,
     level: float,
@@ -221,14 +223,17 @@ def most_probable(
     once more from the instruments' own: a path may be rough, or the noise may last.
     """
     found = []
-    for weights, first in ((WEIGHTS[::-1], noise), (WEIGHTS, [i.white(0.0) for i in instruments])):
+    for weights, first in (
+        (WEIGHTS[::-1], noise),
+        (WEIGHTS, [i.white_noise(0.0) for i in instruments]),
+    ):
         now = list(first)
         for weight in weights:
             for _ in range(NOISE_ROUNDS):
                 state = posterior(products, knots, level, weight, now)
                 residual = np.r_[state.mean, -1.0]
                 now = [
-                    p.noise(residual, state.covariance, instrument)
+                    p.most_probable_noise(residual, state.covariance, instrument)
                     for p, instrument in zip(products, instruments, strict=True)
                 ]
             found.append(posterior(products, knots, level, weight, now))

@@ -20,12 +20,12 @@ from identify.zeta_path.evidence import (
     InstrumentFloor,
     LaggedProducts,
     Posterior,
-    most_probable,
-    smoothest_given,
+    maximize_evidence,
+    maximize_evidence_given_noise,
     smoothness_prior,
 )
-from identify.zeta_path.path import CHANNELS, ZetaPath, between, cardinal
-from identify.zeta_path.simulate import placed, with_zeta_knots
+from identify.zeta_path.path import CHANNELS, ZetaPath, cardinal_splines, segment_ends
+from identify.zeta_path.simulate import path_trial, with_zeta_knots
 
 # A step of log zeta that the linearisation is trusted for.
 LONGEST_MOVE = 0.3
@@ -99,7 +99,7 @@ class ZetaPathSolver:
         curve: Float[Array, "ends knots"],
         begun: "ZetaPathSolver | None" = None,
     ):
-        self.candidate = candidate
+        self.run = candidate
         self.grid, self.knots, self.curve = grid, len(grid), curve
         self.batch, self.number = batch, number
         self.trial: Trial = jax.tree.map(lambda leaf: leaf[number], batch.trials)
@@ -108,26 +108,26 @@ class ZetaPathSolver:
         self.values = np.asarray(batch.observed.values[number])[:, self.counts]
         time = candidate.observation.time[candidate.observation.counts]
         self.intervals = intervals_of(time)
-        zeta = _believed_zeta(candidate.trial, grid)
+        zeta = _initial_zeta(candidate.trial, grid)
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())
-        self.moves = _moves(candidate.trial, grid)
-        self.lasting = _lasting(time, grid[1] - grid[0])
-        self.near = begun is not None
+        self.moving = _moving_knots(candidate.trial, grid)
+        self.largest_correlation = _largest_correlations(time, grid[1] - grid[0])
+        self.close = begun is not None
         if begun is not None:
             self.coordinates = begun.coordinates
-        self.refused = 0
+        self.rejections = 0
         self.last: Posterior | None = None
-        self.followed = ["z"]
-        self.joint = False
-        self.promise = np.inf
+        self.fitted_channels = ["z"]
+        self.all_channels = False
+        self.predicted_gain = np.inf
         self.evidence = -np.inf
         self.objective = np.inf
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
         self.residual = np.zeros_like(self.values)
         self.slopes: np.ndarray | None = None
-        self.lent = False
+        self.borrowed = False
         self.steps = 0
         self.settled = self.converged = False
 
@@ -146,43 +146,43 @@ class ZetaPathSolver:
         known = self.slopes is not None or np.isfinite(slopes).all()
         if not (known and np.isfinite(residual).all()):
             if self.steps == 0:
-                raise RunError(
-                    self.candidate.name, "its simulation diverges at the zeta it starts from"
-                )
-            self._shorten()
+                raise RunError(self.run.name, "its simulation diverges at the zeta it starts from")
+            self._halve_step()
             return
         gain = np.inf if self.last is None else self.objective - self._objective(residual)
         smooth = self._is_smooth(slopes)
         if gain < -1.0:
-            if smooth and self.lent:
+            if smooth and self.borrowed:
                 self.slopes = slopes
-            self._shorten()
+            self._halve_step()
             return
         self.steps += 1
-        self.refused = 0
+        self.rejections = 0
         self.residual = residual
-        self.lent = not (smooth or self.slopes is None)
-        if self.slopes is None or not self.lent:
+        self.borrowed = not (smooth or self.slopes is None)
+        if self.slopes is None or not self.borrowed:
             self.slopes = slopes
         # A change of what is followed, and by which noise, is no gain that can be measured.
-        still = gain < (SMALL_GAIN if self.joint else NEAR_GAIN * self.objective)
-        changed, self.joint = self.joint != self.near, self.near
-        self.last, bends_freely = self._believed(self.slopes)
+        still = gain < (SMALL_GAIN if self.all_channels else NEAR_GAIN * self.objective)
+        changed, self.all_channels = self.all_channels != self.close, self.close
+        self.last, bends_freely = self._maximize_evidence(self.slopes)
         still = still and bends_freely and not changed
         self.origin = self.coordinates
         self.objective = self._objective(residual)
         move = self.last.mean - self.coordinates
-        self.promise = 0.5 * float(move @ np.linalg.solve(self.last.covariance, move))
+        self.predicted_gain = 0.5 * float(move @ np.linalg.solve(self.last.covariance, move))
         if changed:
             self.evidence = -np.inf
         level = self.last.evidence < self.evidence + SMALL_GAIN
-        still = still or (self.joint and level and self.promise < SMALL_PROMISE * self.objective)
+        still = still or (
+            self.all_channels and level and self.predicted_gain < SMALL_PROMISE * self.objective
+        )
         self.evidence = max(self.evidence, self.last.evidence)
         share = move / np.sqrt(np.diag(self.last.covariance))
-        told = self.moves & (self._own_error() <= TELLS_NOTHING)
+        told = self.moving & (self._error_of_own_samples() <= TELLS_NOTHING)
         farthest = np.abs(share[: self.knots][told]).max(initial=0.0)
-        self.converged = bool(self.joint and (still or farthest < SMALL_MOVE))
-        self.near = self.near or still or farthest < NEAR
+        self.converged = bool(self.all_channels and (still or farthest < SMALL_MOVE))
+        self.close = self.close or still or farthest < NEAR
         # Moved along x a run is the same run, however far.
         bent = np.abs(np.delete(move, self.knots)).max()
         self.move = move * min(1.0, LONGEST_MOVE / max(bent, 1e-300))
@@ -197,36 +197,37 @@ class ZetaPathSolver:
         missing = self.curve.shape[1] - self.knots
         return np.insert(self.coordinates, [self.knots] * missing, 0.0)
 
-    def _believed(self, slopes: np.ndarray) -> tuple[Posterior, bool]:
+    def _maximize_evidence(self, slopes: np.ndarray) -> tuple[Posterior, bool]:
         """What the linearised run says, and whether its path bends as much as the data ask for."""
-        self.followed = [*self.channels] if self.joint else ["z"]
-        picked = [self.channels.index(name) for name in self.followed]
+        self.fitted_channels = [*self.channels] if self.all_channels else ["z"]
+        picked = [self.channels.index(name) for name in self.fitted_channels]
         # Of what is left, not of what was read: a wheel that speeds up scatters from sample to
         # sample by more than its instruments do.
         instruments = [
             InstrumentFloor(
-                max(white_noise(self.residual[n]), SMALLEST_NOISE[name]), self.lasting[name]
+                max(white_noise(self.residual[n]), SMALLEST_NOISE[name]),
+                self.largest_correlation[name],
             )
-            for name, n in zip(self.followed, picked, strict=True)
+            for name, n in zip(self.fitted_channels, picked, strict=True)
         ]
         products = [
             self._products(np.c_[slopes[n], slopes[n] @ self.coordinates - self.residual[n]])
             for n in picked
         ]
         noise = [
-            instrument.white(np.sqrt(np.mean(self.residual[n] ** 2)))
+            instrument.white_noise(np.sqrt(np.mean(self.residual[n] ** 2)))
             for instrument, n in zip(instruments, picked, strict=True)
         ]
-        if self.joint:
+        if self.all_channels:
             kept = None if self.last is None else self.last.weight
-            found = most_probable(products, self.knots, self.level, noise, instruments, kept)
+            found = maximize_evidence(products, self.knots, self.level, noise, instruments, kept)
             return found, True
         # A misfit would pass for noise that lasts; white noise of its size pulls on. Travel waits:
         # where it contradicts the sinkage, whichever is met first would have its way.
         # A standing wheel does not rise: a path that swings too far at a stop is not drawn back, so
         # paths start straight and bend a little more with every step.
         least = FIRST_WEIGHT / 10.0**self.steps
-        found = smoothest_given(products, self.knots, self.level, noise, least)
+        found = maximize_evidence_given_noise(products, self.knots, self.level, noise, least)
         return found, found.weight > 2 * least
 
     def _is_smooth(self, slopes: np.ndarray) -> bool:
@@ -239,29 +240,33 @@ class ZetaPathSolver:
         steepest = np.abs(slopes[self.channels.index("z")]).max()
         return bool(steepest < radius and np.isfinite(slopes).all())
 
-    def _shorten(self) -> None:
+    def _halve_step(self) -> None:
         """Half the last step: the straight line promised what the simulation does not keep."""
         self.move = self.move / 2
         self.coordinates = self.origin + self.move
         self.steps += 1
-        self.refused += 1
-        if self.refused == MOST_REFUSED or self.steps >= MOST_STEPS:
+        self.rejections += 1
+        if self.rejections == MOST_REFUSED or self.steps >= MOST_STEPS:
             self.coordinates = self.origin
-            self.settled = (self.joint and not self.lent) or self.steps >= MOST_STEPS
-            self.converged = bool(self.joint and self.promise < NEAR_GAIN * self.objective)
+            self.settled = (self.all_channels and not self.borrowed) or self.steps >= MOST_STEPS
+            self.converged = bool(
+                self.all_channels and self.predicted_gain < NEAR_GAIN * self.objective
+            )
             # White noise was not the way on; from here the noise is found with the path.
-            self.near, self.refused = True, 0
+            self.close, self.rejections = True, 0
             self.last = self.last if self.settled else None
 
     def _objective(self, residual: np.ndarray) -> float:
         """Half the misfit and the bends at the last weight and noise."""
         misfit = sum(
             float(
-                self._products(residual[self.channels.index(name), :, None]).whitened(noise)[0, 0]
+                self._products(residual[self.channels.index(name), :, None]).whitened_gram(noise)[
+                    0, 0
+                ]
             )
-            for name, noise in zip(self.followed, self.posterior.noise, strict=True)
+            for name, noise in zip(self.fitted_channels, self.posterior.noise, strict=True)
         )
-        prior, away = self._bends()
+        prior, away = self._prior()
         return 0.5 * (misfit + float(away @ prior @ away))
 
     @property
@@ -280,15 +285,16 @@ class ZetaPathSolver:
         Returns:
             Shapes (all, all) and (all,), the path's coordinates before the numbers'.
         """
-        picked = [self.channels.index(name) for name in self.followed]
+        picked = [self.channels.index(name) for name in self.fitted_channels]
         assert self.slopes is not None
         columns = [np.c_[self.slopes[n], slopes[n], self.residual[n]] for n in picked]
         noise = self.posterior.noise
         whole = np.sum(
-            [self._products(c).whitened(n) for c, n in zip(columns, noise, strict=True)], axis=0
+            [self._products(c).whitened_gram(n) for c, n in zip(columns, noise, strict=True)],
+            axis=0,
         )
         information, pull = whole[:-1, :-1], whole[:-1, -1]
-        prior, away = self._bends()
+        prior, away = self._prior()
         size = len(away)
         information[:size, :size] += prior
         pull[:size] += prior @ away
@@ -298,7 +304,7 @@ class ZetaPathSolver:
         """Count what other uncertain numbers add to the covariance of the path."""
         self.last = replace(self.posterior, covariance=self.posterior.covariance + covariance)
 
-    def _bends(self) -> tuple[np.ndarray, np.ndarray]:
+    def _prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Precision of the prior, and how far the coordinates lie from its mean."""
         centre = np.r_[np.full(self.knots, self.level), 0.0, 0.0]
         away = self.coordinates - centre
@@ -307,44 +313,42 @@ class ZetaPathSolver:
     def _products(self, columns: np.ndarray) -> LaggedProducts:
         return LaggedProducts.of(columns, self.intervals)
 
-    def _own_error(self) -> np.ndarray:
+    def _error_of_own_samples(self) -> np.ndarray:
         own = np.diag(self.posterior.information)[: self.knots]
         return 1 / np.sqrt(np.maximum(own, np.finfo(float).tiny))
 
     def path(self) -> ZetaPath:
         """zeta(t) as the steps left it."""
-        own = self._own_error()
-        told = self.moves & (own <= TELLS_NOTHING)
+        own = self._error_of_own_samples()
+        told = self.moving & (own <= TELLS_NOTHING)
         spread = np.sqrt(np.diag(self.posterior.covariance)[: self.knots])
         # The prior would draw its line on through a standstill, and be sure of it.
         spread = np.where(told, spread, np.hypot(spread, np.maximum(own, TELLS_NOTHING)))
         value = np.exp(self.coordinates[: self.knots])
-        ends = between(self.grid)
-        curve, coordinates = map(jnp.asarray, (cardinal(self.grid, ends), self.coordinates))
-        trial = placed(with_zeta_knots(self.trial, ends), curve, coordinates)
+        ends = segment_ends(self.grid)
+        curve, coordinates = map(jnp.asarray, (cardinal_splines(self.grid, ends), self.coordinates))
+        trial = path_trial(with_zeta_knots(self.trial, ends), curve, coordinates)
         place = np.asarray(trial.start.position)
         lines = np.asarray(trial.simulator.terrain.zeta.value)  # pyright: ignore
         terrain = replace_struct(
-            self.candidate.setup.terrain, zeta=ZetaKnots(ends.tolist(), lines.tolist())
+            self.run.setup.terrain, zeta=ZetaKnots(ends.tolist(), lines.tolist())
         )
-        start = replace_struct(
-            self.candidate.setup.start, x=float(place[0]), sinkage=float(-place[1])
-        )
+        start = replace_struct(self.run.setup.start, x=float(place[0]), sinkage=float(-place[1]))
         noise = [(n.spread, n.correlation) for n in self.posterior.noise]
         rmse = np.sqrt(np.mean(self.residual**2, axis=1)).tolist()
         return ZetaPath(
-            name=self.candidate.name,
+            name=self.run.name,
             time=self.grid,
             value=value,
             error=np.where(spread < 1e6, value * spread, np.inf),
             identified=told,
             weight=float(self.posterior.weight),
-            noise=dict(zip(self.followed, noise, strict=True)),
+            noise=dict(zip(self.fitted_channels, noise, strict=True)),
             rmse=dict(zip(self.channels, rmse, strict=True)),
             steps=self.steps,
             converged=self.converged,
             trial=trial,
-            setup=replace_struct(self.candidate.setup, terrain=terrain, start=start),
+            setup=replace_struct(self.run.setup, terrain=terrain, start=start),
         )
 
 
@@ -363,7 +367,7 @@ def sinkage_and_travel(each: PreparedRun) -> Observation:
     )
 
 
-def _lasting(time: np.ndarray, spacing: float) -> dict[str, float]:
+def _largest_correlations(time: np.ndarray, spacing: float) -> dict[str, float]:
     """Largest correlation of a sample with the one before that passes for noise, by channel.
 
     Sinkage follows zeta within a fraction of a second, so whatever lasts longer than knots can draw
@@ -375,14 +379,14 @@ def _lasting(time: np.ndarray, spacing: float) -> dict[str, float]:
     return {"z": float(np.exp(-np.pi * interval / spacing)), "x": SUMMED_CORRELATION}
 
 
-def _believed_zeta(trial: Trial, time: np.ndarray) -> np.ndarray:
+def _initial_zeta(trial: Trial, time: np.ndarray) -> np.ndarray:
     """zeta of the trial's own at `time` [s], [-]."""
     zeta = trial.simulator.terrain.zeta
     first = Command(trial.omega[0], trial.vx[0], trial.omega[0])  # no set-up's zeta reads it
     return np.array([float(zeta(jnp.asarray(t), first)) for t in time])
 
 
-def _moves(trial: Trial, grid: np.ndarray) -> np.ndarray:
+def _moving_knots(trial: Trial, grid: np.ndarray) -> np.ndarray:
     """Whether wheel or carriage is asked to move anywhere between a knot's two neighbours."""
     edges = np.r_[grid[0], grid, grid[-1]]
     inside = np.linspace(edges[:-2], edges[2:], 65)[1:-1]

@@ -10,16 +10,16 @@ from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import Trial
 
 # Straight lines from a knot to the next: they leave 1/64 of what one line would.
-LINES = 8
+SEGMENTS = 8
 
 
-def between(grid: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " ends"]:
+def segment_ends(grid: Float[np.ndarray, " knots"]) -> Float[np.ndarray, " ends"]:
     """Ends of the straight lines that draw a spline through these knots [s]."""
-    count = LINES * (len(grid) - 1) + 1
-    return np.interp(np.arange(count) / LINES, np.arange(len(grid)), grid)
+    count = SEGMENTS * (len(grid) - 1) + 1
+    return np.interp(np.arange(count) / SEGMENTS, np.arange(len(grid)), grid)
 
 
-def cardinal(
+def cardinal_splines(
     grid: Float[np.ndarray, " knots"], time: Float[np.ndarray, " times"]
 ) -> Float[np.ndarray, "times knots"]:
     """What a one at each knot, and zeros at the others, gives at `time` [s].
@@ -72,7 +72,7 @@ class ZetaPath:
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """zeta at `time` [s], on the spline through the knots."""
-        return np.exp(cardinal(self.time, np.asarray(time)) @ np.log(self.value))
+        return np.exp(cardinal_splines(self.time, np.asarray(time)) @ np.log(self.value))
 
     def contradiction(self) -> str | None:
         """In words, that no zeta(t) meets both sinkage and travel; None where one does."""

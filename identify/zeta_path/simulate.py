@@ -23,7 +23,7 @@ def with_zeta_knots(trial: Trial, ends: np.ndarray) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, 1 + 0 * ends))
 
 
-def placed(
+def path_trial(
     trial: Trial, curve: Float[Array, "ends knots"], coordinates: Float[Array, " all"]
 ) -> Trial:
     """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD].
@@ -49,7 +49,7 @@ def predict_path(
     coordinates: Float[Array, " all"],
 ) -> Float[Array, "channels samples"]:
     """Simulated channels of one run at its recorded times [m], up to the last one compared."""
-    drawn = placed(trial, curve, coordinates)
+    drawn = path_trial(trial, curve, coordinates)
     return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
 
 

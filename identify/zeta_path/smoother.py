@@ -25,19 +25,17 @@ from drftjax.common.errors import InputError, RunError
 from drftjax.recorded.batch import device_mesh, make_batch
 from drftjax.recorded.prepared_run import PreparedRun
 from identify.zeta_path.gauss_newton import ZetaPathSolver, sinkage_and_travel
-from identify.zeta_path.path import ZetaPath, between, cardinal
+from identify.zeta_path.path import ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.simulate import START_COORDINATES, predict_with_jacobian, with_zeta_knots
 
 KNOT_SPACING = 1.0
 
 
-def zeta_paths(
-    candidates: Sequence[PreparedRun], knot_spacing: float = KNOT_SPACING
-) -> list[ZetaPath]:
+def zeta_paths(runs: Sequence[PreparedRun], knot_spacing: float = KNOT_SPACING) -> list[ZetaPath]:
     """zeta(t) of each run; the runs are simulated side by side.
 
     Args:
-        candidates: Runs of the same kind of wheel, law and carriage.
+        runs: Runs of the same kind of wheel, law and carriage.
         knot_spacing: Time from knot to knot [s]; stretched a little, so that they end with the
             samples compared.
 
@@ -45,54 +43,54 @@ def zeta_paths(
         RunError: where a run has no sinkage, is too short, or cannot be simulated.
         InputError: for a knot spacing that is none.
     """
-    return [each.path() for each in path_solvers(candidates, knot_spacing)]
+    return [each.path() for each in path_solvers(runs, knot_spacing)]
 
 
 def path_solvers(
-    candidates: Sequence[PreparedRun],
+    runs: Sequence[PreparedRun],
     knot_spacing: float,
     begun: Sequence[ZetaPathSolver] | None = None,
 ) -> list[ZetaPathSolver]:
     """`zeta_paths` with the linearisations that they ended at.
 
     Args:
-        candidates, knot_spacing: See `zeta_paths`.
+        runs, knot_spacing: See `zeta_paths`.
         begun: The same runs' paths to go on from, at other values of what is not fitted here.
     """
-    channels = [sinkage_and_travel(each).channels for each in candidates]
+    channels = [sinkage_and_travel(each).channels for each in runs]
     found: dict[int, ZetaPathSolver] = {}
     for kind in dict.fromkeys(channels):
         alike = [number for number, own in enumerate(channels) if own == kind]
-        steps = _steps_of_alike(
-            [candidates[number] for number in alike],
+        steps = _solve_together(
+            [runs[number] for number in alike],
             knot_spacing,
             [None if begun is None else begun[number] for number in alike],
         )
         found |= dict(zip(alike, steps, strict=True))
-    return [found[number] for number in range(len(candidates))]
+    return [found[number] for number in range(len(runs))]
 
 
-def _steps_of_alike(
-    candidates: Sequence[PreparedRun], knot_spacing: float, begun: Sequence[ZetaPathSolver | None]
+def _solve_together(
+    runs: Sequence[PreparedRun], knot_spacing: float, begun: Sequence[ZetaPathSolver | None]
 ) -> list[ZetaPathSolver]:
     """`path_steps` of runs that have the same channels."""
-    grids = [_knots(each, knot_spacing) for each in candidates]
+    grids = [_knots(each, knot_spacing) for each in runs]
     longest = max(grids, key=len)
-    most, lines = len(longest), len(between(longest))
+    most, lines = len(longest), len(segment_ends(longest))
     trials = [
-        with_zeta_knots(each.trial, _padded(between(grid), lines))
-        for each, grid in zip(candidates, grids, strict=True)
+        with_zeta_knots(each.trial, _padded_ends(segment_ends(grid), lines))
+        for each, grid in zip(runs, grids, strict=True)
     ]
-    observations = [sinkage_and_travel(each) for each in candidates]
+    observations = [sinkage_and_travel(each) for each in runs]
     batch, mesh = make_batch(trials, observations, jax.device_count()), device_mesh()
     curves = np.zeros((len(batch.order), lines, most))
     for curve, grid in zip(curves, grids, strict=False):
-        drawn = cardinal(grid, between(grid))
+        drawn = cardinal_splines(grid, segment_ends(grid))
         curve[: len(drawn), : len(grid)] = drawn
     curves = jnp.asarray(curves)
     fits = [
         ZetaPathSolver(each, batch, number, grid, curves[number], last)
-        for number, (each, grid, last) in enumerate(zip(candidates, grids, begun, strict=True))
+        for number, (each, grid, last) in enumerate(zip(runs, grids, begun, strict=True))
     ]
     compared = batch.observed.compared_rows
     coordinates = np.zeros((len(curves), most + START_COORDINATES))
@@ -126,6 +124,6 @@ def _knots(each: PreparedRun, spacing: float) -> np.ndarray:
     return np.linspace(0.0, duration, intervals + 1)
 
 
-def _padded(ends: np.ndarray, length: int) -> np.ndarray:
+def _padded_ends(ends: np.ndarray, length: int) -> np.ndarray:
     """Further ends of lines after the run, which nothing depends on."""
     return np.concatenate([ends, ends[-1] + np.arange(1.0, length - len(ends) + 1)])

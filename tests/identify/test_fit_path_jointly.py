@@ -12,7 +12,7 @@ from drftjax.setups.setup import put_effects
 from identify.fit_path import fit_paths
 from identify.fit_path_jointly import JointFit, _JointProblem, fit_jointly
 from identify.parameters.parameter import own, shared
-from identify.zeta_path.path import cardinal
+from identify.zeta_path.path import cardinal_splines
 from tests.identify.test_zeta_path import made
 from tests.studies.crosscheck import NOISE
 
@@ -48,7 +48,7 @@ AT_BOUND = 1e-3 * (BOUNDS[1] - BOUNDS[0])
 def wave(number: int):
     """A zeta(t) that the knots draw."""
     values = 0.75 + 0.03 * np.sin(2.0 * KNOTS + number)
-    return lambda t: np.exp(cardinal(KNOTS, np.asarray(t)) @ np.log(values))
+    return lambda t: np.exp(cardinal_splines(KNOTS, np.asarray(t)) @ np.log(values))
 
 
 def run(number: int, top: float, step: float = STEP, **changed) -> PreparedRun:
@@ -90,8 +90,8 @@ def test_what_is_found_does_not_depend_on_the_start(runs, found):
 
 def test_errors_are_those_of_all_coordinates_together(runs, found):
     """The Schur complement against the inverse of the whole matrix, paths and all."""
-    fit = _JointProblem(found.candidates, [shared("lambda")])
-    linear = fit.linearised(found.coordinates, found.steps)
+    fit = _JointProblem(found.runs, [shared("lambda")])
+    linear = fit.linearize(found.coordinates, found.steps)
     size = sum(each.path for each in linear)
     whole = np.zeros((size + 1, size + 1))
     first = 0
