@@ -91,7 +91,7 @@ def fit(
         InputError: where no run is left, or two have the same name.
     """
     runs = with_phases(runs, parameters) if has_phase_zeta(parameters) else list(runs)
-    problem, before, failures = _problem(runs, tuple(parameters))
+    problem, before, failures = _problem(runs, tuple(parameters), noise)
     kept = [each for each in runs if each.name not in failures]
     coordinates, tried = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
@@ -181,7 +181,7 @@ def _stuck_at_bounds(problem: Problem, start: Coordinates, end: Coordinates) -> 
 
 
 def _problem(
-    runs: list[PreparedRun], parameters: tuple[Parameter, ...]
+    runs: list[PreparedRun], parameters: tuple[Parameter, ...], noise: AbstractNoise = WHITE
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
     runs, failures = _startable_runs(runs, parameters)
@@ -194,7 +194,7 @@ def _problem(
             [each.observation for each in runs],
             jax.device_count(),
         )
-        white = jnp.zeros(len(batch.channels))
+        white = noise.for_channels(len(batch.channels))
         problem = Problem(batch, parameters, white, device_mesh())
         before = predict(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(runs)]]
@@ -243,11 +243,8 @@ def _reweighted(
     kept = np.where(odd, 0, number)
     pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
     fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
-    return eqx.tree_at(
-        lambda p: (p.batch.observed.weight, p.correlation),
-        problem,
-        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts, intervals))),
-    )
+    problem = eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(fresh))
+    return replace(problem, noise=noise.fit(raw, counts, intervals))
 
 
 def _fast(raw: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:

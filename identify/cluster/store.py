@@ -6,7 +6,6 @@ Lines are only ever appended, and synced before more is sent for, so a kill at a
 most one line without its end, which is cut off when the store is opened again.
 """
 
-import fcntl
 import os
 import re
 from collections.abc import Iterable
@@ -125,6 +124,8 @@ class FitStore:
         return msgspec.json.decode(_checked(line), type=FinishedFit).result
 
     def _lock(self) -> None:
+        import fcntl  # not on every system; nothing else of this module needs it
+
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -171,7 +172,7 @@ class FitStore:
                 f"{self.path}: is a {header.schema!r} of version {header.schema_version}, must be "
                 f"a {SCHEMA!r} of version {SCHEMA_VERSION}"
             )
-        return header.settings
+        return _current(header.settings)
 
     def _compare(self, other: dict[str, Any], settings: dict[str, Any]) -> None:
         for name in [*settings, *other]:
@@ -190,6 +191,14 @@ class FitStore:
                 "fitted again"
             ) from None
         self._places[digest] = place, len(line)
+
+
+def _current(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the noise model by its name; earlier files have a flag instead."""
+    if "autoregressive" not in settings:
+        return settings
+    rest = {name: value for name, value in settings.items() if name != "autoregressive"}
+    return rest | {"noise": "autoregressive" if settings["autoregressive"] else "white"}
 
 
 def _line(content: StoreHeader | FinishedFit) -> bytes:

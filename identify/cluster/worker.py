@@ -49,7 +49,7 @@ class FitOptions(msgspec.Struct, frozen=True):
 
     Attributes:
         parameters: What is fitted.
-        autoregressive: Whether residuals that follow one another are whitened.
+        noise: Name of the noise model of the residuals.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator.
         step: Its step [s]; where none is given, the longest that each command allows.
@@ -59,7 +59,7 @@ class FitOptions(msgspec.Struct, frozen=True):
     """
 
     parameters: tuple[ParameterSpec, ...]
-    autoregressive: bool = False
+    noise: str = "white"
     zeta: float | None = None
     method: str = "held pace"
     step: float | None = None
@@ -155,7 +155,7 @@ def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitR
     from drftjax.runlog.schema import run_from
     from identify.cluster.result_codec import encode_result
     from identify.fit_constant import fit
-    from identify.uncertainty.noise_model import Autoregressive, White
+    from identify.uncertainty.noise_model import noise_model
 
     try:
         with tempfile.TemporaryDirectory(prefix="drft-") as folder:
@@ -174,8 +174,7 @@ def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitR
             keep_rest=how.keep_rest,
             compare=how.compare,
         )
-        noise = Autoregressive() if how.autoregressive else White()
-        result = fit([each], _parameters(settings), noise=noise)
+        result = fit([each], _parameters(settings), noise=noise_model(how.noise))
     except InputError as problem:
         return FitReply(digest, {}, b"", _reason(str(problem), digest))
     except Exception as problem:

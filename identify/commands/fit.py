@@ -145,7 +145,7 @@ def fit(
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
     from identify.results.result import result_files
-    from identify.uncertainty.noise_model import Autoregressive, White
+    from identify.uncertainty.noise_model import Autoregressive, White, noise_model
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
 
@@ -164,6 +164,7 @@ def fit(
         text, binary, picture = result_files(stem)
         require_places([text, binary, picture], runs)
         require_no_recording(binary)
+    noise = Autoregressive.name if autoregressive else White.name
     if cluster is not None:
         from identify.cluster.worker import FitOptions, parameter_specs
         from identify.commands.fit_cluster import fit_on_cluster
@@ -174,7 +175,7 @@ def fit(
                 "--zeta, --starts, --profile, --bootstrap and --model out"
             )
         alone = FitOptions(
-            parameter_specs(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
+            parameter_specs(fitted), noise, start_zeta, method, step, keep_rest, channels
         )
         kept, left_out = each_once(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
@@ -209,14 +210,15 @@ def fit(
             squares = "" if math.isnan(loss) else f", sum of squares {loss:.6g}"
             bar.update(task, description=f"{stage}: step {number}{squares}")
 
-        noise = Autoregressive() if autoregressive else White()
         if path:
             spacing = KNOT_SPACING if knots is None else knots
             result = fit_paths(prepared, spacing, fitted, report)
         else:
             if zeta == "phases":
                 fitted = zeta_phases(prepared, fitted)
-            result = add_required_speeds(fit_runs(prepared, fitted, report, noise, starts=starts))
+            result = add_required_speeds(
+                fit_runs(prepared, fitted, report, noise_model(noise), starts=starts)
+            )
         for name in profile or []:
             bar.update(task, description=f"profile of {name}")
             result = result.profile(name)

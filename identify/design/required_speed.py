@@ -145,18 +145,17 @@ def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float)
     parameters = tuple(
         replace(each, start=math.nan) for each in estimate.problem.shared + estimate.problem.own
     )
-    problem = Problem(batch, parameters, estimate.problem.correlation, device_mesh())
+    problem = Problem(batch, parameters, estimate.problem.noise, device_mesh())
     kept = [estimate.problem.batch.channels.index(c) for c in batch.channels]
     length = batch.observed.weight.shape[-1]
     weight = np.zeros(batch.observed.weight.shape)
     common = min(length, estimate.problem.batch.observed.weight.shape[-1])
     known = np.asarray(estimate.problem.batch.observed.weight)[run][kept]
     weight[0, :, :common] = known[:, :common]
-    problem = eqx.tree_at(
-        lambda p: (p.batch.observed.weight, p.correlation),
-        problem,
-        (jnp.asarray(weight), estimate.problem.correlation[jnp.asarray(kept)]),
-    )
+    problem = eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(weight))
+    # Arrays of a noise model have one number a channel.
+    noise = jax.tree.map(lambda leaf: leaf[jnp.asarray(kept)], estimate.problem.noise)
+    problem = replace(problem, noise=noise)
     _, blocks = linearize(problem, problem.start())
     if not np.isfinite(blocks).all():
         return None

@@ -12,17 +12,15 @@ goes all the way instead, every draw side by side.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.common.memory import piece_bytes
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import linearize, normal_equations
-from identify.solver.whitening import FINEST_RUN, lag_one_correlation
+from identify.solver.whitening import FINEST_RUN
 from identify.uncertainty.covariance import regularized_inverse
 from identify.uncertainty.estimate import Estimate
 
@@ -168,6 +166,7 @@ def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator)
     """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
     zeta scatters by from run to run."""
     residual, whitening = estimate.noise_residual, estimate.whitening
+    model = estimate.problem.noise
     counts = whitening.scale > 0
     intervals = np.asarray(estimate.problem.batch.observed.intervals)
     noise = np.zeros((count, *residual.shape))
@@ -175,17 +174,9 @@ def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator)
         here = counts[run, channel]
         if not here.any():
             continue
-        rho = lag_one_correlation(residual[run, channel], here, intervals[run])
-        shares = rho ** intervals[run]
         spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), FINEST_RUN)
-        fresh = random.standard_normal((count, len(here)))
-        carried = np.empty_like(fresh)
-        carried[:, 0] = fresh[:, 0]
-        for sample, share in enumerate(shares[1:], start=1):
-            carried[:, sample] = (
-                share * carried[:, sample - 1] + np.sqrt(1 - share**2) * fresh[:, sample]
-            )
-        noise[:, run, channel] = np.where(here, spread * carried, 0)
+        drawn = model.sample(random, count, residual[run, channel], here, intervals[run])
+        noise[:, run, channel] = np.where(here, spread * drawn, 0)
         # Units of the unit vectors are whitened ones; back to weighted.
         offset = np.divide(
             whitening.unit[run, channel],
@@ -277,9 +268,8 @@ def predictive_bands(
         moves: Changes of all coordinates, shape (draws, coordinates).
         random: Of the noise.
     """
-    plain = eqx.tree_at(
-        lambda p: p.correlation, estimate.problem, jnp.zeros_like(estimate.problem.correlation)
-    )
+    problem = estimate.problem
+    plain = replace(problem, noise=problem.noise.for_channels(len(problem.batch.channels)))
     residual, blocks = linearize(plain, estimate.solution.coordinates)
     weight = np.asarray(plain.batch.observed.weight)
     recorded = np.asarray(plain.batch.observed.values)

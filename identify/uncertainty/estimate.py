@@ -72,7 +72,7 @@ class Estimate:
         moves = np.zeros((len(blocks), len(alone)))
         if sands:
             moves, left = per_run_steps(blocks, left, alone)
-        whitening = Whitening.of(left, counts, offset, phases, intervals)
+        whitening = Whitening.of(left, counts, offset, phases, intervals, problem.noise)
         scatter = np.zeros(shared)
         scatter[sands] = between_run_variance(moves, blocks[..., alone], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
@@ -140,10 +140,9 @@ class Estimate:
 
 def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
     """Weighted residual that the simulation's own error makes, held over a phase."""
-    error = np.array([model_error.get(channel, 0.0) for channel in problem.batch.channels])
-    carried = np.asarray(jax.vmap(problem.ar1_coefficients)(problem.batch.observed))
-    whitened = (1 - carried) / np.sqrt(1 - carried**2)
-    return np.asarray(problem.batch.observed.weight) * error[:, None] * whitened
+    observed = problem.batch.observed
+    error = jnp.asarray([model_error.get(channel, 0.0) for channel in problem.batch.channels])
+    return np.asarray(jax.vmap(problem.whiten)(observed.weight * error[:, None], observed))
 
 
 def phases_of(runs: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:

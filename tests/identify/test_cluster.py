@@ -51,7 +51,7 @@ PRIOR = (0.8, 0.01)
 START = 0.79
 ZETA = ParameterSpec("terrain.zeta", None, PRIOR, START)
 # Every entry that can be told in the result differs from its default.
-SETTINGS = FitOptions((ZETA,), autoregressive=True, step=STEP)
+SETTINGS = FitOptions((ZETA,), noise="autoregressive", step=STEP)
 RUNS = 12
 
 
@@ -314,9 +314,21 @@ def refusal(path: Path, settings: FitOptions = SETTINGS) -> str:
 
 
 def test_a_store_of_other_settings_is_refused(store):
-    for name, value in [("zeta", 0.7), ("step", None), ("autoregressive", False)]:
+    for name, value in [("zeta", 0.7), ("step", None), ("noise", "white")]:
         other = FitOptions(**{**SETTINGS.plain_values(), "parameters": (ZETA,), name: value})
         assert f"holds fits with {name}" in refusal(store, other)
+
+
+def test_a_store_of_before_noise_models_had_names_is_gone_on_with(tmp_path):
+    path = tmp_path / "fit.store"
+    plain = SETTINGS.plain_values()
+    before = {name: value for name, value in plain.items() if name != "noise"}
+    with FitStore(path, before | {"autoregressive": True}) as kept:
+        kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
+    with FitStore(path, plain) as kept:
+        assert "aa" in kept
+    other = FitOptions((ZETA,), noise="white", step=STEP)
+    assert "holds fits with noise" in refusal(path, other)
 
 
 def test_a_store_without_fits_is_begun_anew_with_other_settings(tmp_path):
