@@ -74,7 +74,7 @@ def test_lambda_and_zeta_over_time_come_back_together(runs, found):
     # Two runs up to 80 deg/s tell it to a twelfth of itself.
     assert value.error < 0.1 * TRUE_LAMBDA
     assert abs(value.value - TRUE_LAMBDA) < FAR * value.error
-    for number, each in enumerate(found.steps):
+    for number, each in enumerate(found.solvers):
         path = each.path()
         away = (path.value - wave(number)(path.time)) / path.error
         assert np.abs(away[path.identified]).max() < FAR
@@ -91,7 +91,7 @@ def test_what_is_found_does_not_depend_on_the_start(runs, found):
 def test_errors_are_those_of_all_coordinates_together(runs, found):
     """The Schur complement against the inverse of the whole matrix, paths and all."""
     fit = _JointProblem(found.runs, [shared("lambda")])
-    linear = fit.linearize(found.coordinates, found.steps)
+    linear = fit.linearize(found.coordinates, found.solvers)
     size = sum(each.path for each in linear)
     whole = np.zeros((size + 1, size + 1))
     first = 0
@@ -101,7 +101,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
         first += each.path
     covariance = np.linalg.inv(whole)
     assert found.covariance[0, 0] == pytest.approx(covariance[-1, -1], rel=ROUNDING)
-    path = found.steps[0]
+    path = found.solvers[0]
     knots = np.diag(covariance)[: path.knots]
     assert np.diag(path.posterior.covariance)[: path.knots] == pytest.approx(knots, rel=ROUNDING)
 

@@ -16,11 +16,10 @@ from drftjax.recorded.observation import intervals_of, white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import IntegratorSetUp
 from identify.zeta_path.evidence import (
-    WEIGHTS,
     AR1Noise,
     InstrumentFloor,
     LaggedProducts,
-    posterior,
+    LinearizedPath,
 )
 from identify.zeta_path.path import SEGMENTS, ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.simulate import predict_path
@@ -321,13 +320,14 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
     found = []
     for _ in range(8):
         bends = random.standard_normal(knots - 2) / np.sqrt(weight)
-        path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
+        drawn = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
-        data = seen @ path + 0.02 * random.standard_normal(len(seen))
+        data = seen @ drawn + 0.02 * random.standard_normal(len(seen))
         products = [LaggedProducts.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
+        path = LinearizedPath(products, knots, 0.0)
         best = max(
-            WEIGHTS,
-            key=lambda w, p=products: posterior(p, knots, 0.0, w, [AR1Noise(0.02, 0.0)]).evidence,
+            path.settings.weight_grid,
+            key=lambda w, p=path: p.posterior(w, [AR1Noise(0.02, 0.0)]).evidence,
         )
         found.append(np.log10(best))
     # 38 bends tell a weight to sqrt(2 / 38) / ln 10, a tenth of a decade, and eight paths to 0.035;
