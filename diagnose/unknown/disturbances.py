@@ -151,7 +151,7 @@ def _stage(case: RigDataset, name: str, columns: DisturbanceRegressors) -> Distu
     sums = GramSums.of(columns.columns, columns.data)
     nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
     number = sums.number.sum(axis=1)
-    before, after = float(nothing.left @ number), float(fit.left @ number)
+    before, after = float(nothing.residual_power @ number), float(fit.residual_power @ number)
     lengths = [len(time) for time in columns.time]
     error = np.sqrt(np.maximum(np.einsum("rii->ri", fit.covariance), 0))
     return Disturbance(
@@ -191,7 +191,7 @@ def _power(
 def _left(case: RigDataset, fit: SmoothedSignal) -> dict[str, float]:
     return {
         channel: float(np.sqrt(left)) * floor_of(channel)
-        for channel, left in zip(case.channels, fit.left, strict=True)
+        for channel, left in zip(case.channels, fit.residual_power, strict=True)
     }
 
 

@@ -51,7 +51,7 @@ def outlier_sentences(runs: Sequence[RunFit]) -> list[str]:
     return told
 
 
-def begun_in_motion(runs: Sequence[RunFit]) -> list[str]:
+def moving_start_sentences(runs: Sequence[RunFit]) -> list[str]:
     """Sentences on runs that begin while the wheel turns, with a carriage taken to be at rest."""
     names = []
     for run in runs:

@@ -36,7 +36,7 @@ def zeta_from_mean_sinkage(problem: Problem, start: Coordinates) -> Coordinates:
 
     def miss(zeta: np.ndarray) -> np.ndarray:
         at = own.at[:, column].set(bijector.coordinate(jnp.asarray(zeta)))
-        found = predict(problem, problem.everywhere((shared, at)))[:, z]
+        found = predict(problem, problem.on_all_devices((shared, at)))[:, z]
         return np.where(counts, found - recorded, 0).sum(axis=1) / number
 
     first = np.asarray(bijector.value(own[:, column]))
@@ -54,4 +54,4 @@ def zeta_from_mean_sinkage(problem: Problem, start: Coordinates) -> Coordinates:
     at = bijector.coordinate(jnp.asarray(best))
     # A bound may lie between.
     at = jnp.where(jnp.isfinite(at), at, own[:, column])
-    return problem.everywhere((shared, own.at[:, column].set(at)))
+    return problem.on_all_devices((shared, own.at[:, column].set(at)))
