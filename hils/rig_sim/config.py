@@ -27,7 +27,7 @@ from drftjax.setups.setup import (
 from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp
 from drftjax.simulation.simulator import Simulator
 from hils.rig_sim.physics import RigPhysics
-from hils.rig_sim.sensors import Instruments, RigClock, Stream
+from hils.rig_sim.sensors import Instruments, RandomStream, RigClock
 
 
 class PhysicsSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -53,7 +53,7 @@ class BedSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def firmness(self, seed: int, number: int) -> float:
         """Factor on zeta [-] of the bed that was prepared as this number."""
-        random = np.random.default_rng([seed, Stream.BED, number])
+        random = np.random.default_rng([seed, RandomStream.BED, number])
         return float(np.exp(self.scatter * random.standard_normal()))
 
 
