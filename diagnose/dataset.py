@@ -24,6 +24,7 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
+from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
@@ -39,19 +40,8 @@ Result = TypeVar("Result")
 FASTEST = 100.0
 
 
-# zeta is found to this share of itself.
-CLOSE_ENOUGH = 2e-5
-
-
-MOST_TURNS = 12
-
-
 # Lengths are padded to this at least; padding costs next to nothing.
 SMALLEST_SIZE = 2304
-
-
-# A step of log zeta that one straight line is trusted for.
-LONGEST_MOVE = 0.2
 
 
 # Plates are carried for a wheel that sinks this much deeper than was recorded.
@@ -60,10 +50,6 @@ ROOM = 1.25
 
 # Part of the way, of all that a run turns and travels, over which sinkage is met at first.
 EARLY = (0.05, 0.4)
-
-
-# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
-SINKAGE_PER_LOG_ZETA = 0.023
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,10 +283,19 @@ def pitch(trial: Trial) -> float:
     return float(getattr(trial.simulator.wheel.cut(), "pitch", np.inf))
 
 
-def match_initial_zeta(case: RigDataset) -> np.ndarray:
+def match_initial_zeta(
+    case: RigDataset, settings: ZetaMatchSettings = ZetaMatchSettings()
+) -> np.ndarray:
     """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
 
-    Secant steps on its mean. This is where all is linearised, not yet the best that zeta can do.
+    Where all is linearised; not yet the zeta that suits all channels best.
+
+    Args:
+        case: The runs.
+        settings: Numbers of the secant search.
+
+    Returns:
+        Shape (runs,).
 
     Raises:
         InputError: where a run has no sinkage, or cannot be simulated.
@@ -312,27 +307,18 @@ def match_initial_zeta(case: RigDataset) -> np.ndarray:
     case.precompile(predict, [plain])
 
     def of(run: int) -> float:
-        wanted = case.recorded(run)[z]
         early = _early(case, run)
+        recorded = case.recorded(run)[z, early].mean()
 
-        def miss(log_zeta: float) -> float:
-            return float(
-                (case.predicted(plain, run, log_zeta, np.zeros(0))[z] - wanted)[early].mean()
-            )
+        def miss(log_zeta: np.ndarray) -> float:
+            found = case.predicted(plain, run, float(log_zeta), np.zeros(0))
+            return float(found[z, early].mean() - recorded)
 
-        at, here = 0.0, miss(0.0)
-        nxt = float(np.clip(-here / SINKAGE_PER_LOG_ZETA, -LONGEST_MOVE, LONGEST_MOVE))
-        for _ in range(MOST_TURNS):
-            if abs(nxt - at) < CLOSE_ENOUGH:
-                break
-            there = miss(nxt)
-            slope = (there - here) / (nxt - at)
-            at, here = nxt, there
-            if not np.isfinite(slope) or slope == 0:
-                name = case.runs[run].name
-                raise RunError(name, "no zeta lets the reference model follow its sinkage")
-            nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
-        return at
+        found = match_mean_sinkage(miss, settings=settings)
+        if not np.isfinite(found.miss) or found.slope == 0:
+            name = case.runs[run].name
+            raise RunError(name, "no zeta lets the reference model follow its sinkage")
+        return float(found.log_zeta)
 
     return np.array(case.map_runs(of))
 

@@ -15,7 +15,7 @@ from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, residuals_of, unmatched
+from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, residuals_of, unmatched
 from diagnose.hypotheses.hypothesis import Hypothesis, priors, residual_of, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linear_fit import FLOOR
@@ -104,8 +104,8 @@ def diagnose(
         if meant in {reported_name(each.about.name) for each in effects}:
             share = reassign_unknown(share, meant)
             verdict, groups = (meant,), [[meant]]
-    notes += unmatched(case, alone, REFERENCE)
-    notes += unmatched(case, added.matches, WITH) if added.effects else []
+    notes += unmatched(case, alone, REFERENCE_NAME)
+    notes += unmatched(case, added.matches, WITH_EFFECTS_NAME) if added.effects else []
     report("what to run next")
     advice = next_run(case, chosen, rivals, floors) if rivals else {}
     return Diagnosis(
