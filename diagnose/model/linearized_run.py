@@ -237,7 +237,13 @@ def repair_outlier_maps(path: LinearizedRun, pitch: float) -> LinearizedRun:
     number = np.arange(nodes)
     nearest = np.where(number - before <= after - number, before, after)
     index = np.r_[nearest, nodes : len(carry)]
-    maps = ("carry", "gather", "enter", "forces_carry", "forces_enter")
+    maps = (
+        "state_transition",
+        "substep_sum",
+        "input_matrix",
+        "force_by_state",
+        "force_by_input",
+    )
     return replace(path, **{name: getattr(path, name)[index] for name in maps})
 
 
