@@ -51,7 +51,7 @@ SMALLEST_SIZE = 2304
 
 
 # A step of log zeta that one straight line is trusted for.
-LONGEST_MOVE = 0.2
+MAX_LOG_ZETA_STEP = 0.2
 
 
 # Plates are carried for a wheel that sinks this much deeper than was recorded.
@@ -117,7 +117,7 @@ class RigDataset:
         return [self._of_run(self.batch.trials, run) for run in self._runs]
 
     @cached_property
-    def observed(self) -> list[PaddedObservations]:
+    def observations(self) -> list[PaddedObservations]:
         """Each run's recording, padded."""
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
@@ -129,7 +129,7 @@ class RigDataset:
         if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
             return self
         z = self.channels.index("z")
-        deepest = max(float(np.nanmax(-self.recorded(run)[z], initial=0)) for run in self._runs)
+        deepest = max(float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self._runs)
         wheel = self.runs[0].setup.wheel
         for sectors in range(1, wheel.grouser_count // 2):
             reach = sectors * 2 * math.pi / wheel.grouser_count
@@ -163,7 +163,7 @@ class RigDataset:
         the same types here as in `predicted`: JAX takes a weakly typed number, as Python's are, for
         another program.
         """
-        observed = self.observed[0]
+        observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
@@ -181,12 +181,12 @@ class RigDataset:
         """Times of the samples compared [s]."""
         return self.runs[run].observation.time[self.counts(run)]
 
-    def spacing(self, run: int) -> float:
+    def sample_interval(self, run: int) -> float:
         """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
         time = self.time(run)
         return float(np.median(np.diff(time))) if len(time) > 1 else 1 / FASTEST
 
-    def recorded(self, run: int) -> np.ndarray:
+    def recording(self, run: int) -> np.ndarray:
         """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
         observation = self.runs[run].observation
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
@@ -194,7 +194,7 @@ class RigDataset:
             values[self.channels.index(name)] = row[self.counts(run)]
         return values
 
-    def predicted(
+    def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
     ) -> np.ndarray:
         """What a model gives then, like `recorded`."""
@@ -202,7 +202,7 @@ class RigDataset:
             model,
             self.channels,
             self.trials[run],
-            self.observed[run],
+            self.observations[run],
             as_real(log_zeta),
             coordinates,
         )
@@ -215,7 +215,7 @@ class RigDataset:
             residuals: By run, simulated less recorded, shape (channels, samples).
         """
         return all(
-            bool(np.isfinite(each[~np.isnan(self.recorded(run))]).all())
+            bool(np.isfinite(each[~np.isnan(self.recording(run))]).all())
             for run, each in enumerate(residuals)
         )
 
@@ -312,16 +312,16 @@ def match_initial_zeta(case: RigDataset) -> np.ndarray:
     case.precompile(predict, [plain])
 
     def of(run: int) -> float:
-        wanted = case.recorded(run)[z]
+        wanted = case.recording(run)[z]
         early = _early(case, run)
 
         def miss(log_zeta: float) -> float:
             return float(
-                (case.predicted(plain, run, log_zeta, np.zeros(0))[z] - wanted)[early].mean()
+                (case.prediction(plain, run, log_zeta, np.zeros(0))[z] - wanted)[early].mean()
             )
 
         at, here = 0.0, miss(0.0)
-        nxt = float(np.clip(-here / SINKAGE_PER_LOG_ZETA, -LONGEST_MOVE, LONGEST_MOVE))
+        nxt = float(np.clip(-here / SINKAGE_PER_LOG_ZETA, -MAX_LOG_ZETA_STEP, MAX_LOG_ZETA_STEP))
         for _ in range(MOST_TURNS):
             if abs(nxt - at) < CLOSE_ENOUGH:
                 break
@@ -331,7 +331,7 @@ def match_initial_zeta(case: RigDataset) -> np.ndarray:
             if not np.isfinite(slope) or slope == 0:
                 name = case.runs[run].name
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
-            nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
+            nxt = at + float(np.clip(-here / slope, -MAX_LOG_ZETA_STEP, MAX_LOG_ZETA_STEP))
         return at
 
     return np.array(case.map_runs(of))

@@ -41,9 +41,9 @@ def predict_held_out(bench: Regressors, hypothesis: Hypothesis) -> HeldOutPredic
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
     if len(hypothesis.coordinates) == 0:
         return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
-    products = bench.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
+    products = bench.gram_matrices_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
     left_out: set[int] = set()
-    case = bench.case
+    case = bench.dataset
     for group in group_by_condition(case.runs):
         kept = np.setdiff1d(np.arange(len(log_zeta)), group)
         if kept.size == 0:
@@ -58,7 +58,7 @@ def predict_held_out(bench: Regressors, hypothesis: Hypothesis) -> HeldOutPredic
         if run not in left_out:
             return hypothesis.residual[run]
         model, at = hypothesis.model, coordinates[run]
-        return case.predicted(model, run, log_zeta[run], at) - case.recorded(run)
+        return case.prediction(model, run, log_zeta[run], at) - case.recording(run)
 
     return HeldOutPrediction(hypothesis, log_zeta, coordinates, case.map_runs(of))
 
@@ -68,7 +68,7 @@ def at_mean_sinkage(bench: Regressors, unseen: HeldOutPrediction) -> list[Matche
 
     A run whose mean sinkage no step of zeta leads to stays as it is.
     """
-    here, z = unseen.hypothesis, bench.case.channels.index("z")
+    here, z = unseen.hypothesis, bench.dataset.channels.index("z")
 
     def of(run: int) -> MatchedRun:
         residual = unseen.residual[run]
@@ -77,15 +77,15 @@ def at_mean_sinkage(bench: Regressors, unseen: HeldOutPrediction) -> list[Matche
         slope = here.by_zeta(run)[z].mean()
         if not slope > 0:
             return start
-        found = match_zeta(bench.case, here.model, run, unseen.coordinates[run], start, slope)
+        found = match_zeta(bench.dataset, here.model, run, unseen.coordinates[run], start, slope)
         return found if found.matched else start
 
-    return bench.case.map_runs(of)
+    return bench.dataset.map_runs(of)
 
 
 def _of_runs(products: GramMatrices, runs: np.ndarray) -> GramMatrices:
     return GramMatrices(
-        products.blocks, products.gram[runs], products.number[runs], products.log_zeta[runs]
+        products.blocks, products.gram[runs], products.sample_count[runs], products.log_zeta[runs]
     )
 
 
@@ -100,7 +100,7 @@ def _own_zeta(products: GramMatrices, run: int, move: np.ndarray) -> float:
     alone = GramMatrices(
         products.blocks,
         fixed[None],
-        products.number[run][None],
+        products.sample_count[run][None],
         products.log_zeta[run][None],
     )
-    return float(fit_linear(alone, []).zeta[0])
+    return float(fit_linear(alone, []).log_zeta_change[0])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import LONGEST_MOVE, SINKAGE_PER_LOG_ZETA, RigDataset
+from diagnose.dataset import MAX_LOG_ZETA_STEP, SINKAGE_PER_LOG_ZETA, RigDataset
 from diagnose.model.augmented_model import AugmentedModel
 
 # It is found by so many secant steps.
@@ -55,7 +55,7 @@ def match_runs(
     at = np.asarray(coordinates)
 
     def of(run: int) -> MatchedRun:
-        first = case.predicted(model, run, 0.0, at) - case.recorded(run)
+        first = case.prediction(model, run, 0.0, at) - case.recording(run)
         return match_zeta(case, model, run, at, MatchedRun(first, 0.0, matched=False))
 
     return case.map_runs(of)
@@ -97,12 +97,12 @@ def match_zeta(
     z = case.channels.index("z")
 
     def step(miss: float, slope: float) -> float:
-        return float(np.clip(-miss / slope, -LONGEST_MOVE, LONGEST_MOVE))
+        return float(np.clip(-miss / slope, -MAX_LOG_ZETA_STEP, MAX_LOG_ZETA_STEP))
 
     at, here = start.log_zeta, start.residual
     move = step(here[z].mean(), slope)
     for _ in range(MOST_TURNS):
-        there = case.predicted(model, run, at + move, coordinates) - case.recorded(run)
+        there = case.prediction(model, run, at + move, coordinates) - case.recording(run)
         slope = (there[z].mean() - here[z].mean()) / move if move else 0.0
         at, here = at + move, there
         if not np.isfinite(slope) or slope <= 0:

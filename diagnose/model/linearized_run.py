@@ -64,7 +64,7 @@ class LinearizedRun(eqx.Module):
     motion: Float[Array, "all 5"]
     omega: Float[Array, " all"]
     middle_time: Float[Array, " nodes"]
-    middle: Float[Array, "nodes 5"]
+    middle_motion: Float[Array, "nodes 5"]
     middle_omega: Float[Array, " nodes"]
     forces: Float[Array, "nodes 3"]
     state_transition: Float[Array, "nodes 5 5"]
