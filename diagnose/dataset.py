@@ -24,7 +24,11 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
-from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
+from drftjax.recorded.matched_zeta import (
+    DEFAULT_ZETA_MATCH,
+    ZetaMatchSettings,
+    match_mean_sinkage,
+)
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
@@ -103,7 +107,7 @@ class RigDataset:
         return [self._of_run(self.batch.trials, run) for run in self._runs]
 
     @cached_property
-    def observed(self) -> list[PaddedObservations]:
+    def observations(self) -> list[PaddedObservations]:
         """Each run's recording, padded."""
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
@@ -115,7 +119,7 @@ class RigDataset:
         if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
             return self
         z = self.channels.index("z")
-        deepest = max(float(np.nanmax(-self.recorded(run)[z], initial=0)) for run in self._runs)
+        deepest = max(float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self._runs)
         wheel = self.runs[0].setup.wheel
         for sectors in range(1, wheel.grouser_count // 2):
             reach = sectors * 2 * math.pi / wheel.grouser_count
@@ -149,7 +153,7 @@ class RigDataset:
         the same types here as in `predicted`: JAX takes a weakly typed number, as Python's are, for
         another program.
         """
-        observed = self.observed[0]
+        observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
@@ -167,12 +171,12 @@ class RigDataset:
         """Times of the samples compared [s]."""
         return self.runs[run].observation.time[self.counts(run)]
 
-    def spacing(self, run: int) -> float:
+    def sample_interval(self, run: int) -> float:
         """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
         time = self.time(run)
         return float(np.median(np.diff(time))) if len(time) > 1 else 1 / FASTEST
 
-    def recorded(self, run: int) -> np.ndarray:
+    def recording(self, run: int) -> np.ndarray:
         """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
         observation = self.runs[run].observation
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
@@ -180,7 +184,7 @@ class RigDataset:
             values[self.channels.index(name)] = row[self.counts(run)]
         return values
 
-    def predicted(
+    def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
     ) -> np.ndarray:
         """What a model gives then, like `recorded`."""
@@ -188,7 +192,7 @@ class RigDataset:
             model,
             self.channels,
             self.trials[run],
-            self.observed[run],
+            self.observations[run],
             as_real(log_zeta),
             coordinates,
         )
@@ -201,7 +205,7 @@ class RigDataset:
             residuals: By run, simulated less recorded, shape (channels, samples).
         """
         return all(
-            bool(np.isfinite(each[~np.isnan(self.recorded(run))]).all())
+            bool(np.isfinite(each[~np.isnan(self.recording(run))]).all())
             for run, each in enumerate(residuals)
         )
 
@@ -284,7 +288,7 @@ def pitch(trial: Trial) -> float:
 
 
 def match_initial_zeta(
-    case: RigDataset, settings: ZetaMatchSettings = ZetaMatchSettings()
+    case: RigDataset, settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH
 ) -> np.ndarray:
     """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
 
@@ -308,10 +312,10 @@ def match_initial_zeta(
 
     def of(run: int) -> float:
         early = _early(case, run)
-        recorded = case.recorded(run)[z, early].mean()
+        recorded = case.recording(run)[z, early].mean()
 
         def miss(log_zeta: np.ndarray) -> float:
-            found = case.predicted(plain, run, float(log_zeta), np.zeros(0))
+            found = case.prediction(plain, run, float(log_zeta), np.zeros(0))
             return float(found[z, early].mean() - recorded)
 
         found = match_mean_sinkage(miss, settings=settings)

@@ -79,7 +79,7 @@ def outliers_by_zeta(bench: Regressors, chosen: Hypothesis) -> list[str]:
         bench: The case.
         chosen: The effects added, or the reference model.
     """
-    zetas = chosen.log_zeta + bench.reference
+    zetas = chosen.log_zeta + bench.log_reference_zeta
     if len(zetas) <= FEWEST:
         return []
     odd = int(np.argmax(np.abs(zetas - np.median(zetas))))
@@ -88,11 +88,11 @@ def outliers_by_zeta(bench: Regressors, chosen: Hypothesis) -> list[str]:
     away = abs(float(zetas[odd] - np.clip(zetas[odd], least, most)))
     if away < max(ODD_ZETA, ODD_SCATTERS * float(np.std(others, ddof=1))):
         return []
-    z = bench.case.channels.index("z")
+    z = bench.dataset.channels.index("z")
     unit, scale = SHOWN["z"]
     sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
     return [
-        f"The zeta of {bench.case.runs[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
+        f"The zeta of {bench.dataset.runs[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
         f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, its z zeroed "
         f"elsewhere (by about {sinkage:.2g} {unit}), or an effect bears on it as on no other, as "
         "may be where it alone has its load, speed or length."

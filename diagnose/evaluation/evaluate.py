@@ -68,7 +68,7 @@ def evaluate_model(
         """Along a straight line over one per cent."""
         at, nothing = before[run].log_zeta, np.zeros(0)
         here, there = (
-            case.predicted(AugmentedModel(), run, each, nothing) for each in (at, at + APART)
+            case.prediction(AugmentedModel(), run, each, nothing) for each in (at, at + APART)
         )
         return (there - here) / APART
 
@@ -84,7 +84,7 @@ def _uncovered(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict
     for run, each in enumerate(runs):
         name = case.runs[run].name
         limit = float(case.runs[run].trial.simulator.wheel.cut().sinkage_limit)
-        farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
+        farthest = float(np.abs(each.residual[z] + case.recording(run)[z]).max())
         if not np.isfinite(farthest):
             found[run] = f"{name}: its simulation by {model} diverges"
         elif not farthest < limit:

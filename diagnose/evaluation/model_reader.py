@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diagnose.result import SCHEMA
-from diagnose.rig_runs import kind_of
+from diagnose.rig_runs import describe_rig
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import read_document
 from drftjax.effects.base import AbstractEffect
@@ -30,7 +30,7 @@ class ModelFile:
 
     def caveats(self, candidates: Sequence[PreparedRun]) -> list[str]:
         """What these runs' rig has otherwise than the model, in sentences."""
-        kind = kind_of(candidates[0].setup)
+        kind = describe_rig(candidates[0].setup)
         if kind == self.kind or not self.effects:
             return []
         return [
@@ -51,4 +51,4 @@ def read_model_file(path: Path) -> ModelFile:
     effects = tuple(
         build_effects(entry, place) for place, entry in enumerate(setup.effects, start=1)
     )
-    return ModelFile(effects, setup.start.origin, kind_of(setup))
+    return ModelFile(effects, setup.start.origin, describe_rig(setup))

@@ -15,7 +15,7 @@ from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis, gauss_newton_step
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.regressors import Regressors
-from drftjax.recorded.matched_zeta import ZetaMatchSettings
+from drftjax.recorded.matched_zeta import DEFAULT_ZETA_MATCH, ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -54,9 +54,11 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
     if len(hypothesis.coordinates) == 0:
         return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
-    products = regressors.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
+    products = regressors.gram_matrices_of(
+        hypothesis.columns, hypothesis.residual, hypothesis.log_zeta
+    )
     held_out: set[int] = set()
-    dataset = regressors.case
+    dataset = regressors.dataset
     for group in group_by_condition(dataset.runs):
         others = np.setdiff1d(np.arange(len(log_zeta)), group)
         if others.size == 0:
@@ -71,7 +73,7 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
         if run not in held_out:
             return hypothesis.residual[run]
         model, at = hypothesis.model, coordinates[run]
-        return dataset.predicted(model, run, log_zeta[run], at) - dataset.recorded(run)
+        return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
     return HeldOutPrediction(hypothesis, log_zeta, coordinates, dataset.map_runs(residual_of))
 
@@ -79,7 +81,7 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
 def at_mean_sinkage(
     regressors: Regressors,
     prediction: HeldOutPrediction,
-    settings: ZetaMatchSettings = ZetaMatchSettings(),
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> list[MatchedRun]:
     """Every run of a held-out prediction at its matched zeta.
 
@@ -90,7 +92,7 @@ def at_mean_sinkage(
         prediction: Runs predicted without their condition.
         settings: Numbers of the secant search.
     """
-    hypothesis, dataset = prediction.hypothesis, regressors.case
+    hypothesis, dataset = prediction.hypothesis, regressors.dataset
     z = dataset.channels.index("z")
 
     def of(run: int) -> MatchedRun:
@@ -110,7 +112,7 @@ def at_mean_sinkage(
 def _of_runs(products: GramMatrices, runs: np.ndarray) -> GramMatrices:
     """The products of some runs, by index."""
     return GramMatrices(
-        products.blocks, products.gram[runs], products.number[runs], products.log_zeta[runs]
+        products.blocks, products.gram[runs], products.sample_count[runs], products.log_zeta[runs]
     )
 
 
@@ -133,7 +135,7 @@ def _own_zeta_step(products: GramMatrices, run: int, move: np.ndarray) -> float:
     zeta_only = GramMatrices(
         products.blocks,
         fixed[None],
-        products.number[run][None],
+        products.sample_count[run][None],
         products.log_zeta[run][None],
     )
-    return float(fit_linear(zeta_only, []).zeta[0])
+    return float(fit_linear(zeta_only, []).log_zeta_change[0])

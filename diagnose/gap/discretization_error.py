@@ -35,9 +35,9 @@ def discretization_errors(case: RigDataset, log_zeta: np.ndarray) -> dict[str, f
     z = case.channels.index("z")
 
     def of(run: int) -> np.ndarray:
-        coarse = case.predicted(plain, run, log_zeta[run], nothing)
+        coarse = case.prediction(plain, run, log_zeta[run], nothing)
         here, there = (
-            fine.predicted(plain, run, log_zeta[run] + more, nothing) for more in (0.0, APART)
+            fine.prediction(plain, run, log_zeta[run] + more, nothing) for more in (0.0, APART)
         )
         # Each has the zeta that meets the run, so both are held against each other at that.
         share = (coarse - here)[z].mean() / (there - here)[z].mean()

@@ -102,7 +102,7 @@ def gaps(
         for number, group in enumerate(groups):
             for run in group:
                 counts = np.isfinite(before[run][index])
-                power[number] += case.spacing(run) * np.array(
+                power[number] += case.sample_interval(run) * np.array(
                     [
                         (before[run][index][counts] ** 2).sum(),
                         (after[run][index][counts] ** 2).sum(),

@@ -55,7 +55,7 @@ def stepwise_gap(
     """
     if len(chosen.names) < 2:
         return []
-    bench, case = found.bench, found.bench.case
+    bench, case = found.regressors, found.regressors.dataset
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
         given = unseen.get(alone.names) or predict_held_out(bench, alone)

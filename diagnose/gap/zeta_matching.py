@@ -13,7 +13,11 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel
-from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
+from drftjax.recorded.matched_zeta import (
+    DEFAULT_ZETA_MATCH,
+    ZetaMatchSettings,
+    match_mean_sinkage,
+)
 
 REFERENCE_NAME = "the reference model"
 """Name of the model without effects in reports."""
@@ -41,7 +45,7 @@ def match_runs(
     dataset: RigDataset,
     model: AugmentedModel,
     coordinates: np.ndarray,
-    settings: ZetaMatchSettings = ZetaMatchSettings(),
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> list[MatchedRun]:
     """Simulate every run with a model's effects, each at its matched zeta.
 
@@ -54,7 +58,7 @@ def match_runs(
     at = np.asarray(coordinates)
 
     def of(run: int) -> MatchedRun:
-        first = dataset.predicted(model, run, 0.0, at) - dataset.recorded(run)
+        first = dataset.prediction(model, run, 0.0, at) - dataset.recording(run)
         start = MatchedRun(first, 0.0, matched=False)
         return match_zeta(dataset, model, run, at, start, settings=settings)
 
@@ -89,7 +93,7 @@ def match_zeta(
     coordinates: np.ndarray,
     start: MatchedRun,
     slope: float | None = None,
-    settings: ZetaMatchSettings = ZetaMatchSettings(),
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> MatchedRun:
     """One run simulated at the zeta that meets its mean sinkage.
 
@@ -102,12 +106,12 @@ def match_zeta(
         slope: Rise of its mean height there per unit of log zeta [m], above 0, where it is known.
         settings: Numbers of the secant search.
     """
-    z, recorded = dataset.channels.index("z"), dataset.recorded(run)
+    z, recorded = dataset.channels.index("z"), dataset.recording(run)
     residual = start.residual
 
     def miss(log_zeta: np.ndarray) -> float:
         nonlocal residual
-        residual = dataset.predicted(model, run, float(log_zeta), coordinates) - recorded
+        residual = dataset.prediction(model, run, float(log_zeta), coordinates) - recorded
         return float(residual[z].mean())
 
     found = match_mean_sinkage(

@@ -81,15 +81,15 @@ def kinematics_of_run(
     splitter = SlowFastSplit.of(time) if splitter is None else splitter
     knots, omegas = np.asarray(trial.time), np.asarray(trial.omega)
     driven = isinstance(trial.simulator.rig.carriage, DrivenCarriage)
-    recorded = dict(zip(case.channels, case.recorded(run), strict=True))
+    recorded = dict(zip(case.channels, case.recording(run), strict=True))
 
     def smooth(channel: str) -> tuple[np.ndarray | None, np.ndarray | None]:
         values = recorded.get(channel)
         if values is None or not np.isfinite(values).all():
             return None, None
-        means, centres = splitter.mean @ values, splitter.mean @ time
+        means, centres = splitter.bin_means @ values, splitter.bin_means @ time
         rate = np.gradient(means, centres) if len(means) > 1 else np.zeros(1)
-        return splitter.back @ means, splitter.back @ rate
+        return splitter.interpolation @ means, splitter.interpolation @ rate
 
     z, vz = smooth("z")
     if driven:
@@ -115,7 +115,7 @@ def kinematics_of_run(
         radius,
         round(2 * np.pi / gap) if np.isfinite(gap) else 0,
         _phases(time, between, speed),
-        np.argmax(splitter.mean > 0, axis=0),
+        np.argmax(splitter.bin_means > 0, axis=0),
     )
 
 

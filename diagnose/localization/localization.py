@@ -135,9 +135,9 @@ def _run(case: RigDataset, number: int, residual: np.ndarray, floor: dict[str, f
         if channel == "x":
             parts = splitter.split("x", values[:, None])
             change = np.r_[0.0, parts["slow"][:, 0]]
-            values = splitter.back @ change + parts["fast"][:, 0]
+            values = splitter.interpolation @ change + parts["fast"][:, 0]
         error[row] = values / floor[channel]
-    return RunMisfit(kinematics_of_run(case, number, splitter), error, case.spacing(number))
+    return RunMisfit(kinematics_of_run(case, number, splitter), error, case.sample_interval(number))
 
 
 def _loads(candidates: Sequence) -> list[str]:

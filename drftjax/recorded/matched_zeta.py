@@ -33,6 +33,9 @@ class ZetaMatchSettings:
     rise_per_log_zeta: float = 0.023
 
 
+DEFAULT_ZETA_MATCH = ZetaMatchSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class ZetaMatch:
     """End of a search, of one run or of several at once: shape () or (runs,).
@@ -57,7 +60,7 @@ def match_mean_sinkage(
     *,
     miss_at_start: float | np.ndarray | None = None,
     slope: float | None = None,
-    settings: ZetaMatchSettings = ZetaMatchSettings(),
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> ZetaMatch:
     r"""Find log zeta $u$ with $m(u) = 0$ by secant steps, where $m$ is the mean miss in height.
 

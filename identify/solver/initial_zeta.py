@@ -1,14 +1,12 @@
 """Starting point of a fit: each run's own zeta, estimated from its mean sinkage."""
 
-import dataclasses
-
 import numpy as np
 from jax import numpy as jnp
 
 from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 from identify.solver.problem import Coordinates, Problem, predict
 
-ROUGH_MATCH = dataclasses.replace(ZetaMatchSettings(), max_steps=3)
+ROUGH_MATCH = ZetaMatchSettings(max_steps=3)
 """A start needs no more steps: the solver goes on from it."""
 
 

@@ -119,10 +119,10 @@ def test_an_effect_that_is_not_null_at_zero_or_takes_a_name_is_refused(runs):
 
 
 def test_the_zeta_of_the_run_table_meets_each_runs_mean_sinkage(found):
-    case, z = found.case, found.case.channels.index("z")
+    dataset, z = found.dataset, found.dataset.channels.index("z")
     for number, row in enumerate(run_rows(found)):
         zeta = float(row[3])
-        each, near = found.selected.matches[number], case.runs[number].setup.terrain.zeta
+        each, near = found.selected.matches[number], dataset.runs[number].setup.terrain.zeta
         assert each.matched
         assert zeta == pytest.approx(near * np.exp(each.log_zeta), abs=ROUNDED)
         assert abs(each.residual[z].mean()) < ZetaMatchSettings().max_miss
@@ -308,7 +308,7 @@ def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatc
 def test_effects_of_the_set_up_itself_are_told_in_the_model_file(found, monkeypatch):
     own = [{"name": "drawbar", "force": 3.0}]
     assert "had effects" not in model_toml(found)
-    monkeypatch.setattr(found.case.runs[0].setup, "effects", own)
+    monkeypatch.setattr(found.dataset.runs[0].setup, "effects", own)
     assert "had effects, which are not in this file: drawbar." in model_toml(found)
 
 
