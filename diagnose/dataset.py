@@ -25,7 +25,6 @@ from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
 from drftjax.recorded.matched_zeta import (
-    DEFAULT_ZETA_MATCH,
     ZetaMatchSettings,
     match_mean_sinkage,
 )
@@ -54,6 +53,10 @@ ROOM = 1.25
 
 # Part of the way, of all that a run turns and travels, over which sinkage is met at first.
 EARLY = (0.05, 0.4)
+
+
+INITIAL_ZETA_MATCH = ZetaMatchSettings(max_steps=12)
+"""The zeta of a set-up may be a guess, and far from the sand's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +291,7 @@ def pitch(trial: Trial) -> float:
 
 
 def match_initial_zeta(
-    case: RigDataset, settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH
+    case: RigDataset, settings: ZetaMatchSettings = INITIAL_ZETA_MATCH
 ) -> np.ndarray:
     """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
 

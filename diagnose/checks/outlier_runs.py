@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diagnose.dataset import RigDataset
-from diagnose.gap.repeatability import Response, repeat_difference, repeats
+from diagnose.gap.repeatability import ZetaResponse, repeat_difference, repeats
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.linear.regressors import Regressors
 from diagnose.localization.shares import GapShare
@@ -38,7 +38,7 @@ def outliers_among_repeats(
     case: RigDataset,
     residuals: Sequence[list[np.ndarray]],
     own: Mapping[str, float],
-    response: Response,
+    response: ZetaResponse,
 ) -> list[str]:
     """Repeats that differ by what no effect of command, load or state can make, in sentences.
 
