@@ -87,8 +87,8 @@ def _noise_powers(
 ) -> list[float]:
     """Power of the instrument's white noise in each run that has the channel.
 
-    With few samples a second the wheel's own motion is counted as noise of the readings, and less of
-    it as noise of the residuals: the smallest estimate counts.
+    With few samples a second the wheel's own motion is counted as noise of the readings, and less
+    of it as noise of the residuals: the smallest estimate counts.
     """
     index = dataset.channels.index(channel)
     powers = []

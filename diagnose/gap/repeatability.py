@@ -1,4 +1,4 @@
-"""Variance between repeats beyond their noise, which no effect of command, load or state explains."""
+"""Variance between repeats, which no effect of command, load or state explains."""
 
 from collections.abc import Callable, Sequence
 from itertools import combinations

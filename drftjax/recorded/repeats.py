@@ -28,9 +28,9 @@ class RepeatTolerances:
             sand that is prepared alike scatters by a few per cent.
         shared: The shorter run lasts for this share of the longer one at least [-], and each was
             recorded for as much of the other's time: one may have been stopped early.
-        shared_by_fits: The same for the residuals of fits [-]. With more missing, the numbers fitted
-            to one suit other parts of the run than the other's, and a residual that grows in both
-            would be counted as noise.
+        shared_by_fits: The same for the residuals of fits [-]. With more missing, the numbers
+            fitted to one suit other parts of the run than the other's, and a residual that grows in
+            both would be counted as noise.
         position: Between the places at which they begin [m], where effects may depend on the place.
         angle: Between the wheel angles at which they begin [rad], likewise.
     """
