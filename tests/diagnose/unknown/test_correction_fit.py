@@ -201,7 +201,7 @@ def test_what_makes_a_channel_worse_is_not_added(found):
     pays = {**best.gap, "x": dataclasses.replace(x, after=2 * max(x.before, x.floor))}
     costly = dataclasses.replace(best, gap=pays)
     # Else it would be left out for that.
-    assert costly.left < 0.9 * costly.before
+    assert costly.remaining < 0.9 * costly.before
     assert best_selection([costly], reference) is reference
     assert best_selection([best, costly], reference) is best
 
