@@ -20,7 +20,7 @@ from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.safe_reader import GuardedReader
 from drftjax.runlog.schema import run_from
-from tests.drftjax.runlog.test_examples import example_run, flattened
+from tests.helpers.run_logs import example_run, flattened
 
 SEALED_FLIPS = 400
 # Each costs a survey in the child; the few that hang the library cost the time limit and a new
