@@ -38,7 +38,7 @@ for tick in itertools.count(1):
 
 
 class Rig:
-    """`drft hils rig`, started."""
+    """Running `drft hils rig`."""
 
     def __init__(self, folder: Path, *arguments: object, quick: bool = True):
         setup = folder / "rig.toml"
@@ -60,7 +60,7 @@ class Rig:
             self.lines.put((time.monotonic(), line))
 
     def says(self, pattern: str) -> tuple[float, re.Match[str]]:
-        """When it says so [s], waiting for it."""
+        """Wait for a line; its time [s] and its match."""
         deadline = time.monotonic() + PATIENCE
         while True:
             when, line = self.lines.get(timeout=max(0.0, deadline - time.monotonic()))

@@ -8,7 +8,7 @@ from drftjax.runlog.record import Events, Measured, Online, RecordedCommand, Rec
 
 
 def example_run(rows: int = 60) -> RunLog:
-    """A run with every group and channel; nothing in it is 0 everywhere."""
+    """Run log with every group and channel; no channel is 0 everywhere."""
     time = 0.01 * np.arange(rows)
     ticks = 0.004 + 0.02 * np.arange(rows // 2)
     wave = np.sin(ticks)
@@ -64,7 +64,7 @@ def example_run(rows: int = 60) -> RunLog:
 
 
 def flattened(record: object) -> dict[str, object]:
-    """Every number and text of a record by its place, arrays as bytes with their type."""
+    """Numbers and texts of a record by their place, arrays as bytes with their type."""
     found: dict[str, object] = {}
     for field in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
         value = getattr(record, field.name)
