@@ -1,4 +1,4 @@
-"""Control program that records known rows until it is killed, and checks of what is left of them.
+"""A control program that records known rows until it is killed, and what a kill left of them.
 
     python recording_host.py RUN.h5 RATE
 
@@ -78,7 +78,7 @@ def hand_over(recorder: Recorder, number: int) -> None:
 
 
 def recorded(path: Path, ticks: int, **changes) -> Recorder:
-    """Recorder that was given a number of ticks."""
+    """A recorder that has been handed so many ticks."""
     recorder = Recorder(path, example_head(**changes))
     for number in range(ticks):
         hand_over(recorder, number)
@@ -86,7 +86,7 @@ def recorded(path: Path, ticks: int, **changes) -> Recorder:
 
 
 def wrong_rows(run: RunLog, rows: int | None = None) -> int:
-    """Number of ticks of a run that differ from those of `hand_over`."""
+    """How many of a run's ticks are not those that `hand_over` gives."""
     assert run.online is not None
     number = np.arange(run.online.time.size)
     wave = np.array([float(np.sin(each)) for each in number])
@@ -119,14 +119,14 @@ def wrong_rows(run: RunLog, rows: int | None = None) -> int:
 
 
 def committed(part: Path) -> int:
-    """Number of committed ticks that a reader sees during the recording."""
+    """Ticks that a reader sees as committed now, while the recording goes on."""
     with h5py.File(part, "r", swmr=True) as file:
         names = str(file["n_committed"].attrs["groups"]).split()
         return int(file["n_committed"][names.index("online")])
 
 
 class Host:
-    """Control program in a process of its own."""
+    """The control program in a process of its own."""
 
     def __init__(self, path: Path, rate: float = 1000.0):
         self.path = path
@@ -138,7 +138,7 @@ class Host:
         self.recorder = int(self.process.stdout.readline())
 
     def wait_for_commits(self, ticks: int) -> None:
-        """Wait until a reader sees a number of ticks."""
+        """Until a reader sees that many ticks."""
         await_outcome(lambda: self.part.exists() and self._committed() >= ticks)
 
     def kill(self, *victims: str) -> tuple[int, int, str]:
@@ -166,11 +166,7 @@ class Host:
 
 
 def await_outcome(holds) -> None:
-    """Wait until a condition holds.
-
-    Raises:
-        AssertionError: It does not hold by the deadline.
-    """
+    """Wait until it holds; an AssertionError after the deadline."""
     deadline = time.monotonic() + DEADLINE
     while not holds():
         assert time.monotonic() < deadline, "the outcome did not come in time"
@@ -178,7 +174,7 @@ def await_outcome(holds) -> None:
 
 
 def trial(folder: Path, victims: tuple[str, ...], dice: random.Random) -> tuple[int, int, int]:
-    """Kill the program once, at a random time.
+    """One kill at a random time.
 
     Returns:
         Ticks that had to be kept, ticks that were, and rows that are not as handed over.
@@ -201,7 +197,7 @@ def trial(folder: Path, victims: tuple[str, ...], dice: random.Random) -> tuple[
 
 
 def repaired(part: Path) -> bool:
-    """Repair an interrupted recording; False while the system still holds its lock."""
+    """Repair it once the system has let go of the lock."""
     if is_held(part):
         return False
     repair(part)
@@ -209,7 +205,7 @@ def repaired(part: Path) -> bool:
 
 
 def main() -> None:
-    """Record until the recorder is lost, or without end."""
+    """Record until the recorder is lost, or for ever."""
     recorder = Recorder(sys.argv[1], example_head())
     print(recorder.pid, flush=True)
     start, number = time.monotonic(), 0

@@ -1,4 +1,4 @@
-"""Datasets for a diagnosis: three short runs of one virtual rig, two of them with one command."""
+"""A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
 from diagnose.dataset import RigDataset
 from drftjax.runlog.record import RunLog
@@ -21,7 +21,7 @@ CONDITIONS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 2
 def run_with(
     effect: dict, speed: float, mass: float, zeta: float, seed: int, noise: float = 10e-6
 ) -> RunLog:
-    """Make a run of a rig with an effect; the wheel rests at first and slows down at the end.
+    """A run of a rig with an effect, whose wheel stands at first and slows down at last.
 
     Args:
         effect: As an entry of a set-up file.
@@ -41,7 +41,7 @@ def run_with(
 
 
 def case_with(*effects: dict, scale: float = 1.0) -> RigDataset:
-    """Make a dataset of a rig with effects, given as entries of a set-up file.
+    """Runs of a rig with these effects, as entries of a set-up file.
 
     The wheel stands at rest where its sinkage reads `scale` times what it is.
     """
