@@ -29,24 +29,13 @@ from drftjax.runlog.importers.mapping import (
     sources,
 )
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
-from drftjax.runlog.schema import UNITS
+from drftjax.runlog.schema import SETUP_UNITS, UNITS
 from drftjax.runlog.validation import nearest
 
 ROW_LIMIT: Final = 5_000_000
 
 
 """Most rows of a table."""
-
-
-SETUP_UNITS: Final = {
-    **dict.fromkeys(("wheel_radius", "wheel_width", "grouser_height", "grouser_thickness"), "m"),
-    "sinkage_static": "m",
-    "mass_x": "kg",
-    "mass_z": "kg",
-    "gravity": "m/s^2",
-    "bulk_density": "kg/m^3",
-    **dict.fromkeys(("grouser_count", "scaling_factor_initial"), "1"),
-}
 
 
 Reals = NDArray[np.float64]
