@@ -6,7 +6,6 @@ Lines are only ever appended, and synced before more is sent for, so a kill at a
 most one line without its end, which is cut off when the store is opened again.
 """
 
-import fcntl
 import os
 import re
 from collections.abc import Iterable
@@ -125,6 +124,8 @@ class Store:
         return msgspec.json.decode(_checked(line), type=FinishedFit).result
 
     def _lock(self) -> None:
+        import fcntl  # here, as not every system has it
+
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

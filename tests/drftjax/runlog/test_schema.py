@@ -86,5 +86,5 @@ def test_limits_of_plausibility_can_be_chosen():
     slow = PlausibilityLimits(max_omega=1e-3, max_travel=1e-3)
     found = [(where, level) for where, _, level in examine(content, slow)]
     assert found == [("/command/omega", Level.NOTE), ("/measured/x", Level.NOTE)]
-    assert plausibility.LIMITS == PlausibilityLimits()
+    assert PlausibilityLimits() == plausibility.LIMITS
     assert schema.UNITS["command"]["omega"] == "rad/s"

@@ -15,7 +15,7 @@ from drftjax.runlog.check import check_files
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.importers.file_names import safe_names
 from drftjax.runlog.importers.mapping import read_mapping
-from drftjax.runlog.importers.table import import_named, import_table
+from drftjax.runlog.importers.table import import_named_runs, import_table
 from drftjax.runlog.importers.units import UNITS, quantity, unit
 
 # Reading is a product of a cell and a factor: a few roundings of a double.
@@ -341,7 +341,7 @@ def test_the_mappings_that_ship_are_whole():
 
 
 def test_a_run_is_drawn_and_shown(table, tmp_path):
-    (run, *_) = import_named(*table)
+    (run, *_) = import_named_runs(*table)
     assert run.name == "drive a"
     path = str(tmp_path / "run_{}.h5")
     CliRunner().invoke(app, ["import", table[0], "--mapping", table[1], "-o", str(tmp_path)])
