@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from diagnose.gap.noise_floor import noise_floors
+from drftjax.recorded.noise_floor import DEFAULT_NOISE_FLOOR
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
-from drftjax.recorded.repeats import group_by_condition
+from drftjax.recorded.repeats import RepeatTolerances, group_by_condition
 from drftjax.setups.setup import SetUp
 from identify.cluster.result_codec import decode_result, encode_result
 from identify.commands.fit_cluster import _together
@@ -92,6 +93,36 @@ def test_carriages_tuned_to_their_sinkage_repeat_each_other(whole):
     assert group_by_condition([one, again]) == [[0, 1]]
 
 
+def test_tolerances_of_a_repeat_can_be_varied(whole):
+    fits = [fitted("a", 0.7), altered(fitted("b", 0.7, 5e-4), rig_mass_z=18.85)]
+    assert repeated_runs(fits) == []
+    assert repeated_runs(fits, RepeatTolerances(relative=1e-3)) == [[0, 1]]
+    assert noise_floor(fits, RepeatTolerances(relative=1e-3)) == pytest.approx(
+        {"z": 5e-4 / np.sqrt(2)}
+    )
+    sands = [whole, changed(whole, terrain_zeta=0.3)]
+    assert group_by_condition(sands, RepeatTolerances(log_zeta=2.0)) == [[0, 1]]
+    assert group_by_condition([whole, stopped(whole, 1.6)], RepeatTolerances(shared=0.9)) == [
+        [0],
+        [1],
+    ]
+
+
+def test_fits_and_diagnoses_call_the_same_runs_repeats(whole):
+    """Carriages tuned to their sinkage too, and runs of which one was stopped half way."""
+    for other in (
+        {"command_vx": [0.0, 0.0, 0.0777, 0.0777]},
+        {"command_time": [0.0, 0.3, 1.3, 1.5]},
+        {"rig_damping_z": 3.0},
+        {"wheel_width": 0.11},
+    ):
+        driven = {"command_vx": [0.0, 0.0, 0.0778, 0.0778]} if "command_vx" in other else {}
+        prepared = [changed(whole, **driven), changed(whole, **other)]
+        fits = [altered(fitted("a", 0.7), **each) for each in (driven, other)]
+        groups = [each for each in group_by_condition(prepared) if len(each) > 1]
+        assert groups == repeated_runs(fits)
+
+
 @pytest.mark.parametrize("what", ["lengths", "sands", "paces"])
 def test_the_order_of_the_runs_is_no_matter(whole, what):
     # The first and the last of three are no repeats, though each is one of the middle run.
@@ -170,9 +201,7 @@ def test_repeats_of_a_channel_are_those_that_have_it(whole):
         ),
     )
     runs = [whole, lacking, whole]
-    case = SimpleNamespace(
-        runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time
-    )
+    case = SimpleNamespace(runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time)
     residual = [np.zeros((2, len(whole.observation.time))) for _ in runs]
     residual[2][0] = 1e-3
     own = {"x": 0.0, "z": 0.0}
@@ -198,9 +227,7 @@ def test_samples_that_one_of_two_repeats_lost_are_not_compared(whole, lost, shor
     time = whole.observation.time
     kept = [np.ones(len(time), bool), np.ones(len(time), bool)]
     kept[shorter] = lost(time)
-    case = SimpleNamespace(
-        runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]]
-    )
+    case = SimpleNamespace(runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]])
     residual = [1e-3 * np.sin(5 * time[each])[None] for each in kept]
     response = lambda run: np.ones((1, int(kept[run].sum())))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
@@ -300,7 +327,7 @@ def test_a_repeat_too_short_to_compare_parts_no_others():
 
 @pytest.mark.parametrize(("size", "pairs"), [(2, 1), (4, 6), (21, 210), (300, 3000)])
 def test_each_repeat_is_held_against_others_once(size, pairs):
-    found = [frozenset(pair) for pair in _pairs(range(size))]
+    found = [frozenset(pair) for pair in _pairs(range(size), DEFAULT_NOISE_FLOOR.max_partners)]
     assert len(found) == len({*found}) == pairs
 
 
@@ -324,9 +351,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
     random = np.random.default_rng(5)
     observation = dataclasses.replace(whole.observation, noise=np.full(2, noise))
     told = dataclasses.replace(whole, observation=observation)
-    case = SimpleNamespace(
-        runs=[told, told], channels=("z",), time=lambda run: time + run * delay
-    )
+    case = SimpleNamespace(runs=[told, told], channels=("z",), time=lambda run: time + run * delay)
     residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
     response = lambda run: np.zeros((1, len(time)))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
@@ -352,7 +377,7 @@ def test_fits_of_another_load_wheel_or_command_are_no_repeats(other):
 def test_a_fit_goes_with_the_longest_run_that_it_repeats_in_any_order(order):
     # The first and last are too far apart in length, the middle one is near enough to both.
     runs = [
-        altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.3, 8.3, end]) for end in (9, 8.92, 8.84)
+        altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.1, 7.2, end]) for end in (9, 8.2, 7.9)
     ]
     groups = repeated_runs([runs[k] for k in order])
     assert [{order[k] for k in group} for group in groups] == [{0, 1}]
