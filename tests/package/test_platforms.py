@@ -1,4 +1,4 @@
-"""Everything but what talks to a terminal or a recorder imports on a system without Unix modules."""
+"""Everything but the recorder, the rig ends and the live view imports without Unix modules."""
 
 import subprocess
 import sys

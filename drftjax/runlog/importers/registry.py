@@ -7,7 +7,7 @@ the function, a `drftjax.runlog.importers.base.Importer`.
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Final
+from typing import Final, cast
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.importers.base import Importer
@@ -48,7 +48,7 @@ def importer_for(path: Path) -> Importer:
         raise InputError(f"the importer {suffix} of {entry.value} fails: {error}") from None
     if not callable(importer):
         raise InputError(f"the importer {suffix} of {entry.value} is no function")
-    return importer
+    return cast(Importer, importer)
 
 
 def _added() -> dict[str, list[EntryPoint]]:

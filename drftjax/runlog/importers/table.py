@@ -89,7 +89,7 @@ def import_table(path: str | Path, mapping_path: str | Path) -> list[RunLog]:
 
     Args:
         path: The table.
-        mapping_path: The mapping, a TOML file; see docs/runlog.md.
+        mapping_path: The mapping, a TOML file; see docs/guide/import-data.md.
 
     Raises:
         InputError: names the file, and the line or the place in the mapping that is wrong.

@@ -447,7 +447,7 @@ def test_an_intrusion_goes_down_and_pushes_up(cmu, wheel, mapping):
 
 
 def test_the_mapping_in_the_documentation_reads_a_table(tmp_path):
-    text = (Path(__file__).parents[3] / "docs" / "runlog.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "guide" / "import-data.md").read_text()
     block = text[text.index('    rows = "samples"') : text.index("| Key | Meaning |")]
     (tmp_path / "map.toml").write_text("\n".join(line[4:] for line in block.splitlines()))
     (tmp_path / "table.csv").write_text(
