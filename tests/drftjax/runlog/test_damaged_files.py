@@ -17,9 +17,9 @@ from drftjax.runlog import safe_reader
 from drftjax.runlog.check import check_file, read_run_guarded
 from drftjax.runlog.content import Level
 from drftjax.runlog.hdf5.api import read_run, write_run
+from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.safe_reader import GuardedReader
-from drftjax.runlog.schema import run_from
 from tests.helpers.run_logs import example_run, flattened
 
 SEALED_FLIPS = 400
@@ -76,7 +76,7 @@ def test_a_flipped_byte_without_a_seal_changes_no_number(good, tmp_path):
             start = time.monotonic()
             surveyed = reader.survey(path)
             slowest = max(slowest, time.monotonic() - start)
-            found = read_or_refusal(lambda surveyed=surveyed: run_from(*surveyed))
+            found = read_or_refusal(lambda surveyed=surveyed: run_from_survey(*surveyed))
             if isinstance(found, str):
                 assert str(path) in found
                 refused += 1
