@@ -6,7 +6,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset, pitch
 from diagnose.linear.residual_blocks import SlowFastSplit
-from drftjax.physics.command import with_zeros
+from drftjax.physics.command import with_zero_crossings
 from drftjax.physics.rig import DrivenCarriage
 
 # Under this share of its fastest rim speed a wheel counts as standing.
@@ -99,7 +99,7 @@ def kinematics_of_run(
         x, vx = smooth("x")
         travel = None if x is None else x - x[0]
     radius = float(trial.simulator.wheel.radius)
-    between, either_way, vxs = with_zeros(knots, omegas, np.asarray(trial.vx))
+    between, either_way, vxs = with_zero_crossings(knots, omegas, np.asarray(trial.vx))
     either_way = np.abs(either_way)
     speed = radius * either_way + (np.abs(vxs) if driven else 0)
     gap = pitch(case.trials[run])

@@ -62,7 +62,7 @@ def entry_of(effect: AbstractEffect) -> Entry:
     return {"name": effect.about.name, **fields}
 
 
-def typical(effect: type[AbstractEffect]) -> AbstractEffect:
+def typical_effect(effect: type[AbstractEffect]) -> AbstractEffect:
     """The effect with every strength at its typical size."""
     about = field_metadata(effect)
     return effect(**{field: each["typical"] for field, each in about.items() if "typical" in each})

@@ -40,7 +40,7 @@ def command_at(
     return Command(omega=at(omega), vx=at(vx), zeta=at(zeta))
 
 
-def with_zeros(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
+def with_zero_crossings(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
     """A profile with a knot wherever a channel passes through zero.
 
     So the size of each is straight between knots too, where a wheel or a carriage turns back.
@@ -68,7 +68,7 @@ def _zeros(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return time[before] + share * (time[before + 1] - time[before])
 
 
-def one_way(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
+def split_at_reversals(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
     """Stretches in which a wheel or a drive does not turn back, and which way it turns in each.
 
     Args:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drftjax.recorded.observation import ROUNDING, intervals_of
+from drftjax.recorded.observation import ROUNDING, sampling_intervals
 from drftjax.recorded.prepared_run import PreparedRun
 
 
@@ -25,7 +25,7 @@ def interpolate_recorded(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     inside = (wanted >= time[0] - ROUNDING) & (wanted <= time[-1] + ROUNDING)
     after = np.clip(np.searchsorted(time, wanted - ROUNDING), 0, len(time) - 1)
     at_sample = np.abs(time[after] - wanted) <= ROUNDING
-    return inside & (at_sample | (intervals_of(time)[after] <= 1))
+    return inside & (at_sample | (sampling_intervals(time)[after] <= 1))
 
 
 # Loads [kg, N] and commands [rad/s] are the same within this.

@@ -38,10 +38,10 @@ from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
 
 # Hours of a run at the default step; more is a slip of units, and would fill the memory.
-MOST_STEPS = 2e7
+MAX_STEPS = 2e7
 
 
-FASTEST = 100.0  # that a command may turn a wheel [rad/s]
+MAX_OMEGA = 100.0  # that a command may turn a wheel [rad/s]
 
 
 INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
@@ -138,11 +138,11 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
         omega = np.asarray(self.omega, dtype=float)
         fastest = _farthest(omega)
         if self.omega_unit == "deg/s":
-            most = np.degrees(FASTEST)
+            most = np.degrees(MAX_OMEGA)
             require_between("command omega", fastest, -most, most, " deg/s")
             omega = np.radians(omega)
         hint = " rad/s; are these deg/s?" if np.isfinite(fastest) else " rad/s"
-        require_between("command omega", _farthest(omega), -FASTEST, FASTEST, hint)
+        require_between("command omega", _farthest(omega), -MAX_OMEGA, MAX_OMEGA, hint)
         if self.vx is not None:
             require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
@@ -217,7 +217,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             "the number of steps",
             (command.time[-1] - command.time[0]) / self.integrator.step,
             0,
-            MOST_STEPS,
+            MAX_STEPS,
             " (times are in seconds)",
         )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
@@ -269,7 +269,7 @@ def find_outline(wheel: WheelSetUp, path: Path) -> None:
         raise InputError(f"{path}: outline of [wheel]: {problem}") from None
 
 
-def put_effects(setup: SetUp, names: Iterable[str]) -> None:
+def add_fitted_effects(setup: SetUp, names: Iterable[str]) -> None:
     """Add to a set-up the effects whose numbers are to be fitted, where it has none of them.
 
     A number that may not be negative starts from its typical size where it is zero: its logarithm

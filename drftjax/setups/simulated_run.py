@@ -10,7 +10,7 @@ from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.text import printable
 from drftjax.runlog import record
-from drftjax.setups.command_knots import held_until
+from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
 
@@ -41,7 +41,7 @@ def simulated_run(
     end = command.time[-1] + ROUNDING
     held = setup
     if at is not None and len(at) and at[-1] > end:
-        held = msgspec.structs.replace(setup, command=held_until(at[-1], setup.command))
+        held = msgspec.structs.replace(setup, command=extend_command(at[-1], setup.command))
     lasts = held.command.time[-1] - held.command.time[0]
     if interval > lasts + ROUNDING:
         raise InputError(

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from drftjax.common.errors import InputError
 from drftjax.physics.terrain import KnotZeta
 from drftjax.recorded.batch import make_batch
-from drftjax.recorded.observation import intervals_of, white_noise
+from drftjax.recorded.observation import sampling_intervals, white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import IntegratorSetUp
 from identify.zeta_path.evidence import (
@@ -277,7 +277,7 @@ def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     place = np.delete(np.arange(40), lost)
     columns, noise = random.standard_normal((len(place), 3)), AR1Noise(0.3, 0.8)
     covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
-    products = LaggedProducts.of(columns, intervals_of(0.01 * place))
+    products = LaggedProducts.of(columns, sampling_intervals(0.01 * place))
     dense = columns.T @ np.linalg.solve(covariance, columns)
     np.testing.assert_allclose(products.whitened(noise), dense, rtol=INVERSE)
     assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=INVERSE)
@@ -288,7 +288,7 @@ def test_noise_is_found_among_the_samples_that_are_left():
     fresh = 0.3 * np.sqrt(1 - 0.9**2) * random.standard_normal(20000)
     place = np.flatnonzero(random.random(20000) < 0.5)
     data = lfilter([1.0], [1.0, -0.9], fresh)[place]
-    products = LaggedProducts.of(data[:, None], intervals_of(0.01 * place))
+    products = LaggedProducts.of(data[:, None], sampling_intervals(0.01 * place))
     found = products.noise(np.ones(1), np.zeros((0, 0)), InstrumentFloor(1e-6, 0.9999))
     # Five standard deviations of a correlation told by 5,000 pairs, and of the spread.
     assert found.correlation == pytest.approx(0.9, abs=5 * np.sqrt((1 - 0.9**2) / 5000))
@@ -297,7 +297,7 @@ def test_noise_is_found_among_the_samples_that_are_left():
 
 def test_noise_lasts_no_longer_than_its_instrument_allows():
     time = np.linspace(0.0, 1.0, 500)
-    products = LaggedProducts.of((1e-3 * time)[:, None], intervals_of(time))
+    products = LaggedProducts.of((1e-3 * time)[:, None], sampling_intervals(time))
     residual, nothing = np.ones(1), np.zeros((0, 0))
     assert products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9999)).correlation == 0.9999
     short = products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9))
@@ -315,7 +315,7 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
         path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
         data = seen @ path + 0.02 * random.standard_normal(len(seen))
-        products = [LaggedProducts.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
+        products = [LaggedProducts.of(np.c_[seen, data], sampling_intervals(np.arange(len(data))))]
         best = max(
             WEIGHTS,
             key=lambda w, p=products: posterior(p, knots, 0.0, w, [AR1Noise(0.02, 0.0)]).evidence,

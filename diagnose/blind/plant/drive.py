@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drftjax.physics.command import one_way
+from drftjax.physics.command import split_at_reversals
 
 # Time between points of a course [s].
 GRID = 2e-3
@@ -90,7 +90,7 @@ class PlantBacklash(AbstractPlantDrive):
         if self.play <= 0:
             return commanded
         course, within = np.empty_like(commanded), 0.0
-        for part, sense in one_way(np.sign(commanded)):
+        for part, sense in split_at_reversals(np.sign(commanded)):
             turned = np.cumsum(np.abs(commanded[part])) * GRID
             taken_up = int(np.searchsorted(turned, self.play - sense * within))
             since = (np.arange(len(turned)) - taken_up) * GRID
