@@ -1,9 +1,9 @@
-"""Corrections: effects that nobody has named, as a curve over the variable that they follow.
+"""Corrections: curves over one variable that stand in for an unlisted effect.
 
 A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed, the
 surface or a reading, by a curve that runs straight between its knots and level beyond them. Its
-strengths are the curve's values at the knots. What the knots stand on is part of its class, so that
-a model with it compiles like one with any effect; `correction` makes the class.
+strengths are the curve's values at the knots. The variable and the knots are part of its class, so
+that a model with it compiles like one with any effect; `correction_class` makes the class.
 """
 
 import itertools
@@ -51,7 +51,7 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-# What a curve may stand on, with its unit.
+# Variables of a curve, with their units.
 VARIABLES = {
     "angular velocity": "rad/s",
     "slip speed": "m/s",
@@ -85,7 +85,7 @@ def fields(count: int) -> tuple[str, ...]:
 
 
 class TravelMemory(eqx.Module):
-    """What has gone by since the run's start: travel [m], turning [rad] and time [s]."""
+    """Travel [m], turning [rad] and time [s] since the run's start."""
 
     travel: Number
     turning: Number
@@ -120,7 +120,7 @@ class Curve(AbstractEffect):
         return jnp.interp(variable, knots, values)
 
     def along(self, known: Mapping[str, Number]) -> Number:
-        """The curve's height, of all variables that its stage knows."""
+        """Height of the curve at its own variable, among all variables of its stage."""
         return self.at(known[self.variable])
 
     def in_moment(self, moment: StepContext, memory: TravelMemory) -> Number:

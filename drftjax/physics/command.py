@@ -1,4 +1,4 @@
-"""What is asked of the rig over one step, and over a whole run."""
+"""Command of the rig, over one step and over a whole run."""
 
 import itertools
 from collections.abc import Iterator
@@ -30,7 +30,18 @@ def command_at(
     vx: Float[Array, " knots"] | None = None,
     zeta: Float[Array, " knots"] | None = None,
 ) -> Command:
-    """A recorded command, linear between its samples and constant beyond them, at `time` [s]."""
+    """A recorded command at other times, linear between its knots and constant beyond them.
+
+    Args:
+        time: Times [s], shape (steps,).
+        command_time: Knots [s], increasing, shape (knots,).
+        omega: Angular velocity at the knots [rad/s], shape (knots,).
+        vx: Carriage speed there [m/s]; zero where none is given.
+        zeta: Scaling factor there [-]; zero where none is given.
+
+    Returns:
+        Commands of shape (steps,).
+    """
 
     def at(values: Float[Array, " knots"] | None) -> Float[Array, " steps"]:
         if values is None:
@@ -43,7 +54,7 @@ def command_at(
 def with_zero_crossings(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
     """A profile with a knot wherever a channel passes through zero.
 
-    So the size of each is straight between knots too, where a wheel or a carriage turns back.
+    The absolute value of each channel is then linear between knots, too.
 
     Args:
         time: Knots [s], increasing.
@@ -69,10 +80,10 @@ def _zeros(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def split_at_reversals(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
-    """Stretches in which a wheel or a drive does not turn back, and which way it turns in each.
+    """Stretches between the reversals of a wheel or a drive, and the sense of rotation in each.
 
     Args:
-        senses: Which way it turns on each sample: 1, -1, or 0 where it stands, shape (samples,).
+        senses: Sense of rotation on each sample: 1, -1, or 0 where it stands, shape (samples,).
 
     Returns:
         Slices of the samples, and 1 or -1; one that stands throughout counts as forward.

@@ -1,4 +1,4 @@
-"""A set-up simulated, as a run log."""
+"""Simulation of a set-up as a run log."""
 
 import math
 
@@ -17,7 +17,7 @@ from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
 _run = eqx.filter_jit(Trial.run)
 
 
-# Of times of rows, written in decimals [s].
+# Rounding of the times of rows, written in decimals [s].
 ROUNDING = 1e-9
 
 
@@ -27,13 +27,13 @@ def simulated_run(
     """Simulate a set-up and give the run as a run log, forces and torque included.
 
     Args:
-        setup: What is simulated.
+        setup: Set-up to simulate.
         interval: Time between rows [s]; rounded to whole steps.
-        at: Times of the rows [s] in place of that, met by interpolation; past the command's end
-            its last value holds.
+        at: Times of the rows [s], shape (rows,), by interpolation; past the command's end its last
+            value holds.
 
     Raises:
-        InputError: where the set-up cannot be, or the run leaves what the model covers.
+        InputError: a number of the set-up is out of bounds, or the model does not cover the run.
     """
     if at is not None and len(at) > 1:
         interval = min(interval, float(np.median(np.diff(at))))
@@ -68,13 +68,13 @@ def simulated_run(
 
 
 def with_believed_values(setup: SetUp, sinkage: float, zeta: float) -> record.RecordedSetup:
-    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-].
+    """Set-up of a run log: the numbers of a `SetUp` that it records, and those found at rest.
 
     Args:
-        setup: What is believed of the rig.
+        setup: The operator's model of wheel, sand and rig.
         sinkage: H at rest [m].
-        zeta: At the start; NaN of a wheel that hangs in the air, where nothing tells it, and
-            nothing carries it either [-].
+        zeta: Scaling factor at the start [-]; NaN of a wheel that hangs in the air, which has
+            neither.
     """
     in_the_air = math.isnan(zeta)
     wheel = setup.wheel

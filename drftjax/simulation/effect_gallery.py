@@ -1,4 +1,4 @@
-"""What effects do to the run of Fuke, Ishikawa & Ishigami 2024, drawn."""
+"""Figures of the change that effects make to the run of Fuke, Ishikawa & Ishigami 2024."""
 
 import math
 from dataclasses import replace
@@ -32,9 +32,15 @@ COLOURS = ("tab:blue", "tab:orange")
 
 
 def simulate_effects(effects: Classes) -> Output:
-    """The paper's run without effects, then with each at its typical size: (runs, rows).
+    """Simulate the paper's run without effects, then with each at its typical size.
 
     One compiled program makes them all, as an absent effect is one of zero strength.
+
+    Args:
+        effects: Classes of effects.
+
+    Returns:
+        Outputs of shape (1 + effects, rows).
     """
     fields = [(index, name) for index, each in enumerate(effects) for name in field_metadata(each)]
     null = [float(getattr(effects[index](), name)) for index, name in fields]
@@ -61,7 +67,7 @@ def simulate_effects(effects: Classes) -> Output:
 
 
 def draw_effect(effect: type[AbstractEffect]) -> Figure:
-    """One effect: z with and without it, and what it changes in z and x."""
+    """Draw z with and without an effect, and the changes that it makes in z and x."""
     output = simulate_effects([effect])
     time = output.time[0]
     figure = Figure(figsize=(7, 7), layout="constrained")
@@ -80,7 +86,7 @@ def draw_effect(effect: type[AbstractEffect]) -> Figure:
 
 
 def draw_gallery(effects: Classes) -> Figure:
-    """Every effect in a small panel of its own: what it changes in z and x."""
+    """Draw the changes that each effect makes in z and x, each in a panel of its own."""
     output = simulate_effects(effects)
     columns = min(6, len(effects))
     lines = math.ceil(len(effects) / columns)
