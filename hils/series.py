@@ -235,24 +235,24 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
         lines.append("The rig was not seen to rest: make sure that it does.")
     loop, start = report.loop, report.start
     if loop is not None and start is not None:
-        zeta = loop.last.packed[1]
-        if len(loop.error):
-            rmse, most = np.sqrt((loop.error**2).mean()), np.abs(loop.error).max()
+        ticks, zeta = loop.statistics, loop.last.packed[1]
+        if len(ticks.error):
+            rmse, most = np.sqrt((ticks.error**2).mean()), np.abs(ticks.error).max()
             lines.append(
                 f"zeta {start.zeta:.4f} to {zeta:.4f}; sinkage, measured minus simulated: "
                 f"RMSE {rmse * 1e3:.3f} mm, at most {most * 1e3:.3f} mm."
             )
         lines.append(
-            f"{loop.ticks} ticks, {loop.overruns} deadlines missed, {loop.skipped} ticks skipped; "
-            f"{loop.fresh} fresh readings, {loop.refused} refused."
+            f"{ticks.ticks} ticks, {ticks.overruns} deadlines missed, {ticks.skipped} ticks "
+            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused."
         )
-        if loop.old:
+        if ticks.old:
             lines.append(
-                f"{loop.old} readings answered a command more than five ticks old, and zeta was "
+                f"{ticks.old} readings answered a command more than five ticks old, and zeta was "
                 "held over them: something holds the line's bytes back."
             )
-        if len(loop.busy):
-            busy, woken = loop.busy * 1e3, loop.woken * 1e3
+        if len(ticks.work_time):
+            busy, woken = ticks.work_time * 1e3, ticks.wake_delay * 1e3
             lines.append(
                 f"A tick's work: median {np.median(busy):.3f} ms, 99.9 % {_high(busy):.3f} ms, "
                 f"most {busy.max():.3f} ms; woken late by {np.median(woken):.3f}, "
@@ -267,7 +267,7 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
     )
     if _is_there(path):
         lines.append(f"Run log: {path}")
-    elif loop is not None and not loop.fresh:
+    elif loop is not None and not loop.statistics.fresh:
         lines.append("No run log: no reading came during the profile.")
     return lines
 

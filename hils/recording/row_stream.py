@@ -34,7 +34,7 @@ _END: Final = struct.Struct("<BH")
 
 
 class Kind(IntEnum):
-    """What a row is: the group that it goes to."""
+    """Kind of a row: the group of the run log that it goes to."""
 
     COMMAND = 1
     MEASURED = 2
@@ -75,7 +75,7 @@ class OnlineRow(NamedTuple):
 
 
 def columns(head: Head) -> dict[Kind, int]:
-    """How many numbers a row of each kind has, its time included."""
+    """Count of numbers in a row of each kind, its time included."""
     return {
         Kind.COMMAND: 3 if head.driven else 2,
         Kind.MEASURED: 1 + len(head.channels),
