@@ -93,14 +93,15 @@ def diagnose(
         if lies:
             report("what an effect that explains it would look like")
             signal = fit_unknown_effect(case, lies, found.none, before, floors, places)
-        curve = None if signal is None or signal.tried is None else signal.tried.added
+        correction = None if signal is None else signal.best_correction
+        curve = None if correction is None else correction.selection
         reference = SelectedEffects(
             (), found.none.log_zeta, alone, gaps(case, before, before, floors)
         )
         added = best_selection([known] if curve is None else [known, curve], reference)
         notes += [] if signal is None else signal.sentences(added is curve)
         notes += odd_runs.gap_carried_by_one_run(case, places, before, floors)
-        meant = signal.tried.means if added is curve and signal and signal.tried else None
+        meant = correction.listed_effect if added is curve and correction else None
         if meant in {reported_name(each.about.name) for each in effects}:
             share = reassign_unknown(share, meant)
             verdict, groups = (meant,), [[meant]]

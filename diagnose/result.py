@@ -96,8 +96,8 @@ class Diagnosis:
     @property
     def correction(self) -> Correction | None:
         """The curve that is added in the place of an effect that nobody has written."""
-        tried = None if self.unknown_effect is None else self.unknown_effect.tried
-        return tried if tried is not None and tried.added is self.selected else None
+        tried = None if self.unknown_effect is None else self.unknown_effect.best_correction
+        return tried if tried is not None and tried.selection is self.selected else None
 
     def meaning(self, name: str) -> str:
         """What an effect of the verdict does; it may be of the user's own and in no catalogue."""

@@ -98,7 +98,7 @@ def evaluate_model(
 
 
 def _uncovered(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
-    """Runs whose wheel takes off, or sinks deeper than its plates cover, by index, with a reason."""
+    """Reason, by index, of runs whose wheel takes off or sinks deeper than its plates cover."""
     z, found = dataset.channels.index("z"), {}
     for run, each in enumerate(runs):
         name = dataset.runs[run].name
