@@ -234,7 +234,8 @@ def next_sentences(found: Diagnosis) -> list[str]:
         if isinstance(proposal, dict):
             proposals.append(
                 f"{words.format(**proposal)}, where {proposal['channel']} differs by "
-                f"{proposal['difference']:.3g} {proposal['unit']} ({proposal['floors']:.1f} noise floors)"
+                f"{proposal['difference']:.3g} {proposal['unit']} "
+                f"({proposal['floors']:.1f} noise floors)"
             )
     if not proposals:
         return [f"No variation of these runs would tell {first} from {second}."]

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from diagnose.checks.outlier_runs import (
+    DEFAULT_OUTLIER_RUNS,
+    OutlierRunSettings,
     gap_carried_by_one_run,
     outliers_among_repeats,
     outliers_by_zeta,
@@ -137,13 +139,15 @@ def test_a_run_that_holds_most_of_the_gap_is_named(case):
     # No other run has torque.
     before = [np.array([[2e-5] * 10, [np.nan] * 10])] * 4 + [np.full((2, 10), 1e-3)]
 
-    def of(share: float, time: float) -> list[str]:
+    def of(share: float, time: float, settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS):
         rest = [GapShare("run", f"run {n}", (1 - share) / 4, (0.0, 1.0), 0.2) for n in range(4)]
         last = GapShare("run", "run 4", share, (0.0, 1.0), time)
-        return gap_carried_by_one_run(several, [*rest, last], before, {"z": 2e-5, "torque": 0.1})
+        floors = {"z": 2e-5, "torque": 0.1}
+        return gap_carried_by_one_run(several, [*rest, last], before, floors, settings)
 
     (told,) = of(0.9, 0.2)
     assert told.startswith("run 4 holds 90% of the gap in 20% of the time")
     assert "1.0 noise floors in z. Look" in told
     assert of(0.45, 0.1) == []
     assert of(0.9, 0.4) == []
+    assert of(0.45, 0.1, OutlierRunSettings(run_share=0.4)) != []

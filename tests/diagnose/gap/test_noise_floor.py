@@ -8,7 +8,7 @@ import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.discretization_error import discretization_errors, with_finer_plates
-from diagnose.gap.gap import gaps, share_removed
+from diagnose.gap.gap import GapSettings, gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
 from diagnose.model.augmented_model import AugmentedModel
@@ -69,6 +69,15 @@ def test_an_interval_is_of_draws_in_which_something_could_shrink():
     nothing = gaps(case, after[1:] * 2, after[1:] * 2, {"x": 1.0})["x"]  # pyright: ignore
     assert not nothing.is_reducible
     assert nothing.interval == (0.0, 0.0)
+
+
+def test_the_rule_of_a_reducible_gap_can_be_varied():
+    case = recorded_runs(setup_of(PROFILE))
+    before, after = ([np.full((1, 100), each)] for each in (1.4, 1.0))
+    for settings, share in ((GapSettings(), 0.0), (GapSettings(min_excess=0.3), 1.0)):
+        gap = gaps(case, before, after, {"x": 1.0}, settings)["x"]  # pyright: ignore
+        assert gap.shrinkage == pytest.approx(share)
+        assert gap.is_reducible == (share > 0)
 
 
 def test_runs_of_one_condition_have_no_interval():
