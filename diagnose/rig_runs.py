@@ -11,7 +11,8 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import GatheredRuns, gather
 from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
-from drftjax.setups.setup import SetUp, ZetaKnots
+from drftjax.setups.setup import SetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 
 # Wheels are the same where their lengths agree to so many places of a millimetre.
 PLACES = 3

@@ -11,7 +11,7 @@ from drftjax.runlog.record import CHANNELS
 from drftjax.setups.setup import SetUp
 from identify.design.required_speed import add_required_speeds
 from identify.fit_constant import WHITE, Progress
-from identify.fit_constant import fit as fit_candidates
+from identify.fit_constant import fit as fit_prepared
 from identify.fit_path import fit_paths
 from identify.parameters.parameter import Parameter, parameter, require_once
 from identify.parameters.phase_zeta import zeta_phases
@@ -87,7 +87,7 @@ def fit(
     if zeta == "path" and "z" not in channels:
         raise InputError("zeta='path' follows the sinkage, so compare must name z")
     with jax.enable_x64(True):
-        candidates = prepare_runs(
+        prepared = prepare_runs(
             runs,
             model,
             fitted=[each.quantity.name for each in wanted],
@@ -95,10 +95,10 @@ def fit(
             compare=channels,
         )
         if zeta == "path":
-            return fit_paths(candidates, knots, wanted, progress)
+            return fit_paths(prepared, knots, wanted, progress)
         if zeta == "phases":
-            wanted = zeta_phases(candidates, wanted)
-        result = fit_candidates(candidates, wanted, progress, noise, starts=starts)
+            wanted = zeta_phases(prepared, wanted)
+        result = fit_prepared(prepared, wanted, progress, noise, starts=starts)
         return add_required_speeds(result)
 
 

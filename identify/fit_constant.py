@@ -16,7 +16,7 @@ from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from identify.parameters.bijector import Interval
 from identify.parameters.parameter import Parameter
-from identify.parameters.phase_zeta import PhaseZeta, by_phase, with_phases
+from identify.parameters.phase_zeta import PhaseZeta, has_phase_zeta, with_phases
 from identify.results.findings import findings
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
@@ -66,7 +66,7 @@ Progress = Callable[[str, int, float], None]
 
 
 def fit(
-    candidates: Sequence[PreparedRun],
+    runs: Sequence[PreparedRun],
     parameters: Sequence[Parameter],
     progress: Progress | None = None,
     noise: AbstractNoise = WHITE,
@@ -79,7 +79,7 @@ def fit(
     is mostly far larger, by what each channel's residuals were over all runs.
 
     Args:
-        candidates: Runs; those of another kind of wheel, law or carriage than most are left out.
+        runs: Runs; those of another kind of wheel, law or carriage than most are left out.
         parameters: What to fit, shared or for each run.
         progress: Called with the stage, the solver's step and the sum of squares.
         noise: How residuals scatter.
@@ -90,9 +90,9 @@ def fit(
     Raises:
         InputError: where no run is left, or two have the same name.
     """
-    candidates = with_phases(candidates, parameters) if by_phase(parameters) else list(candidates)
-    problem, before, failures = _problem(candidates, tuple(parameters))
-    kept = [each for each in candidates if each.name not in failures]
+    runs = with_phases(runs, parameters) if has_phase_zeta(parameters) else list(runs)
+    problem, before, failures = _problem(runs, tuple(parameters), noise)
+    kept = [each for each in runs if each.name not in failures]
     coordinates, tried = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
     require_starts(starts)
@@ -103,7 +103,7 @@ def fit(
     solution = solve(
         problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
     )
-    thrown = _thrown(problem, coordinates, solution.coordinates)
+    thrown = _stuck_at_bounds(problem, coordinates, solution.coordinates)
     if solution.status != "converged" or any(thrown):
         solution = _in_short_steps(problem, len(kept), coordinates, solution, thrown, report)
     for turn in range(REWEIGHTINGS):
@@ -117,13 +117,13 @@ def fit(
             active,
             LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
         )
-        thrown = _thrown(problem, start, solution.coordinates)
+        thrown = _stuck_at_bounds(problem, start, solution.coordinates)
         if any(thrown):
             solution = _in_short_steps(problem, len(kept), start, solution, thrown, report)
-    optimum = Estimate.of(problem, solution, tuple(kept), model_error)
+    estimate = Estimate.of(problem, solution, tuple(kept), model_error)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
-        optimum = apply_priors(optimum, lambda s, size: report("fit with its priors", s, np.nan))
-    return replace(_result(optimum, before, failures), starts=tried)
+        estimate = apply_priors(estimate, lambda s, size: report("fit with its priors", s, np.nan))
+    return replace(_result(estimate, before, failures), starts=tried)
 
 
 def _in_short_steps(
@@ -166,7 +166,7 @@ def _in_short_steps(
     return again if not any(thrown) or again.loss < solution.loss else solution
 
 
-def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool]:
+def _stuck_at_bounds(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool]:
     """Which bounded numbers steps have thrown to their bounds, where they hardly move any more.
 
     Returns:
@@ -181,45 +181,43 @@ def _thrown(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool
 
 
 def _problem(
-    candidates: list[PreparedRun], parameters: tuple[Parameter, ...]
+    runs: list[PreparedRun], parameters: tuple[Parameter, ...], noise: AbstractNoise = WHITE
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
-    candidates, failures = _to_start_from(candidates, parameters)
+    runs, failures = _startable_runs(runs, parameters)
     while True:
-        if not candidates:
+        if not runs:
             named = "; ".join(f"{name}: {why}" for name, why in failures.items())
             raise InputError(f"no run is left to fit{f' ({named})' if named else ''}")
         batch = make_batch(
-            [each.trial for each in candidates],
-            [each.observation for each in candidates],
+            [each.trial for each in runs],
+            [each.observation for each in runs],
             jax.device_count(),
         )
-        white = jnp.zeros(len(batch.channels))
+        white = noise.for_channels(len(batch.channels))
         problem = Problem(batch, parameters, white, device_mesh())
         before = predict(problem, problem.start())
-        fine = [bool(np.isfinite(run).all()) for run in before[: len(candidates)]]
+        fine = [bool(np.isfinite(run).all()) for run in before[: len(runs)]]
         if all(fine):
             return problem, before, failures
-        for each, good in zip(candidates, fine, strict=True):
+        for each, good in zip(runs, fine, strict=True):
             if not good:
                 failures[each.name] = "its simulation diverges at the values it starts from"
-        candidates = [each for each, good in zip(candidates, fine, strict=True) if good]
+        runs = [each for each, good in zip(runs, fine, strict=True) if good]
 
 
-def _to_start_from(
-    candidates: list[PreparedRun], parameters: tuple[Parameter, ...]
+def _startable_runs(
+    runs: list[PreparedRun], parameters: tuple[Parameter, ...]
 ) -> tuple[list[PreparedRun], dict[str, str]]:
     """The largest set of runs that one program fits, and why the others are left out."""
     failures: dict[str, str] = {}
-    for each in candidates:
+    for each in runs:
         try:
             for parameter in parameters:
                 parameter.require_start(each.trial)
         except InputError as problem:
             failures[each.name] = str(problem)
-    kept, others = largest_compatible_set(
-        [each for each in candidates if each.name not in failures]
-    )
+    kept, others = largest_compatible_set([each for each in runs if each.name not in failures])
     return kept, failures | others
 
 
@@ -245,11 +243,8 @@ def _reweighted(
     kept = np.where(odd, 0, number)
     pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
     fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
-    return eqx.tree_at(
-        lambda p: (p.batch.observed.weight, p.correlation),
-        problem,
-        (jnp.asarray(fresh), jnp.asarray(noise.correlation(raw, counts, intervals))),
-    )
+    problem = eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(fresh))
+    return replace(problem, noise=noise.fit(raw, counts, intervals))
 
 
 def _fast(raw: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
@@ -270,18 +265,18 @@ def _lower_median(values: np.ndarray) -> float:
     return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
 
 
-def _result(optimum: Estimate, before: np.ndarray, failures: dict[str, str]) -> FitResult:
-    problem, solution, candidates = optimum.problem, optimum.solution, optimum.candidates
-    error = np.sqrt(np.diag(optimum.covariance))
+def _result(estimate: Estimate, before: np.ndarray, failures: dict[str, str]) -> FitResult:
+    problem, solution = estimate.problem, estimate.solution
+    error = np.sqrt(np.diag(estimate.covariance))
     shared_coordinates, own_coordinates = solution.coordinates
-    own_error = error[optimum.shared :].reshape(own_coordinates.shape)
+    own_error = error[estimate.shared :].reshape(own_coordinates.shape)
     own_error = np.where(solution.active[:, None], own_error, np.inf)
-    shared = values_of(problem.shared, shared_coordinates, error[: optimum.shared])
+    shared = values_of(problem.shared, shared_coordinates, error[: estimate.shared])
     after = predict(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
-    states = run_states(optimum)
-    runs = []
-    for index, each in enumerate(candidates):
+    states = run_states(estimate)
+    fits = []
+    for index, each in enumerate(estimate.runs):
         own = values_of(problem.own, own_coordinates[index], own_error[index])
         status = states[index]
         if status != "diverged" and any(value.at_bound for value in own.values()):
@@ -290,13 +285,13 @@ def _result(optimum: Estimate, before: np.ndarray, failures: dict[str, str]) -> 
         for parameter in problem.parameters:
             name = parameter.quantity.name
             parameter.quantity.record(setup, (shared | own)[name].value)
-        placed = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
-        if isinstance(zeta := placed.simulator.terrain.zeta, PhaseZeta):
+        fitted = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
+        if isinstance(zeta := fitted.simulator.terrain.zeta, PhaseZeta):
             setup.terrain.zeta = zeta.knots()
         length = len(each.observation.time)
         channels = each.observation.channels
         picked = [problem.batch.channels.index(channel) for channel in channels]
-        runs.append(
+        fits.append(
             RunFit(
                 name=each.name,
                 setup=setup,
@@ -311,52 +306,52 @@ def _result(optimum: Estimate, before: np.ndarray, failures: dict[str, str]) -> 
                 believed=(each.setup.wheel, each.setup.rig),
             )
         )
-    size = len(optimum.ordered)
-    spread = optimum.covariance[:size, :size]
-    hidden = null_directions(solution.blocks, optimum.shared, solution.belief_slope)[:size]
-    alone = np.sqrt(optimum.scatter) * np.abs(optimum.slopes[: optimum.shared])
+    size = len(estimate.coordinate_parameters)
+    spread = estimate.covariance[:size, :size]
+    hidden = null_directions(solution.blocks, estimate.shared, solution.prior_slope)[:size]
+    alone = np.sqrt(estimate.run_variance) * np.abs(estimate.slopes[: estimate.shared])
     scatter = {
         each.quantity.name: float(size) for each, size in zip(problem.shared, alone, strict=True)
     }
     return FitResult(
         shared=shared,
-        runs=runs,
+        runs=fits,
         status=solution.status,
         steps=solution.steps,
         failures=failures,
         findings=[
-            *findings(problem.parameters, shared, runs, spread, hidden, scatter),
-            *prior_conflicts(optimum),
+            *findings(problem.parameters, shared, fits, spread, hidden, scatter),
+            *prior_conflicts(estimate),
         ],
-        labels=optimum.labels,
-        covariance=optimum.covariance_of_values,
-        optimum=optimum,
+        labels=estimate.labels,
+        covariance=estimate.covariance_of_values,
+        estimate=estimate,
     )
 
 
-def run_states(optimum: Estimate) -> list[str]:
+def run_states(estimate: Estimate) -> list[str]:
     """How the solver left each run: "converged", "stalled" or "diverged".
 
     A run has stalled where a straight line still promises to lower its own sum of squares by a
     noticeable part, moving its own parameters by more than their errors.
     """
-    solution = optimum.solution
+    solution = estimate.solution
     _, own = map(np.asarray, solution.coordinates)
-    counted = (optimum.whitening.scale > 0).sum(axis=(1, 2))
-    beliefs = solution.belief[optimum.shared :].reshape(own.shape)
-    slopes = solution.belief_slope[optimum.shared :].reshape(own.shape)
+    counted = (estimate.whitening.scale > 0).sum(axis=(1, 2))
+    priors = solution.prior_residual[estimate.shared :].reshape(own.shape)
+    slopes = solution.prior_slope[estimate.shared :].reshape(own.shape)
     states = []
-    for run in range(len(optimum.candidates)):
+    for run in range(len(estimate.runs)):
         if not solution.active[run]:
             states.append("diverged")
             continue
-        if optimum.share is not None or not optimum.own:
+        if estimate.slope_rescaling is not None or not estimate.own:
             states.append("converged" if solution.status == "converged" else "stalled")
             continue
-        rows = solution.blocks[run][..., optimum.shared :].reshape(-1, optimum.own)
+        rows = solution.blocks[run][..., estimate.shared :].reshape(-1, estimate.own)
         left = solution.residual[run].ravel()
         information = rows.T @ rows + np.diag(slopes[run] ** 2)
-        slope = rows.T @ left + slopes[run] * beliefs[run]
+        slope = rows.T @ left + slopes[run] * priors[run]
         gain = float(slope @ np.linalg.lstsq(information, slope, rcond=None)[0])
         noticeable = max(NEGLIGIBLE, 1 / max(int(counted[run]), 1)) * float(left @ left)
         states.append("stalled" if gain > noticeable else "converged")

@@ -19,7 +19,7 @@ from identify.zeta_path.smoother import KNOT_SPACING
 
 
 def fit_paths(
-    candidates: Sequence[PreparedRun],
+    prepared: Sequence[PreparedRun],
     knot_spacing: float = KNOT_SPACING,
     parameters: Sequence[Parameter] = (),
     progress: Progress | None = None,
@@ -27,7 +27,7 @@ def fit_paths(
     """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed, or fitted.
 
     Args:
-        candidates: Runs; one that has no sinkage, is too short, cannot be simulated or is of
+        prepared: Runs; one that has no sinkage, is too short, cannot be simulated or is of
             another kind of wheel, law or carriage than most is left out.
         knot_spacing: Time from knot to knot [s].
         parameters: What is fitted beside the paths; see `identify.fit_path_jointly`.
@@ -37,8 +37,8 @@ def fit_paths(
         InputError: where no run is left, or a parameter is one of the path itself.
     """
     make = partial(fit_jointly, parameters=parameters, knot_spacing=knot_spacing, progress=progress)
-    kept, beside, left_out = retry_without_failures(list(candidates), make)
-    paths = [each.path() for each in beside.steps]
+    kept, beside, left_out = retry_without_failures(list(prepared), make)
+    paths = [each.path() for each in beside.solvers]
     shared, own = beside.values
     runs = [_run(*each) for each in zip(kept, paths, own, strict=True)]
     findings = [
@@ -53,8 +53,12 @@ def fit_paths(
     return FitResult(
         shared=shared,
         runs=runs,
-        status="converged" if beside.converged else "stalled" if beside.turns else "out of steps",
-        steps=beside.turns + max(path.steps for path in paths),
+        status="converged"
+        if beside.converged
+        else "stalled"
+        if beside.iterations
+        else "out of steps",
+        steps=beside.iterations + max(path.steps for path in paths),
         failures=left_out,
         findings=findings,
         labels=beside.labels,

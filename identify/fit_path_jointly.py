@@ -76,7 +76,7 @@ class JointFit:
         parameters: What was fitted beside them, shared ones first.
         places: Of each run's values among the coordinates, in the parameters' order.
         steps: Each run's path, its covariance that of a path whose other numbers are uncertain.
-        candidates: The runs with the values put in.
+        runs: The runs with the values put in.
         coordinates: Of the values: shared, then each run's own, shape (coordinates,).
         covariance: Of these, shape (coordinates, coordinates).
         turns: Gauss-Newton steps of the values.
@@ -85,11 +85,11 @@ class JointFit:
 
     parameters: tuple[Parameter, ...]
     places: list[np.ndarray]
-    steps: list[ZetaPathSolver]
-    candidates: list[PreparedRun]
+    solvers: list[ZetaPathSolver]
+    runs: list[PreparedRun]
     coordinates: np.ndarray
     covariance: np.ndarray
-    turns: int
+    iterations: int
     converged: bool
 
     @property
@@ -97,7 +97,7 @@ class JointFit:
         """A name for each coordinate: "lambda", "rig.mass_z of slow_a"."""
         shared = [p.quantity.label for p in self.parameters if p.shared]
         own = [p.quantity.label for p in self.parameters if not p.shared]
-        return (*shared, *(f"{label} of {run.name}" for run in self.candidates for label in own))
+        return (*shared, *(f"{label} of {run.name}" for run in self.runs for label in own))
 
     @property
     def values(self) -> tuple[dict[str, Value], list[dict[str, Value]]]:
@@ -141,7 +141,7 @@ def require_joint_parameters(parameters: Sequence[Parameter]) -> None:
 
 
 def fit_jointly(
-    candidates: Sequence[PreparedRun],
+    runs: Sequence[PreparedRun],
     parameters: Sequence[Parameter],
     knot_spacing: float,
     progress: Progress | None = None,
@@ -149,7 +149,7 @@ def fit_jointly(
     """zeta(t) of each run and the parameters, by what all runs say together.
 
     Args:
-        candidates: Runs of the same kind of wheel, law and carriage.
+        runs: Runs of the same kind of wheel, law and carriage.
         parameters: What is fitted beside the paths; shared ones first in what is returned.
         knot_spacing: Of the paths [s].
         progress: Called with the stage and the turn.
@@ -159,23 +159,21 @@ def fit_jointly(
         InputError: where a parameter is of the path itself.
     """
     if not parameters:
-        steps = path_solvers(candidates, knot_spacing)
+        steps = path_solvers(runs, knot_spacing)
         settled = all(each.converged for each in steps)
         nowhere = [np.zeros(0, int)] * len(steps)
-        return JointFit(
-            (), nowhere, steps, [*candidates], np.zeros(0), np.zeros((0, 0)), 0, settled
-        )
+        return JointFit((), nowhere, steps, [*runs], np.zeros(0), np.zeros((0, 0)), 0, settled)
     require_joint_parameters(parameters)
     report = progress or (lambda stage, turn, evidence: None)
-    fit = _JointProblem(candidates, parameters)
+    fit = _JointProblem(runs, parameters)
     now = fit.start()
-    best = fit.at(now, knot_spacing, None)
+    best = fit.paths_at(now, knot_spacing, None)
     turns = refused = 0
     halved, converged = 1.0, False
-    linear = fit.linearised(now, best)
+    linear = fit.linearize(now, best)
     while turns < MOST_TURNS:
         report("paths, and numbers beside them", turns, np.nan)
-        information, slope = fit.normal(now, linear)
+        information, slope = fit.normal_equations(now, linear)
         covariance = _inverse(information)
         move = -covariance @ slope
         error = np.sqrt(np.diag(covariance))
@@ -185,7 +183,7 @@ def fit_jointly(
         move *= halved * min(1.0, LONGEST_MOVE / np.abs(move).max())
         turns += 1
         try:
-            tried = fit.at(now + move, knot_spacing, best)
+            tried = fit.paths_at(now + move, knot_spacing, best)
         except RunError:
             tried = None
         if tried is None or fit.evidence(now + move, tried) < fit.evidence(now, best) - NOTICEABLE:
@@ -194,74 +192,74 @@ def fit_jointly(
                 break
             continue
         now, best, refused, halved = now + move, tried, 0, 1.0
-        linear = fit.linearised(now, best)
-    covariance = _inverse(fit.normal(now, linear)[0])
+        linear = fit.linearize(now, best)
+    covariance = _inverse(fit.normal_equations(now, linear)[0])
     fit.widen(best, linear, covariance)
     converged = converged and all(each.converged for each in best)
-    places = [fit.of(run) for run in range(len(best))]
-    placed = fit.placed(now)
+    places = [fit.places_of(run) for run in range(len(best))]
+    placed = fit.runs_at(now)
     return JointFit(fit.parameters, places, best, placed, now, covariance, turns, converged)
 
 
 class _JointProblem:
     """Runs and parameters, and what one linearisation of all says of the parameters."""
 
-    def __init__(self, candidates: Sequence[PreparedRun], parameters: Sequence[Parameter]):
-        self.candidates = list(candidates)
+    def __init__(self, runs: Sequence[PreparedRun], parameters: Sequence[Parameter]):
+        self.runs = list(runs)
         shared = [each for each in parameters if each.shared]
         self.parameters = (*shared, *(each for each in parameters if not each.shared))
         self.shared = len(shared)
 
     def start(self) -> np.ndarray:
         """Coordinates of the runs as they stand; shared ones from the first run."""
-        for each in self.candidates:
+        for each in self.runs:
             try:
                 for parameter in self.parameters:
                     parameter.require_start(each.trial)
             except InputError as problem:
                 raise RunError(each.name, str(problem)) from None
         every = np.array(
-            [[float(p.coordinate(c.trial)) for p in self.parameters] for c in self.candidates]
+            [[float(p.coordinate(c.trial)) for p in self.parameters] for c in self.runs]
         )
         return np.r_[every[0, : self.shared], every[:, self.shared :].ravel()]
 
-    def of(self, run: int) -> np.ndarray:
+    def places_of(self, run: int) -> np.ndarray:
         """Places of a run's coordinates, in the parameters' order."""
         return coordinates_of(run, len(self.parameters), self.shared)
 
-    def placed(self, coordinates: np.ndarray) -> list[PreparedRun]:
+    def runs_at(self, coordinates: np.ndarray) -> list[PreparedRun]:
         """The runs with these values in trial and set-up."""
         found = []
-        for run, each in enumerate(self.candidates):
-            own = coordinates[self.of(run)]
+        for run, each in enumerate(self.runs):
+            own = coordinates[self.places_of(run)]
             setup = copy.deepcopy(each.setup)
             for parameter, at in zip(self.parameters, own, strict=True):
                 parameter.quantity.record(setup, float(parameter.bijector.value(jnp.asarray(at))))
             found.append(replace(each, setup=setup, trial=_with(each.trial, self.parameters, own)))
         return found
 
-    def at(
+    def paths_at(
         self, coordinates: np.ndarray, spacing: float, begun: list[ZetaPathSolver] | None
     ) -> list[ZetaPathSolver]:
         """The paths at these values."""
-        return path_solvers(self.placed(coordinates), spacing, begun)
+        return path_solvers(self.runs_at(coordinates), spacing, begun)
 
     def evidence(self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]) -> float:
         """Log probability of all runs, and of what was believed."""
-        belief, _ = self._beliefs(coordinates)
-        return sum(each.posterior.evidence for each in steps) - 0.5 * float(belief @ belief)
+        prior, _ = self._priors(coordinates)
+        return sum(each.posterior.evidence for each in steps) - 0.5 * float(prior @ prior)
 
-    def _beliefs(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _priors(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of the priors and their derivatives, by coordinate."""
         residual, slope = np.zeros(len(coordinates)), np.zeros(len(coordinates))
-        for run in range(len(self.candidates)):
-            for place, parameter in zip(self.of(run), self.parameters, strict=True):
+        for run in range(len(self.runs)):
+            for place, parameter in zip(self.places_of(run), self.parameters, strict=True):
                 at = jnp.asarray(coordinates[place])
-                found = jax.jvp(parameter.belief, (at,), (jnp.ones_like(at),))
+                found = jax.jvp(parameter.prior_residual, (at,), (jnp.ones_like(at),))
                 residual[place], slope[place] = map(float, found)
         return residual, slope
 
-    def linearised(
+    def linearize(
         self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]
     ) -> list["_Linear"]:
         """Second derivatives and slope of half the misfit of each run, where its path ended."""
@@ -275,7 +273,7 @@ class _JointProblem:
             for run in alike:
                 at = steps[run].number
                 curves[at], paths[at] = steps[run].curve, steps[run].padded
-                own[at] = coordinates[self.of(run)]
+                own[at] = coordinates[self.places_of(run)]
             inputs = map(jnp.asarray, (curves, paths, own))
             found = np.asarray(_slopes(batch, device_mesh(), self.parameters, *inputs))
             slopes |= {run: found[steps[run].number] for run in alike}
@@ -284,15 +282,15 @@ class _JointProblem:
             for run, each in enumerate(steps)
         ]
 
-    def normal(
+    def normal_equations(
         self, coordinates: np.ndarray, linear: Sequence["_Linear"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Information on the values with every path free, and the slope of half the misfit."""
-        belief, slope_of_belief = self._beliefs(coordinates)
-        information = np.diag(slope_of_belief**2)
-        slope = slope_of_belief * belief
+        prior, prior_slope = self._priors(coordinates)
+        information = np.diag(prior_slope**2)
+        slope = prior_slope * prior
         for run, each in enumerate(linear):
-            place = self.of(run)
+            place = self.places_of(run)
             own, pull = each.with_path_free()
             information[np.ix_(place, place)] += own
             slope[place] += pull
@@ -303,7 +301,7 @@ class _JointProblem:
     ) -> None:
         """Count the values' uncertainty in that of the paths."""
         for run, (each, here) in enumerate(zip(steps, linear, strict=True)):
-            place = self.of(run)
+            place = self.places_of(run)
             each.widen(here.follows @ covariance[np.ix_(place, place)] @ here.follows.T)
 
 

@@ -1,7 +1,7 @@
 """Limits of what the runs of a dataset can show, whatever the diagnosis."""
 
 from diagnose.dataset import RigDataset
-from drftjax.recorded.observation import comparable
+from drftjax.recorded.observation import comparable_channels
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -42,7 +42,7 @@ def _channel_sentences(dataset: RigDataset) -> list[str]:
         notes.append(
             "The carriage was driven: x is given, and effects show in sinkage, forces and torque."
         )
-    for channel in comparable(driven):
+    for channel in comparable_channels(driven):
         lacking = [c.name for c in dataset.runs if channel not in c.observation.channels]
         # Torque of a free carriage is more than most rigs record.
         if len(lacking) == len(dataset.runs) and (driven or channel != "torque"):

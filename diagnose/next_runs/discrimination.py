@@ -20,7 +20,7 @@ from diagnose.model.augmented_model import AugmentedModel, with_effects
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
-from drftjax.recorded.observation import SHOWN, comparable
+from drftjax.recorded.observation import SHOWN, comparable_channels
 from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
 from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.trial import Trial
@@ -124,7 +124,7 @@ def next_run(
     by_variation = [differences(variations[0])]
     by_variation += dataset.threads.map(differences, variations[1:])
     floor = dict(settings.instrument_noise) | dict(floors)
-    compared = comparable(dataset.runs[base].setup.rig.carriage == "driven")
+    compared = comparable_channels(dataset.runs[base].setup.rig.carriage == "driven")
     advice = {}
     for count in sorted({len(others), 1}, reverse=True):
         proposals = []

@@ -8,7 +8,7 @@ import numpy as np
 from diagnose.dataset import RigDataset
 from diagnose.localization.kinematics import RunKinematics, kinematics_of_run
 from diagnose.unknown.disturbances import Disturbance, DisturbanceRegressors
-from diagnose.unknown.gaussian_smoother import OWN_ZETA
+from diagnose.unknown.gaussian_smoother import SMOOTHER_SETTINGS
 from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
 from drftjax.effects.correction import VARIABLES, Curve, correction
 from drftjax.recorded.repeats import group_by_condition
@@ -180,7 +180,7 @@ class _CurveFit:
     def without_zeta(self, run: int) -> np.ndarray:
         """A run's products with its own zeta eliminated, shape (knots + 1, knots + 1)."""
         gram = self.gram[run]
-        own = gram[0, 0] + OWN_ZETA**-2
+        own = gram[0, 0] + SMOOTHER_SETTINGS.own_zeta**-2
         return gram[1:, 1:] - np.outer(gram[1:, 0], gram[0, 1:]) / own
 
     def fit(self, runs: np.ndarray, precision: np.ndarray) -> np.ndarray:

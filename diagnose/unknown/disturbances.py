@@ -159,7 +159,7 @@ def _disturbance(dataset: RigDataset, name: str, regressors: DisturbanceRegresso
     sums = GramSums.of(regressors.columns, regressors.data)
     nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
     number = sums.number.sum(axis=1)
-    before, after = float(nothing.left @ number), float(fit.left @ number)
+    before, after = float(nothing.residual_power @ number), float(fit.residual_power @ number)
     lengths = [len(time) for time in regressors.time]
     error = np.sqrt(np.maximum(np.einsum("rii->ri", fit.covariance), 0))
     return Disturbance(
@@ -171,7 +171,7 @@ def _disturbance(dataset: RigDataset, name: str, regressors: DisturbanceRegresso
         freedom=fit.freedom,
         remaining={
             channel: float(np.sqrt(left)) * model_error(channel)
-            for channel, left in zip(dataset.channels, fit.left, strict=True)
+            for channel, left in zip(dataset.channels, fit.residual_power, strict=True)
         },
         time=regressors.time,
         signal=[fit.mean[r, 1 : 1 + n] for r, n in enumerate(lengths)],

@@ -1,81 +1,100 @@
-"""A smooth signal for each run behind what was recorded; the data say how smooth, with what noise.
+"""A smooth signal in every run, its smoothness and the noise chosen by their evidence.
 
-All is Gaussian and linear, so the probability of the data given the few numbers of prior and noise
-is known in closed form; those numbers are the ones of largest probability.
+White noise of each channel, and a prior of level, slope and second differences of the signal at its
+knots, beside a log zeta of each run's own (`drftjax.recorded.gaussian_posterior`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-# Standard deviation of each run's own log zeta about where it was linearised.
-OWN_ZETA = 0.05
-
-
-# Numbers of prior and noise are searched with these steps of their decimal logarithms.
-STEPS = (1.0, 0.5, 0.25, 0.125)
-
-
-MOST_MOVES = 12
+from drftjax.recorded.gaussian_posterior import (
+    GaussianPosterior,
+    gaussian_posterior,
+    second_difference_precision,
+)
 
 
-# Level of a signal over its typical size, and its bend from knot to knot over its level.
-LEVELS, BENDS = (-3.0, 2.0), (-4.0, 0.5)
+@dataclass(frozen=True)
+class SmootherSettings:
+    """Decision numbers of the smoother; ranges are decimal logarithms.
+
+    Attributes:
+        own_zeta: Standard deviation of each run's own log zeta about its linearisation.
+        steps: Steps of the search for the numbers of prior and noise, one after the other.
+        max_rounds: Rounds over all numbers at one step, at most.
+        small_gain: Log evidence that a round must gain for another at the same step.
+        levels: Range of a signal's level over its typical size.
+        bends: Range of its second differences from knot to knot over its level.
+        noises: Range of the noise over its floor.
+        slope_knots: Knots over which a signal's slope makes as much as its level.
+        jitter: See `gaussian_posterior`: the sizes of the columns differ by many decades.
+    """
+
+    own_zeta: float = 0.05
+    steps: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)
+    max_rounds: int = 12
+    small_gain: float = 0.01
+    levels: tuple[float, float] = (-3.0, 2.0)
+    bends: tuple[float, float] = (-4.0, 0.5)
+    noises: tuple[float, float] = (0.0, 3.0)
+    slope_knots: float = 20.0
+    jitter: float = 1e-11
 
 
-# Noise over its floor.
-NOISES = (0.0, 3.0)
-
-
-# Knots over which a signal's slope is as large as its level.
-SLOPE_KNOTS = 20.0
+SMOOTHER_SETTINGS = SmootherSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class GramSums:
-    """Products of the columns (own zeta, knots...) and data of every run, by channel.
+    """Products of the columns (own log zeta, knots..., data) of every run, by channel.
 
     Attributes:
-        gram: Columns with columns over the squared floor, shape (channels, runs, n, n).
-        slope: Columns with data, shape (channels, runs, n).
-        power: Data with data, shape (channels, runs).
+        gram: In units of the squared floor, shape (channels, runs, n + 1, n + 1).
         number: Data, shape (channels, runs).
     """
 
     gram: np.ndarray
-    slope: np.ndarray
-    power: np.ndarray
     number: np.ndarray
 
     @classmethod
     def of(
         cls, columns: Sequence[Sequence[np.ndarray]], data: Sequence[Sequence[np.ndarray]]
     ) -> "GramSums":
-        """Of columns and data by channel and run, in units of the floor."""
+        """Sum the products of columns (data, n) and data (data,) by channel and run, in floors."""
+        whole = [
+            [np.c_[a, y] for a, y in zip(*both, strict=True)]
+            for both in zip(columns, data, strict=True)
+        ]
         return cls(
-            np.array([[a.T @ a for a in runs] for runs in columns]),
-            np.array(
-                [
-                    [a.T @ y for a, y in zip(c, d, strict=True)]
-                    for c, d in zip(columns, data, strict=True)
-                ]
-            ),
-            np.array([[y @ y for y in runs] for runs in data]),
-            np.array([[len(y) for y in runs] for runs in data]),
+            np.array([[a.T @ a for a in runs] for runs in whole]),
+            np.array([[len(a) for a in runs] for runs in whole]),
         )
+
+    def without_signal(self) -> "GramSums":
+        """Return the products of own log zeta and data alone."""
+        kept = [0, -1]
+        return GramSums(self.gram[..., kept, :][..., kept], self.number)
+
+    def residual_power(self, mean: Float[np.ndarray, "runs n"]) -> Float[np.ndarray, " channels"]:
+        """Return the mean square by channel that these coefficients leave, in floors."""
+        along = np.c_[mean, np.full(len(mean), -1.0)]
+        square = np.einsum("ri,crij,rj->c", along, self.gram, along)
+        return np.maximum(square, 0) / np.maximum(self.number.sum(axis=1), 1)
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedSignal:
-    """Signals at the prior and noise of largest probability.
+    """Signals at the prior and noise of largest evidence.
 
     Attributes:
         evidence: Logarithm of the data's probability.
-        mean: Coefficients of every run, shape (runs, n).
+        mean: Coefficients of every run (own log zeta, knots...), shape (runs, n).
         covariance: Of them, shape (runs, n, n).
         freedom: Effective number of coefficients that the data determine, own zeta left out.
-        left: Mean square left by channel, in floors.
+        residual_power: Mean square of the residual by channel, in floors.
         level: Standard deviation of the signals' level.
         noise: Standard deviation by channel, in floors.
     """
@@ -84,125 +103,112 @@ class SmoothedSignal:
     mean: np.ndarray
     covariance: np.ndarray
     freedom: float
-    left: np.ndarray
+    residual_power: np.ndarray
     level: float
     noise: np.ndarray
 
 
-def smooth(sums: GramSums, typical: float) -> SmoothedSignal:
-    """The most probable signals.
+def smooth(
+    sums: GramSums, typical: float, settings: SmootherSettings = SMOOTHER_SETTINGS
+) -> SmoothedSignal:
+    """Return the most probable signals.
 
     Args:
-        sums: Of own zeta and the knots.
-        typical: Size that the signal may well have.
+        sums: Of own log zeta, the knots and the data.
+        typical: Size that the signal may well have, in its unit.
+        settings: Decision numbers.
     """
-    count = sums.gram.shape[-1] - 1
-    channels = len(sums.gram)
-    low = np.r_[LEVELS[0], BENDS[0], np.full(channels, NOISES[0])]
-    high = np.r_[LEVELS[1], BENDS[1], np.full(channels, NOISES[1])]
-    parts = _prior_parts(count)
+    count = sums.gram.shape[-1] - 2
+    level_and_slope = _level_and_slope(count, settings.slope_knots)
+    bends = second_difference_precision(count)
 
     def prior(at: np.ndarray) -> np.ndarray:
         level = typical * 10 ** at[0]
-        bend = level * 10 ** at[1]
-        return parts[0] / level**2 + parts[1] / bend**2
+        return level_and_slope / level**2 + bends / (level * 10 ** at[1]) ** 2
 
-    def evidence(at: np.ndarray) -> float:
-        return _evidence(sums, prior(at), 10 ** at[2:])
-
-    noise = np.clip(0.5 * np.log10(_spread(sums)), *NOISES)
+    noise = _first_noise(sums, settings)
     starts = [np.r_[0.0, bend, np.maximum(noise - drop, 0)] for bend, drop in ((-2, 1), (-0.5, 1))]
-    best = max(
-        (_coordinate_ascent(evidence, s, low, high) for s in starts), key=lambda each: each[1]
-    )[0]
-    precision, slope = _posterior(sums, prior(best), 10 ** best[2:])
-    covariance = np.linalg.inv(precision)
-    mean = np.einsum("rij,rj->ri", covariance, slope)
-    gram = np.einsum("c,crij->rij", 10 ** (-2 * best[2:]), sums.gram)
-    freedom = np.einsum("rij,rji->ri", covariance, gram)[:, 1:].sum()
-    return SmoothedSignal(
-        evidence(best),
-        mean,
-        covariance,
-        float(freedom),
-        residual_power(sums, mean),
-        float(typical * 10 ** best[0]),
-        10 ** best[2:],
-    )
+    best, found = _maximize(sums, prior, starts, (settings.levels, settings.bends), settings)
+    return found(best, float(typical * 10 ** best[0]))
 
 
-def fit_zeta_only(sums: GramSums) -> SmoothedSignal:
-    """Own zeta alone, without any signal."""
-    only = GramSums(sums.gram[..., :1, :1], sums.slope[..., :1], sums.power, sums.number)
-    channels = len(sums.gram)
-    nothing = np.zeros((0, 0))
+def fit_zeta_only(sums: GramSums, settings: SmootherSettings = SMOOTHER_SETTINGS) -> SmoothedSignal:
+    """Return the fit of each run's own log zeta alone, without any signal."""
+    only = sums.without_signal()
+    starts = [_first_noise(sums, settings)]
+    best, found = _maximize(only, lambda _: np.zeros((0, 0)), starts, (), settings)
+    return found(best, 0.0)
+
+
+def _maximize(
+    sums: GramSums,
+    prior: Callable[[np.ndarray], np.ndarray],
+    starts: Sequence[np.ndarray],
+    ranges: Sequence[tuple[float, float]],
+    settings: SmootherSettings,
+) -> tuple[np.ndarray, Callable[[np.ndarray, float], SmoothedSignal]]:
+    """Return the logarithms (prior..., noise...) of largest evidence, and the signal at such."""
+    low, high = np.array([*ranges, *[settings.noises] * len(sums.gram)]).T
+
+    def posterior(at: np.ndarray, jitter: float) -> GaussianPosterior:
+        noise = 10 ** at[len(ranges) :]
+        gram = np.einsum("c,crij->rij", noise**-2, sums.gram)
+        size = gram.shape[-1] - 1
+        precision = np.zeros((size, size))
+        precision[0, 0] = settings.own_zeta**-2
+        precision[1:, 1:] = prior(at)
+        log_noise = float((sums.number.sum(axis=1) * 2 * np.log(noise)).sum())
+        return gaussian_posterior(gram, precision, log_noise=log_noise, jitter=jitter)
 
     def evidence(at: np.ndarray) -> float:
-        return _evidence(only, nothing, 10**at)
+        return posterior(at, settings.jitter).log_evidence
 
-    start = np.clip(0.5 * np.log10(_spread(sums)), *NOISES)
-    low, high = np.full(channels, NOISES[0]), np.full(channels, NOISES[1])
-    best, found = _coordinate_ascent(evidence, start, low, high)
-    precision, slope = _posterior(only, nothing, 10**best)
-    covariance = np.linalg.inv(precision)
-    mean = np.einsum("rij,rj->ri", covariance, slope)
-    return SmoothedSignal(found, mean, covariance, 0.0, residual_power(only, mean), 0.0, 10**best)
+    def found(at: np.ndarray, level: float) -> SmoothedSignal:
+        at_best = posterior(at, 0.0)
+        mean, covariance = at_best.mean, at_best.covariance
+        freedom = np.einsum("rij,rji->ri", covariance, at_best.information)[:, 1:].sum()
+        return SmoothedSignal(
+            evidence(at),
+            mean,
+            covariance,
+            float(freedom),
+            sums.residual_power(mean),
+            level,
+            10 ** at[len(ranges) :],
+        )
+
+    ends = [_coordinate_ascent(evidence, each, low, high, settings) for each in starts]
+    return max(ends, key=lambda each: each[1])[0], found
 
 
-def residual_power(sums: GramSums, mean: np.ndarray) -> np.ndarray:
-    """Mean square that coefficients leave, by channel, in floors."""
-    square = (
-        sums.power
-        - 2 * np.einsum("cri,ri->cr", sums.slope, mean)
-        + np.einsum("ri,crij,rj->cr", mean, sums.gram, mean)
+def _first_noise(sums: GramSums, settings: SmootherSettings) -> Float[np.ndarray, " channels"]:
+    """Return the logarithm of the noise were nothing fitted."""
+    nothing = np.zeros((sums.gram.shape[1], sums.gram.shape[2] - 1))
+    return np.clip(
+        0.5 * np.log10(np.maximum(sums.residual_power(nothing), 1e-12)), *settings.noises
     )
-    return np.maximum(square.sum(axis=1), 0) / np.maximum(sums.number.sum(axis=1), 1)
 
 
-def _spread(sums: GramSums) -> np.ndarray:
-    power = sums.power.sum(axis=1) / np.maximum(sums.number.sum(axis=1), 1)
-    return np.maximum(power, 1e-12)
-
-
-def _prior_parts(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Precision of level and slope, and of the bends, for ones of unit size."""
-    bends = np.diff(np.eye(count), 2, axis=0)
+def _level_and_slope(count: int, slope_knots: float) -> Float[np.ndarray, "count count"]:
+    """Return the precision of a signal's mean level and slope for ones of unit size."""
     level = np.full(count, 1 / count)
     along = np.arange(count) - (count - 1) / 2
-    slope = SLOPE_KNOTS * along / max(float(along @ along), 1e-9)
-    return np.outer(level, level) + np.outer(slope, slope), bends.T @ bends
+    slope = slope_knots * along / max(float(along @ along), 1e-9)
+    return np.outer(level, level) + np.outer(slope, slope)
 
 
-def _posterior(
-    sums: GramSums, prior: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    precision = np.einsum("c,crij->rij", noise**-2, sums.gram)
-    precision[:, 0, 0] += OWN_ZETA**-2
-    precision[:, 1:, 1:] += prior
-    return precision, np.einsum("c,cri->ri", noise**-2, sums.slope)
-
-
-def _evidence(sums: GramSums, prior: np.ndarray, noise: np.ndarray) -> float:
-    precision, slope = _posterior(sums, prior, noise)
-    # In units of its own diagonal: the columns' sizes differ by many decades.
-    size = 1 / np.sqrt(np.einsum("rii->ri", precision))
-    scaled = precision * size[:, :, None] * size[:, None, :]
-    scaled += 1e-11 * np.eye(len(size[0]))
-    root = np.linalg.cholesky(scaled)
-    half = np.linalg.solve(root, (slope * size)[..., None])[..., 0]
-    volume = 2 * np.log(np.einsum("rii->ri", root)).sum() - 2 * np.log(size).sum()
-    before = len(slope) * (np.linalg.slogdet(prior)[1] - 2 * np.log(OWN_ZETA))
-    misfit = float((noise**-2 * sums.power.sum(axis=1)).sum()) - float((half**2).sum())
-    spread = float((sums.number.sum(axis=1) * 2 * np.log(noise)).sum())
-    return -0.5 * (misfit + volume - before + spread)
-
-
-def _coordinate_ascent(worth, start: np.ndarray, low: np.ndarray, high: np.ndarray):
-    """Up along the axes, with ever smaller steps."""
+def _coordinate_ascent(
+    objective: Callable[[np.ndarray], float],
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    settings: SmootherSettings,
+) -> tuple[np.ndarray, float]:
+    """Return the place and value that ever smaller steps along the axes climb to."""
     at = np.clip(start, low, high)
-    here = worth(at)
-    for step in STEPS:
-        for _ in range(MOST_MOVES):
+    here = objective(at)
+    for step in settings.steps:
+        for _ in range(settings.max_rounds):
             before = here
             for axis in range(len(at)):
                 for sign in (1, -1):
@@ -210,10 +216,10 @@ def _coordinate_ascent(worth, start: np.ndarray, low: np.ndarray, high: np.ndarr
                     moved[axis] = np.clip(at[axis] + sign * step, low[axis], high[axis])
                     if moved[axis] == at[axis]:
                         continue
-                    there = worth(moved)
+                    there = objective(moved)
                     if there > here:
                         at, here = moved, there
                         break
-            if here - before < 0.01:
+            if here - before < settings.small_gain:
                 break
     return at, here

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drftjax.common.errors import InputError
 from drftjax.common.text import printable
-from identify.cluster.store import FinishedFit, Store
-from identify.cluster.worker import Settings, fit_logs, fit_replies
+from identify.cluster.store import FinishedFit, FitStore
+from identify.cluster.worker import FitOptions, fit_logs, fit_replies
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -74,7 +74,7 @@ Report = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Local:
+class LocalWorkers:
     """A cluster of processes on this machine.
 
     Attributes:
@@ -85,7 +85,7 @@ class Local:
 
 
 @dataclass(frozen=True)
-class Remote:
+class RemoteScheduler:
     """A cluster that runs already.
 
     Attributes:
@@ -96,7 +96,7 @@ class Remote:
 
 
 @dataclass(frozen=True)
-class Log:
+class LogFile:
     """A run log's file.
 
     Attributes:
@@ -108,7 +108,7 @@ class Log:
     digest: str
 
     @classmethod
-    def at(cls, path: Path) -> "Log":
+    def at(cls, path: Path) -> "LogFile":
         """The log in a file.
 
         Raises:
@@ -147,7 +147,7 @@ def _contents(path: Path) -> bytes:
         raise InputError(f"{path}: cannot be read ({reason})") from None
 
 
-def cluster(text: str) -> Local | Remote:
+def parse_address(text: str) -> LocalWorkers | RemoteScheduler:
     """A cluster by its address: `local`, `local:4` or `tcp://scheduler:8786`.
 
     Raises:
@@ -161,9 +161,9 @@ def cluster(text: str) -> Local | Remote:
                 f"--cluster {text}: the number of workers must be 1 to "
                 f"{MOST_WORKERS_A_CORE * cores} on this machine of {cores} cores"
             )
-        return Local(workers)
+        return LocalWorkers(workers)
     if (found := _TCP.fullmatch(text)) and 1 <= int(found["port"]) <= 65535:
-        return Remote(text)
+        return RemoteScheduler(text)
     raise InputError(
         f"--cluster is {text!r}, must be local, local:N with a number of workers, or "
         "tcp://scheduler:port"
@@ -177,7 +177,7 @@ def require_extra() -> None:
 
 
 @contextmanager
-def connected(where: Local | Remote) -> Iterator["Client"]:
+def connect(where: LocalWorkers | RemoteScheduler) -> Iterator["Client"]:
     """A client of the cluster; a local one is started, and stopped at the end.
 
     Raises:
@@ -185,7 +185,7 @@ def connected(where: Local | Remote) -> Iterator["Client"]:
     """
     from distributed import Client, LocalCluster
 
-    if isinstance(where, Remote):
+    if isinstance(where, RemoteScheduler):
         _require_scheduler(where.address)
         with Client(where.address, timeout=CONNECT_LIMIT) as client:
             yield client
@@ -254,7 +254,7 @@ def dashboard(client: "Client") -> str:
 
 
 def fit_on(
-    client: "Client", logs: Sequence[Log], settings: Settings, store: Store, report: Report
+    client: "Client", logs: Sequence[LogFile], settings: FitOptions, store: FitStore, report: Report
 ) -> dict[str, str]:
     """Fit logs and keep every result as it comes.
 
@@ -280,7 +280,7 @@ def fit_on(
     return fits.failures
 
 
-Batch = list[tuple[Log, bytes]]
+Batch = list[tuple[LogFile, bytes]]
 
 
 class _Fits:
@@ -289,9 +289,9 @@ class _Fits:
     def __init__(
         self,
         client: "Client",
-        logs: list[Log],
-        settings: Settings,
-        store: Store,
+        logs: list[LogFile],
+        settings: FitOptions,
+        store: FitStore,
         report: Report,
     ):
         self.failures: dict[str, str] = {}
@@ -394,7 +394,7 @@ class _Fits:
         self._store.append(finished)
         self._dealt_with += len(finished)
 
-    def _fail(self, log: Log, why: str) -> None:
+    def _fail(self, log: LogFile, why: str) -> None:
         self.failures[log.digest] = why
         self._dealt_with += 1
 

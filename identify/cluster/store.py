@@ -6,7 +6,6 @@ Lines are only ever appended, and synced before more is sent for, so a kill at a
 most one line without its end, which is cut off when the store is opened again.
 """
 
-import fcntl
 import os
 import re
 from collections.abc import Iterable
@@ -29,7 +28,7 @@ SCHEMA_VERSION: Final = 1
 _CHECKED: Final = re.compile(rb'\{"crc32":"([0-9a-f]{8})",(.*\})\n', re.DOTALL)
 
 
-class Header(msgspec.Struct, forbid_unknown_fields=True):
+class StoreHeader(msgspec.Struct, forbid_unknown_fields=True):
     """The first line.
 
     Attributes:
@@ -57,7 +56,7 @@ class FinishedFit(msgspec.Struct, forbid_unknown_fields=True):
     result: bytes
 
 
-class Store:
+class FitStore:
     """Finished fits of one set of settings. Use as a context manager.
 
     Attributes:
@@ -88,7 +87,7 @@ class Store:
             self._lock()
             # As JSON gives them back: a tuple is a list.
             plain = msgspec.json.decode(msgspec.json.encode(settings))
-            self._read(_line(Header(SCHEMA, SCHEMA_VERSION, plain)), plain)
+            self._read(_line(StoreHeader(SCHEMA, SCHEMA_VERSION, plain)), plain)
         except BaseException:
             os.close(self._handle)
             raise
@@ -125,6 +124,8 @@ class Store:
         return msgspec.json.decode(_checked(line), type=FinishedFit).result
 
     def _lock(self) -> None:
+        import fcntl  # not on every system; nothing else of this module needs it
+
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -160,7 +161,7 @@ class Store:
     def _settings(self, line: bytes) -> dict[str, Any]:
         """What the first line says of the fits below it."""
         try:
-            header = msgspec.json.decode(_checked(line), type=Header)
+            header = msgspec.json.decode(_checked(line), type=StoreHeader)
         except ValueError:
             raise InputError(
                 f"{self.path}: is damaged in line 1, or no store of fits at all; move it away to "
@@ -171,7 +172,7 @@ class Store:
                 f"{self.path}: is a {header.schema!r} of version {header.schema_version}, must be "
                 f"a {SCHEMA!r} of version {SCHEMA_VERSION}"
             )
-        return header.settings
+        return _current(header.settings)
 
     def _compare(self, other: dict[str, Any], settings: dict[str, Any]) -> None:
         for name in [*settings, *other]:
@@ -192,7 +193,15 @@ class Store:
         self._places[digest] = place, len(line)
 
 
-def _line(content: Header | FinishedFit) -> bytes:
+def _current(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with the noise model by its name; earlier files have a flag instead."""
+    if "autoregressive" not in settings:
+        return settings
+    rest = {name: value for name, value in settings.items() if name != "autoregressive"}
+    return rest | {"noise": "autoregressive" if settings["autoregressive"] else "white"}
+
+
+def _line(content: StoreHeader | FinishedFit) -> bytes:
     body = msgspec.json.encode(content)
     return b'{"crc32":"%08x",' % crc32(body) + body[1:] + b"\n"
 

@@ -44,12 +44,12 @@ class ParameterSpec(msgspec.Struct, frozen=True):
     start: float | None
 
 
-class Settings(msgspec.Struct, frozen=True):
+class FitOptions(msgspec.Struct, frozen=True):
     """What the fits of one store have in common.
 
     Attributes:
         parameters: What is fitted.
-        autoregressive: Whether residuals that follow one another are whitened.
+        noise: Name of the noise model of the residuals.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator.
         step: Its step [s]; where none is given, the longest that each command allows.
@@ -59,7 +59,7 @@ class Settings(msgspec.Struct, frozen=True):
     """
 
     parameters: tuple[ParameterSpec, ...]
-    autoregressive: bool = False
+    noise: str = "white"
     zeta: float | None = None
     method: str = "held pace"
     step: float | None = None
@@ -67,7 +67,7 @@ class Settings(msgspec.Struct, frozen=True):
     compare: tuple[str, ...] = CHANNELS
     software: str = __version__
 
-    def named(self) -> dict[str, Any]:
+    def plain_values(self) -> dict[str, Any]:
         """Plain values by name."""
         return msgspec.to_builtins(self)
 
@@ -136,7 +136,7 @@ def fit_logs(settings: bytes, logs: Sequence[tuple[str, bytes]]) -> list[bytes]:
     Raises:
         InputError: where this is another version of the package than the settings are of.
     """
-    how = msgspec.msgpack.decode(settings, type=Settings)
+    how = msgspec.msgpack.decode(settings, type=FitOptions)
     if how.software != __version__:
         raise InputError(
             f"a worker has drftjax {__version__}, must have {how.software}, as it is here"
@@ -150,12 +150,12 @@ def fit_replies(encoded: Sequence[bytes]) -> list[FitReply]:
     return [msgspec.msgpack.decode(each, type=FitReply) for each in encoded]
 
 
-def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> FitReply:
+def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitReply:
     from drftjax.recorded.prepared_run import prepare_run
     from drftjax.runlog.schema import run_from
     from identify.cluster.result_codec import encode_result
     from identify.fit_constant import fit
-    from identify.uncertainty.noise_model import Autoregressive, White
+    from identify.uncertainty.noise_model import noise_model
 
     try:
         with tempfile.TemporaryDirectory(prefix="drft-") as folder:
@@ -174,8 +174,7 @@ def _fit_log(settings: bytes, how: Settings, digest: str, data: bytes) -> FitRep
             keep_rest=how.keep_rest,
             compare=how.compare,
         )
-        noise = Autoregressive() if how.autoregressive else White()
-        result = fit([each], _parameters(settings), noise=noise)
+        result = fit([each], _parameters(settings), noise=noise_model(how.noise))
     except InputError as problem:
         return FitReply(digest, {}, b"", _reason(str(problem), digest))
     except Exception as problem:
@@ -198,7 +197,7 @@ def _parameters(encoded: bytes) -> list["Parameter"]:
     """The settings' parameters; made once, for a program is compiled for the objects in them."""
     from identify.parameters.parameter import parameter
 
-    settings = msgspec.msgpack.decode(encoded, type=Settings)
+    settings = msgspec.msgpack.decode(encoded, type=FitOptions)
     return [
         parameter(t.name, shared=False, bounds=t.bounds, prior=t.prior, start=t.start)
         for t in settings.parameters

@@ -79,10 +79,10 @@ def crosscheck(
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)
         gathered = gather(runs, ready, sinkage=True, tell=say)
-        candidates = gathered.runs
-        bar.update(task, description=f"replaying and fitting {len(candidates)} runs")
+        prepared = gathered.runs
+        bar.update(task, description=f"replaying and fitting {len(prepared)} runs")
         setting = TunerSetting(tick, zeta_step, tolerance)
-        result = check(candidates, setting, online=online, knot_spacing=knots, sweep=sweep)
+        result = check(prepared, setting, online=online, knot_spacing=knots, sweep=sweep)
         for name, why in result.failures.items():
             say(f"left out: {name}: {why}")
         result = dataclasses.replace(result, failures=gathered.skipped | dict(result.failures))

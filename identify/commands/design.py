@@ -93,7 +93,7 @@ def design(
     from identify.design.design import design as design_run
     from identify.design.fisher_information import InstrumentNoise
     from identify.design.limits import Limits
-    from identify.design.search import Search
+    from identify.design.search import DesignSettings
 
     if output is not None:
         names = result_files(output)
@@ -122,15 +122,15 @@ def design(
             nuisances=nuisance or None,
             limits=limits,
             instrument=InstrumentNoise(noise, tuple(channel or ("x", "z"))),
-            search=Search(steps=steps),
+            search=DesignSettings(steps=steps),
             wanted=wanted / 100,
             model_error=model_error * 1e-3,
             progress=status.update,
         )
-    if result.seen:
+    if result.identifiable:
         console.print(design_table(result))
     console.print(result.summary(), soft_wrap=True)
-    if output is not None and result.seen:
+    if output is not None and result.identifiable:
         written = _write(result, output)
         console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
 

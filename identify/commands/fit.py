@@ -145,7 +145,7 @@ def fit(
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
     from identify.results.result import result_files
-    from identify.uncertainty.noise_model import Autoregressive, White
+    from identify.uncertainty.noise_model import Autoregressive, White, noise_model
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
 
@@ -156,7 +156,7 @@ def fit(
     if zeta == "path" and "z" not in channels:
         raise InputError("--zeta path follows the sinkage, so --compare must name z")
     path = zeta == "path"
-    fitted = _named(own, share, parameters, path=path, apart=cluster is not None)
+    fitted = _fitted_parameters(own, share, parameters, path=path, apart=cluster is not None)
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
@@ -164,8 +164,9 @@ def fit(
         text, binary, picture = result_files(stem)
         require_places([text, binary, picture], runs)
         require_no_recording(binary)
+    noise = Autoregressive.name if autoregressive else White.name
     if cluster is not None:
-        from identify.cluster.worker import Settings, parameter_specs
+        from identify.cluster.worker import FitOptions, parameter_specs
         from identify.commands.fit_cluster import fit_on_cluster
 
         if zeta != "constant" or starts != 1 or profile or bootstrap or model:
@@ -173,8 +174,8 @@ def fit(
                 "--cluster fits a constant zeta, each run alone and as its log has it; leave "
                 "--zeta, --starts, --profile, --bootstrap and --model out"
             )
-        alone = Settings(
-            parameter_specs(fitted), autoregressive, start_zeta, method, step, keep_rest, channels
+        alone = FitOptions(
+            parameter_specs(fitted), noise, start_zeta, method, step, keep_rest, channels
         )
         kept, left_out = each_once(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
@@ -202,21 +203,22 @@ def fit(
         )
         tell = partial(say, style="yellow")
         gathered = gather(runs, ready, sinkage=path, tell=tell)
-        candidates = gathered.runs
-        bar.update(task, description=f"compiling for {len(candidates)} runs")
+        prepared = gathered.runs
+        bar.update(task, description=f"compiling for {len(prepared)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
             squares = "" if math.isnan(loss) else f", sum of squares {loss:.6g}"
             bar.update(task, description=f"{stage}: step {number}{squares}")
 
-        noise = Autoregressive() if autoregressive else White()
         if path:
             spacing = KNOT_SPACING if knots is None else knots
-            result = fit_paths(candidates, spacing, fitted, report)
+            result = fit_paths(prepared, spacing, fitted, report)
         else:
             if zeta == "phases":
-                fitted = zeta_phases(candidates, fitted)
-            result = add_required_speeds(fit_runs(candidates, fitted, report, noise, starts=starts))
+                fitted = zeta_phases(prepared, fitted)
+            result = add_required_speeds(
+                fit_runs(prepared, fitted, report, noise_model(noise), starts=starts)
+            )
         for name in profile or []:
             bar.update(task, description=f"profile of {name}")
             result = result.profile(name)
@@ -288,7 +290,7 @@ def _require_together(
         require_draws(bootstrap)
 
 
-def _named(
+def _fitted_parameters(
     own: list[str] | None,
     share: list[str] | None,
     parameters: Path | None,

@@ -20,17 +20,17 @@ from rich.progress import (
 from drftjax.common.errors import InputError
 from drftjax.common.text import printable
 from identify.cluster.scheduler import (
-    Local,
-    Log,
-    Remote,
-    cluster,
-    connected,
+    LocalWorkers,
+    LogFile,
+    RemoteScheduler,
+    connect,
     dashboard,
     fit_on,
+    parse_address,
     require_extra,
 )
-from identify.cluster.store import Store
-from identify.cluster.worker import Settings
+from identify.cluster.store import FitStore
+from identify.cluster.worker import FitOptions
 
 if TYPE_CHECKING:
     from identify.results.result import FitResult
@@ -48,7 +48,7 @@ WORST_LAST = ("converged", "stalled", "out of steps")
 def fit_on_cluster(
     address: str,
     runs: Mapping[str, Path],
-    settings: Settings,
+    settings: FitOptions,
     stem: Path | None,
     left_out: Mapping[str, str],
 ) -> None:
@@ -64,7 +64,7 @@ def fit_on_cluster(
     Raises:
         InputError: see `fit_on`; also where no run can be fitted.
     """
-    where = cluster(address)
+    where = parse_address(address)
     require_extra()
     if stem is None:
         raise InputError("--cluster keeps its results beside those of -o: give -o too")
@@ -72,14 +72,14 @@ def fit_on_cluster(
     for name in ("distributed", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     console = Console()
-    logs: dict[str, Log] = {}
+    logs: dict[str, LogFile] = {}
     failures = dict(left_out)
     for name, path in runs.items():
         try:
-            logs[name] = Log.at(path)
+            logs[name] = LogFile.at(path)
         except InputError as problem:
             failures[name] = str(problem)
-    with Store(stem.with_name(stem.name + ".store"), settings.named()) as store:
+    with FitStore(stem.with_name(stem.name + ".store"), settings.plain_values()) as store:
         todo = [log for log in logs.values() if log.digest not in store]
         if len(todo) < len(logs):
             _say(console, f"{store.path} has {len(logs) - len(todo)} of these {len(runs)} runs")
@@ -102,7 +102,11 @@ def fit_on_cluster(
 
 
 def _fit(
-    console: Console, where: Local | Remote, todo: Sequence[Log], settings: Settings, store: Store
+    console: Console,
+    where: LocalWorkers | RemoteScheduler,
+    todo: Sequence[LogFile],
+    settings: FitOptions,
+    store: FitStore,
 ) -> dict[str, str]:
     columns = (
         TextColumn("{task.description}"),
@@ -111,7 +115,7 @@ def _fit(
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with connected(where) as client:
+    with connect(where) as client:
         _say(console, f"dashboard: {dashboard(client)}")
         with Progress(*columns, console=console) as bar:
             task = bar.add_task("waiting for workers", total=len({log.digest for log in todo}))

@@ -1,6 +1,6 @@
 """The online tuner beside the offline zeta(t): how far apart, how late, how restless.
 
-Eq. 7 is replayed over each recorded run (`drftjax.tuning.step_tuner`), and zeta(t) is fitted to the
+Eq. 7 is replayed over each recorded run (`drftjax.tuning.replay`), and zeta(t) is fitted to the
 same run (`identify.zeta_path.smoother`). One factor at a time, tick, zeta step and tolerance are
 varied about the setting asked for; all settings and runs are one compiled program.
 """
@@ -151,7 +151,7 @@ def _plain(value: Any) -> Any:
 
 
 def crosscheck(
-    candidates: Sequence[PreparedRun],
+    prepared: Sequence[PreparedRun],
     setting: TunerSetting,
     *,
     online: Mapping[str, Online] | None = None,
@@ -162,7 +162,7 @@ def crosscheck(
     """Replay the tuner over recorded runs, and hold it against their offline zeta(t).
 
     Args:
-        candidates: Runs; one that cannot be replayed or fitted, moves for too few ticks, or is of
+        prepared: Runs; one that cannot be replayed or fitted, moves for too few ticks, or is of
             another kind of wheel, law or carriage than most, is left out.
         setting: The tuner.
         online: What a run logged of its own tuner, by name.
@@ -188,7 +188,7 @@ def crosscheck(
         except InputError as problem:
             raise RunError(each.name, str(problem)) from None
 
-    _, runs, left_out = retry_without_failures(candidates, both_ways)
+    _, runs, left_out = retry_without_failures(prepared, both_ways)
     return CrossCheck(setting, runs, left_out)
 
 

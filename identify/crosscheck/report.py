@@ -158,7 +158,7 @@ def plot(result: "CrossCheck") -> "Figure":
 def _draw_zeta(axes, run: "RunCheck") -> None:
     import numpy as np
 
-    from identify.zeta_path.path import LINES, between
+    from identify.zeta_path.path import SEGMENTS, segment_ends
 
     path = run.offline
     if run.truth is not None:
@@ -167,7 +167,7 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
     if run.online_time is not None and run.online_zeta is not None:
         axes.plot(run.online_time, run.online_zeta, color="C2", lw=0.8, label="tuner, as logged")
     low, high = axes.get_ylim()
-    curve = between(path.time)
+    curve = segment_ends(path.time)
     told = np.interp(curve, path.time, path.identified.astype(float)) == 1.0
     axes.plot(
         curve,
@@ -175,7 +175,7 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
         color="C0",
         lw=1.4,
         marker=".",
-        markevery=LINES,
+        markevery=SEGMENTS,
         label="offline",
     )
     # Where nothing is told the band is wider than any axes.

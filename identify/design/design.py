@@ -22,7 +22,7 @@ from identify.design.fisher_information import (
 )
 from identify.design.limits import Limits
 from identify.design.options import RunEvaluator, RunOption, quantities_named
-from identify.design.search import Progress, Search, local_optimum, objective_of
+from identify.design.search import DesignSettings, Progress, local_optimum, objective_of
 
 DESIGN_SCHEMA = "drft-design"
 
@@ -52,8 +52,8 @@ class Design:
     parameter: str
     unit: str
     nuisances: tuple[str, ...]
-    now: RunOption
-    beyond: tuple[str, ...]
+    given: RunOption
+    violations: tuple[str, ...]
     best: RunOption
     found: tuple[RunOption, ...]
     scan: tuple[RunOption, ...]
@@ -65,14 +65,16 @@ class Design:
     channels: tuple[str, ...]
 
     @property
-    def seen(self) -> bool:
+    def identifiable(self) -> bool:
         """Whether any run within the limits tells the parameter from its nuisances."""
         return math.isfinite(self.best.information.error)
 
     @property
     def factor(self) -> float:
         """How many times smaller the standard error of the best run is [-]."""
-        return self.now.information.error / self.best.information.error if self.seen else 1.0
+        return (
+            self.given.information.error / self.best.information.error if self.identifiable else 1.0
+        )
 
     def shift(self, option: RunOption) -> float:
         """Largest shift of the fitted value by the model error."""
@@ -86,7 +88,7 @@ class Design:
         Args:
             with_model_error: Whether the shift by the model error counts as well.
         """
-        value = abs(self.now.information.value)
+        value = abs(self.given.information.value)
 
         def error(each: RunOption) -> float:
             return each.information.error + (self.shift(each) if with_model_error else 0.0)
@@ -105,8 +107,8 @@ class Design:
 
     def summary(self) -> str:
         """The outcome in a few sentences."""
-        name, now, best = self.parameter, self.now.information, self.best.information
-        if not self.seen:
+        name, now, best = self.parameter, self.given.information, self.best.information
+        if not self.identifiable:
             if best.effect <= SMALLEST_EFFECT:
                 return f"{name} moves no measured channel: no run within the limits can tell it."
             return (
@@ -115,23 +117,23 @@ class Design:
                 "Hold one of them at a known value, or measure it otherwise."
             )
         peak = math.degrees(max(self.best.setup.command.build().omega))
-        if self.best is self.now:
+        if self.best is self.given:
             change = "no run within the limits was found that tells more than the given one"
         elif self.factor >= 1:
             change = f"{self.factor:.3g} times smaller"
         else:
             change = (
                 f"{1 / self.factor:.3g} times larger, as the given profile cannot be run: "
-                f"{' and '.join(self.beyond)}"
+                f"{' and '.join(self.violations)}"
             )
         lines = [
             f"{name} = {now.value:.4g}: standard error {now.error:.3g} with the given profile"
             f"{_percent(now)}, {best.error:.3g} with the best one{_percent(best)}, up to "
-            f"{peak:.0f} deg/s over {self.best.way:.3g} m of the rim (the given profile's is "
-            f"{self.now.way:.3g} m): {change}.",
+            f"{peak:.0f} deg/s over {self.best.rim_travel:.3g} m of the rim (the given profile's "
+            f"is {self.given.rim_travel:.3g} m): {change}.",
             f"An error of the model itself of {self.model_error * 1e3:.3g} mm in x and z, in its "
-            f"worst shape, shifts {name} by {self.shift(self.now):.3g} with the given profile and "
-            f"by {self.shift(self.best):.3g} with the best one.",
+            f"worst shape, shifts {name} by {self.shift(self.given):.3g} with the given profile "
+            f"and by {self.shift(self.best):.3g} with the best one.",
         ]
         for model, words in ((False, "by white noise alone"), (True, "with that model error")):
             needed = self.speed_needed(model)
@@ -178,7 +180,7 @@ def design(
     nuisances: Sequence[str] | None = None,
     limits: Limits | None = None,
     instrument: InstrumentNoise | None = None,
-    search: Search | None = None,
+    search: DesignSettings | None = None,
     wanted: float = 0.1,
     model_error: float = 5e-5,
     progress: Progress | None = None,
@@ -202,7 +204,7 @@ def design(
     limits, instrument, search = (
         limits or Limits(),
         instrument or InstrumentNoise(),
-        search or Search(),
+        search or DesignSettings(),
     )
     report = progress or (lambda what: None)
     quantities = quantities_named(parameter_name, nuisances)
@@ -218,14 +220,14 @@ def design(
 
     judge = RunEvaluator(setup, quantities, instrument, limits)
     for load in limits.loads or ():
-        judge.deeper(load)  # refuses what the sand does not bear, before the search
+        judge.extra_sinkage(load)  # refuses what the sand does not bear, before the search
     radius = setup.wheel.radius
     fastest = max(trapezoid(limits, radius, limits.speed).omega)
     peaks = np.geomspace(fastest / 12, fastest, search.scan).tolist()
-    given = judge.setup_of(decimate_command(setup.command))
-    ramps = [judge.setup_of(trapezoid(limits, radius, peak)) for peak in peaks]
+    given = judge.setup_for(decimate_command(setup.command))
+    ramps = [judge.setup_for(trapezoid(limits, radius, peak)) for peak in peaks]
     report(f"the given profile and {search.scan} peak speeds")
-    now, *scan = judge.options(["given profile", *map(_trapezoid_name, peaks)], [given, *ramps])
+    now, *scan = judge.evaluate(["given profile", *map(_trapezoid_name, peaks)], [given, *ramps])
 
     unseen = not any(math.isfinite(each.information.error) for each in scan)
     found: list[RunOption] = []
@@ -233,14 +235,14 @@ def design(
         order = np.argsort([each.information.error for each in scan])[: search.starts]
         found = local_optimum(judge, search, [scan[index] for index in order], report)
         report("the profiles found, on the real plates")
-        found = judge.options([each.name for each in found], [each.setup for each in found])
+        found = judge.evaluate([each.name for each in found], [each.setup for each in found])
     # A long plateau at the limit may be best: the search must not lose to where it began, nor to
     # what is run already.
-    beyond = tuple(limits.beyond(given.command.build(), radius))
+    beyond = tuple(limits.violations(given.command.build(), radius))
     able = [*found, *scan] if beyond else [*found, *scan, now]
     best = min(able, key=lambda each: each.information.error)
     report("other loads and start angles")
-    others = [] if unseen else judge.options(*_variations(judge, best.setup))
+    others = [] if unseen else judge.evaluate(*_variations(judge, best.setup))
     return Design(
         quantities[0].label,
         quantities[0].unit,
@@ -259,7 +261,7 @@ def design(
     )
 
 
-def promised(
+def evaluate_setup(
     setup: SetUp,
     parameter_name: str,
     nuisances: Sequence[str] | None = None,
@@ -269,7 +271,7 @@ def promised(
     instrument = instrument or InstrumentNoise()
     instrument.check()
     judge = RunEvaluator(setup, quantities_named(parameter_name, nuisances), instrument, Limits())
-    return judge.options([setup.title], [judge.setup_of(decimate_command(setup.command))])[0]
+    return judge.evaluate([setup.title], [judge.setup_for(decimate_command(setup.command))])[0]
 
 
 def search_objective(
@@ -279,7 +281,7 @@ def search_objective(
     *,
     limits: Limits | None = None,
     instrument: InstrumentNoise | None = None,
-    search: Search | None = None,
+    search: DesignSettings | None = None,
 ) -> Objective:
     """What a search goes down: the logarithm of a standard error, on coarse rounded plates.
 
@@ -291,7 +293,7 @@ def search_objective(
     """
     instrument, limits = instrument or InstrumentNoise(), limits or Limits()
     judge = RunEvaluator(setup, quantities_named(parameter_name, nuisances), instrument, limits)
-    return objective_of(judge, search or Search())
+    return objective_of(judge, search or DesignSettings())
 
 
 def _trapezoid_name(peak: float) -> str:
@@ -304,7 +306,7 @@ def _variations(judge: RunEvaluator, best: SetUp) -> tuple[list[str], list[SetUp
     names, setups = [], []
     for load in judge.limits.loads or (0.8 * own, 1.2 * own):
         try:
-            setups.append(judge.setup_of(best.command, angle=best.start.angle, load=load))
+            setups.append(judge.setup_for(best.command, angle=best.start.angle, load=load))
         except InputError:  # a load that nobody asked for, and that this sand does not bear
             continue
         names.append(f"load {load:.0f} N")
@@ -313,5 +315,5 @@ def _variations(judge: RunEvaluator, best: SetUp) -> tuple[list[str], list[SetUp
         for part, word in ((0.25, "a quarter of"), (0.5, "half")):
             angle = best.start.angle + part * pitch
             names.append(f"start angle {word} a grouser pitch on")
-            setups.append(judge.setup_of(best.command, angle=angle, load=own))
+            setups.append(judge.setup_for(best.command, angle=angle, load=own))
     return names, setups

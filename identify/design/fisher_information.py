@@ -47,7 +47,7 @@ MARGIN = 0.01
 FARTHEST = 1e9
 
 
-def scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
+def parameter_scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
     """What each parameter is measured in: its own size, or its unit where it is zero."""
     values = np.array([abs(float(each.read(trial))) for each in quantities])
     return np.where(values > 0, values, 1.0)
@@ -219,7 +219,7 @@ class InstrumentNoise:
         return [c for c in CHANNELS if c in self.noise and c not in self.channels]
 
 
-def counted(setup: SetUp, rows: int) -> np.ndarray:
+def compared_rows(setup: SetUp, rows: int) -> np.ndarray:
     """1 for the rows until the wheel has stopped for good, as a fit compares them; else 0."""
     command = setup.command.build()
     time = command.time - command.time[0]
@@ -228,7 +228,7 @@ def counted(setup: SetUp, rows: int) -> np.ndarray:
     return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
 
 
-def stackable(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
+def stackable_trial(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
     """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
     setup = copy.deepcopy(setup)
     setup.integrator.step = step
@@ -320,7 +320,7 @@ class Objective(eqx.Module):
     counts: Float[Array, " rows"]
     quantities: tuple[Quantity, ...]
 
-    def placed(self, coordinates: Float[Array, " free"]) -> Trial:
+    def trial_at(self, coordinates: Float[Array, " free"]) -> Trial:
         """The run at these coordinates."""
         trial = self.trial
         knots = self.profile.knots
@@ -337,7 +337,7 @@ class Objective(eqx.Module):
         )
 
     def __call__(self, coordinates: Float[Array, " free"]) -> Float[Array, ""]:
-        derivatives = sensitivities(self.placed(coordinates), self.quantities, self.scale)
+        derivatives = sensitivities(self.trial_at(coordinates), self.quantities, self.scale)
         return log_error(information(derivatives, self.weight, self.counts))
 
 

@@ -37,7 +37,7 @@ class Limits:
         """Rest before and after the motion [s]."""
         return min(1.0, self.duration / 20)
 
-    def beyond(self, command: RecordedCommand, radius: float) -> list[str]:
+    def violations(self, command: RecordedCommand, radius: float) -> list[str]:
         """What of a profile goes beyond the rig, in words; nothing where it can be run.
 
         Args:

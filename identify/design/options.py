@@ -18,11 +18,11 @@ from drftjax.simulation.trial import Trial
 from identify.design.fisher_information import (
     InstrumentNoise,
     ParameterInformation,
-    counted,
+    compared_rows,
     parameter_information,
-    scales,
+    parameter_scales,
     sensitivities,
-    stackable,
+    stackable_trial,
 )
 from identify.design.limits import Limits, travel_of
 from identify.parameters.parameter import Quantity, parameter
@@ -48,7 +48,7 @@ class RunOption:
     added: dict[str, ParameterInformation]
 
     @property
-    def way(self) -> float:
+    def rim_travel(self) -> float:
         """Of the rim [m], which the wheel's travel falls short of by slip."""
         return travel_of(self.setup.command.build(), self.setup.wheel.radius)
 
@@ -86,7 +86,7 @@ class RunEvaluator:
         self.instrument = instrument
         self.limits = limits
 
-    def setup_of(self, command: CommandSetUp, **start: float) -> SetUp:
+    def setup_for(self, command: CommandSetUp, **start: float) -> SetUp:
         """The base set-up under another command, at a step that holds its derivatives."""
         setup = copy.deepcopy(self.base)
         setup.command = command
@@ -97,13 +97,13 @@ class RunEvaluator:
             setup.start.angle = start["angle"]
         if "load" in start:
             setup.rig.mass_z = float(start["load"] / setup.rig.gravity)
-            setup.start.sinkage += self.deeper(start["load"])
+            setup.start.sinkage += self.extra_sinkage(start["load"])
         return setup
 
     def load(self) -> float:
         return self.base.rig.mass_z * self.base.rig.gravity
 
-    def deeper(self, load: float) -> float:
+    def extra_sinkage(self, load: float) -> float:
         """How much deeper a wheel under another load stands at the start [m]."""
         simulator = self.base.trial().simulator
         zeta = simulator.terrain.zeta
@@ -111,13 +111,13 @@ class RunEvaluator:
         depths = [standing_sinkage(simulator, factor, each) for each in (load, self.load())]
         return depths[0] - depths[1]
 
-    def options(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[RunOption]:
+    def evaluate(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[RunOption]:
         """What a run of each set-up would tell, on the set-up's own plates."""
         finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
         longest = max(each.command.time[-1] - each.command.time[0] for each in setups)
-        trials = [stackable(each, finest, knots, longest) for each in setups]
-        scale = scales(trials[0], self.quantities)
+        trials = [stackable_trial(each, finest, knots, longest) for each in setups]
+        scale = parameter_scales(trials[0], self.quantities)
         options = []
         for first in range(0, len(trials), TOGETHER):
             some = trials[first : first + TOGETHER]
@@ -128,7 +128,7 @@ class RunEvaluator:
         return options
 
     def _option(self, name: str, setup: SetUp, derivatives: np.ndarray, scale: float) -> RunOption:
-        counts = counted(setup, derivatives.shape[1])
+        counts = compared_rows(setup, derivatives.shape[1])
         value = float(self.quantities[0].read(setup.trial()))
 
         def told(extra: str | None = None) -> ParameterInformation:

@@ -22,7 +22,7 @@ def plot_design(result: "Design") -> "Figure":
 
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     profile, scan = figure.subplots(1, 2)
-    for each, name, colour in ((result.now, "given", "0.4"), (result.best, "best", "C0")):
+    for each, name, colour in ((result.given, "given", "0.4"), (result.best, "best", "C0")):
         command = each.setup.command.build()
         label = f"{name}: ±{each.information.error:.2g}"
         profile.plot(command.time, np.degrees(command.omega), ".-", color=colour, label=label)
@@ -35,7 +35,7 @@ def plot_design(result: "Design") -> "Figure":
     scan.loglog(peaks, errors, "o-", label="standard error, white noise")
     label = f"shift by a model error of {result.model_error * 1e3:.3g} mm"
     scan.loglog(peaks, shifts, "s--", label=label)
-    value = abs(result.now.information.value)
+    value = abs(result.given.information.value)
     if value:
         label = f"{result.wanted:.0%} of the value"
         scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":", label=label)
@@ -65,13 +65,13 @@ def design_table(result: "Design") -> "Table":
     table.add_column(f"shift by {result.model_error * 1e3:.3g} mm", justify="right")
 
     def add(name: str, knows: "ParameterInformation") -> None:
-        factor = result.now.information.error / knows.error if math.isfinite(knows.error) else 0.0
+        factor = result.given.information.error / knows.error if math.isfinite(knows.error) else 0.0
         shift = knows.shift * result.model_error
         share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
         table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
 
     units = UNITS["measured"]
-    for head, options in (("", [result.now]), ("best: ", [result.best])):
+    for head, options in (("", [result.given]), ("best: ", [result.best])):
         for each in options:
             add(head + each.name, each.information)
             for channel, more in each.added.items():
@@ -95,7 +95,7 @@ def design_document(result: "Design") -> dict:
         return {
             "name": option.name,
             **_numbers(option.information),
-            "way": option.way,
+            "way": option.rim_travel,
             "added": {name: _numbers(each) for name, each in option.added.items()},
             "setup": msgspec.to_builtins(option.setup),
         }
@@ -109,14 +109,14 @@ def design_document(result: "Design") -> dict:
         "nuisances": list(result.nuisances),
         "noise": result.noise,
         "channels": list(result.channels),
-        "identifiable": result.seen,
+        "identifiable": result.identifiable,
         "factor": result.factor,
         "wanted": result.wanted,
         "model_error": result.model_error,
         "speed_needed": result.speed_needed(),
         "speed_needed_with_model_error": result.speed_needed(True),
         "summary": result.summary(),
-        "given": plain(result.now),
+        "given": plain(result.given),
         "best": plain(result.best),
         "found": [plain(each) for each in result.found],
         "scan": [

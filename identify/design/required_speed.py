@@ -35,8 +35,8 @@ FACTORS = (2.0, 4.0, 8.0, 16.0)
 
 def add_required_speeds(result: FitResult) -> FitResult:
     """The same, with a finding for every shared value that the runs do not tell."""
-    optimum = result.optimum
-    if optimum is None:
+    estimate = result.estimate
+    if estimate is None:
         return result
     setups = [run.setup for run in result.runs]
     told = []
@@ -45,15 +45,15 @@ def add_required_speeds(result: FitResult) -> FitResult:
             continue
         # What other runs would tell is no reason to lose what these do.
         with suppress(InputError):
-            told.append(required_speed(optimum, setups, name))
+            told.append(required_speed(estimate, setups, name))
     return replace(result, findings=[*result.findings, *(each for each in told if each)])
 
 
-def required_speed(optimum: Estimate, setups: Sequence[SetUp], name: str) -> str | None:
+def required_speed(estimate: Estimate, setups: Sequence[SetUp], name: str) -> str | None:
     """A sentence on the speed from which a shared parameter could be identified.
 
     Args:
-        optimum: Where the fit ended.
+        estimate: Where the fit ended.
         setups: Each run's set-up with the fitted values put in.
         name: The parameter's full name.
 
@@ -62,10 +62,10 @@ def required_speed(optimum: Estimate, setups: Sequence[SetUp], name: str) -> str
     """
     fastest = max(
         range(len(setups)),
-        key=lambda run: optimum.solution.active[run] * _top(setups[run]),
+        key=lambda run: estimate.solution.active[run] * _top(setups[run]),
     )
-    parameter = next(p for p in optimum.problem.shared if p.quantity.name == name)
-    believed = float(parameter.quantity.read(optimum.candidates[fastest].trial))
+    parameter = next(p for p in estimate.problem.shared if p.quantity.name == name)
+    believed = float(parameter.quantity.read(estimate.runs[fastest].trial))
     speed = _top(setups[fastest])
     if speed == 0 or believed == 0:
         return None
@@ -74,7 +74,7 @@ def required_speed(optimum: Estimate, setups: Sequence[SetUp], name: str) -> str
     label = parameter.quantity.label
     last, tried = None, 0.0
     for factor in (1.0, *FACTORS):
-        error = _error(optimum, fastest, setup, name, factor)
+        error = _error(estimate, fastest, setup, name, factor)
         if error is None:
             break
         share = error / abs(believed)
@@ -106,19 +106,19 @@ def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
     return float(a * (b / a) ** way)
 
 
-def _by_phase(trial: Trial, optimum: Estimate, run: int, name: str, stretch: float) -> Trial:
+def _by_phase(trial: Trial, estimate: Estimate, run: int, name: str, stretch: float) -> Trial:
     """The trial with the fit's zeta by phase, if that was fitted; the named one's as believed."""
-    given, (shared, own) = optimum.candidates[run].trial, optimum.solution.coordinates
-    zeta = optimum.problem.trial_at(given, shared, own[run]).simulator.terrain.zeta
+    given, (shared, own) = estimate.runs[run].trial, estimate.solution.coordinates
+    zeta = estimate.problem.trial_at(given, shared, own[run]).simulator.terrain.zeta
     if not isinstance(zeta, PhaseZeta):
         return trial
     zeta = eqx.tree_at(lambda z: z.time, zeta, stretch * zeta.time)
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, zeta)
-    quantity = next(p.quantity for p in optimum.problem.parameters if p.quantity.name == name)
+    quantity = next(p.quantity for p in estimate.problem.parameters if p.quantity.name == name)
     return quantity.write(trial, quantity.read(given))
 
 
-def _error(optimum: Estimate, run: int, setup: SetUp, name: str, factor: float) -> float | None:
+def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float) -> float | None:
     """Standard error of the parameter by one run so many times as fast; None if it cannot be."""
     setup = copy.deepcopy(setup)
     setup.command.omega = [factor * value for value in setup.command.omega]
@@ -135,28 +135,27 @@ def _error(optimum: Estimate, run: int, setup: SetUp, name: str, factor: float) 
             setup.integrator.step, steady_step(setup.wheel.radius, command.time, command.omega)
         )
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        trial = _by_phase(trial, optimum, run, name, stretch)
+        trial = _by_phase(trial, estimate, run, name, stretch)
     except InputError:
         return None
-    observation = optimum.candidates[run].observation
+    observation = estimate.runs[run].observation
     observation = replace(observation, time=stretch * observation.time)
     batch = make_batch([trial], [observation], jax.device_count())
     # At the values that the set-up holds, wherever the fit was told to start.
     parameters = tuple(
-        replace(each, start=math.nan) for each in optimum.problem.shared + optimum.problem.own
+        replace(each, start=math.nan) for each in estimate.problem.shared + estimate.problem.own
     )
-    problem = Problem(batch, parameters, optimum.problem.correlation, device_mesh())
-    kept = [optimum.problem.batch.channels.index(c) for c in batch.channels]
+    problem = Problem(batch, parameters, estimate.problem.noise, device_mesh())
+    kept = [estimate.problem.batch.channels.index(c) for c in batch.channels]
     length = batch.observed.weight.shape[-1]
     weight = np.zeros(batch.observed.weight.shape)
-    common = min(length, optimum.problem.batch.observed.weight.shape[-1])
-    known = np.asarray(optimum.problem.batch.observed.weight)[run][kept]
+    common = min(length, estimate.problem.batch.observed.weight.shape[-1])
+    known = np.asarray(estimate.problem.batch.observed.weight)[run][kept]
     weight[0, :, :common] = known[:, :common]
-    problem = eqx.tree_at(
-        lambda p: (p.batch.observed.weight, p.correlation),
-        problem,
-        (jnp.asarray(weight), optimum.problem.correlation[jnp.asarray(kept)]),
-    )
+    problem = eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(weight))
+    # Arrays of a noise model have one number a channel.
+    noise = jax.tree.map(lambda leaf: leaf[jnp.asarray(kept)], estimate.problem.noise)
+    problem = replace(problem, noise=noise)
     _, blocks = linearize(problem, problem.start())
     if not np.isfinite(blocks).all():
         return None
@@ -166,11 +165,11 @@ def _error(optimum: Estimate, run: int, setup: SetUp, name: str, factor: float) 
         wide[0, :, :common] = values[run][kept][:, :common]
         return wide
 
-    whitening = optimum.whitening
+    whitening = estimate.whitening
     phase = np.zeros((1, length), int)
     phase[0, :common] = whitening.phase[run, :common]
     alone = Whitening(cut(whitening.scale), cut(whitening.unit), phase)
-    spread = covariance(blocks[:1], alone, optimum.shared)
+    spread = covariance(blocks[:1], alone, estimate.shared)
     number = [p.quantity.name for p in parameters].index(name)
     at = problem.start()[0][number]
     slope = float(parameters[number].bijector.slope(at))

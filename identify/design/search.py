@@ -20,7 +20,7 @@ from identify.design.fisher_information import (
     MARGIN,
     Objective,
     SpeedProfile,
-    scales,
+    parameter_scales,
     with_gradient,
 )
 from identify.design.options import RunEvaluator, RunOption
@@ -33,7 +33,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Search:
+class DesignSettings:
     """How hard is searched.
 
     Attributes:
@@ -66,7 +66,9 @@ def _rounded(trial: Trial) -> Trial:
     return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
 
 
-def objective_of(judge: RunEvaluator, search: Search, duration: float | None = None) -> Objective:
+def objective_of(
+    judge: RunEvaluator, search: DesignSettings, duration: float | None = None
+) -> Objective:
     """The standard error around the given set-up, on coarse plates with rounded corners.
 
     Args:
@@ -90,11 +92,11 @@ def objective_of(judge: RunEvaluator, search: Search, duration: float | None = N
     loads, depths = np.zeros(0), np.zeros(0)
     if limit.loads is not None:
         loads = np.array(limit.loads) / setup.rig.gravity
-        depths = np.array([judge.deeper(each) for each in limit.loads])
+        depths = np.array([judge.extra_sinkage(each) for each in limit.loads])
     ends = np.asarray(step_times(trial.rows, ROW_INTERVAL))
     until = (lasts - limit.rest) * (1 - LEFT_OUT)
     counts = np.concatenate([[1.0], ends <= until]).astype(float)
-    scale = scales(trial, judge.quantities)
+    scale = parameter_scales(trial, judge.quantities)
     weight = judge.instrument.weight()
     real = jnp.asarray
     return Objective(
@@ -110,7 +112,7 @@ def objective_of(judge: RunEvaluator, search: Search, duration: float | None = N
 
 
 def local_optimum(
-    judge: RunEvaluator, search: Search, starts: list[RunOption], report: Progress
+    judge: RunEvaluator, search: DesignSettings, starts: list[RunOption], report: Progress
 ) -> list[RunOption]:
     """What each descent came to, where it came to anything; judged as it was at its start.
 
@@ -148,5 +150,5 @@ def local_optimum(
             low, high = judge.limits.loads
             chosen["load"] = low + (high - low) / (1 + math.exp(-end[knots]))
         name = f"descended from {start.name}"
-        options.append(RunOption(name, judge.setup_of(command, **chosen), start.information, {}))
+        options.append(RunOption(name, judge.setup_for(command, **chosen), start.information, {}))
     return options

@@ -23,7 +23,7 @@ from identify.parameters.quantity import (
 )
 
 
-def _leaf(
+def _leaf_quantity(
     name: str, unit: str, where: Callable[[Any], Any], bijector: AbstractBijector
 ) -> Quantity:
     """A quantity that is one leaf of the trial."""
@@ -77,53 +77,57 @@ SHARPEST = 1e-9
 QUANTITIES: dict[str, Quantity] = {
     each.name: each
     for each in (
-        _leaf("terrain.zeta", "-", lambda t: t.simulator.terrain.zeta.value, Positive()),
-        _leaf(
+        _leaf_quantity("terrain.zeta", "-", lambda t: t.simulator.terrain.zeta.value, Positive()),
+        _leaf_quantity(
             "terrain.inertial_coefficient",
             "-",
             lambda t: t.simulator.terrain.law.inertial_coefficient,
             LAMBDA_BOUNDS,
         ),
-        _leaf(
+        _leaf_quantity(
             "terrain.bulk_density",
             "kg/m3",
             lambda t: t.simulator.terrain.law.bulk_density,
             Positive(),
         ),
-        _leaf(
+        _leaf_quantity(
             "terrain.height_decrease",
             "-",
             lambda t: t.simulator.terrain.law.height_decrease,
             Scaled(0.1),
         ),
-        _leaf("wheel.radius", "m", lambda t: t.simulator.wheel.radius, Positive()),
-        _leaf("wheel.width", "m", lambda t: t.simulator.wheel.width, Positive()),
-        _leaf("wheel.grouser_height", "m", lambda t: t.simulator.wheel.grouser_height, Positive()),
-        _leaf(
+        _leaf_quantity("wheel.radius", "m", lambda t: t.simulator.wheel.radius, Positive()),
+        _leaf_quantity("wheel.width", "m", lambda t: t.simulator.wheel.width, Positive()),
+        _leaf_quantity(
+            "wheel.grouser_height", "m", lambda t: t.simulator.wheel.grouser_height, Positive()
+        ),
+        _leaf_quantity(
             "wheel.grouser_fraction", "-", lambda t: t.simulator.wheel.grouser_fraction, Positive()
         ),
-        _leaf(
+        _leaf_quantity(
             "wheel.grouser_thickness",
             "m",
             lambda t: t.simulator.wheel.grouser_thickness,
             Positive(),
         ),
-        _leaf("rig.gravity", "m/s2", lambda t: t.simulator.rig.gravity, Positive()),
-        _leaf("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
-        _leaf("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
-        _leaf("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
-        _leaf("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
-        _leaf("rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)),
+        _leaf_quantity("rig.gravity", "m/s2", lambda t: t.simulator.rig.gravity, Positive()),
+        _leaf_quantity("rig.mass_x", "kg", lambda t: t.simulator.rig.mass_x, Positive()),
+        _leaf_quantity("rig.mass_z", "kg", lambda t: t.simulator.rig.mass_z, Positive()),
+        _leaf_quantity("rig.damping_x", "N s/m", lambda t: t.simulator.rig.damping_x, Scaled(10.0)),
+        _leaf_quantity("rig.damping_z", "N s/m", lambda t: t.simulator.rig.damping_z, Scaled(10.0)),
+        _leaf_quantity(
+            "rig.drawbar_load", "N", lambda t: t.simulator.rig.drawbar_load, Scaled(1.0)
+        ),
         Quantity("start.sinkage", "m", lambda t: -t.start.position[1], _put_sinkage, Scaled(1e-3)),
         Quantity("start.x", "m", lambda t: t.start.position[0], _put_x, Scaled(1e-3)),
         Quantity("start.speed", "m/s", lambda t: t.start.velocity[0], _put_speed, Scaled(1e-2)),
-        _leaf("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
+        _leaf_quantity("start.angle", "rad", lambda t: t.start.angle, Scaled(0.1)),
         *(_coefficient(number, name) for number, name in enumerate(COEFFICIENT_NAMES)),
     )
 }
 
 
-def _of_phase(number: int, name: str) -> Quantity:
+def _phase_quantity(number: int, name: str) -> Quantity:
     def get(trial: Trial) -> Float[Array, ""]:
         return trial.simulator.terrain.zeta.level[number]  # pyright: ignore
 
@@ -135,7 +139,7 @@ def _of_phase(number: int, name: str) -> Quantity:
 
 
 PHASE_QUANTITIES = {
-    PHASE_PREFIX + name: _of_phase(number, name) for number, name in enumerate(PHASES)
+    PHASE_PREFIX + name: _phase_quantity(number, name) for number, name in enumerate(PHASES)
 }
 
 
@@ -179,7 +183,7 @@ class Parameter(eqx.Module):
             )
         raise InputError(f"its {name} is {value:g}, where no fit within its bounds starts")
 
-    def belief(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def prior_residual(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Residual of the prior: how many of its errors the value lies from its mean."""
         return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
 
@@ -215,7 +219,7 @@ def quantity(name: str) -> Quantity:
     return every[full]
 
 
-def typical(name: str) -> float:
+def typical_change(name: str) -> float:
     """A typical change of a quantity that may be zero, in its unit; zero for any other."""
     full = SHORT_NAMES.get(name, name)
     known = (QUANTITIES | PHASE_QUANTITIES).get(full) or effect_quantity(full)

@@ -9,7 +9,7 @@ from drftjax.common.structured_files import read_document, to_structure
 from identify.parameters.parameter import Parameter, parameter
 
 
-class Entry(msgspec.Struct, forbid_unknown_fields=True):
+class ParameterEntry(msgspec.Struct, forbid_unknown_fields=True):
     """One [[parameter]]: a name, and what is known of it before the runs."""
 
     name: str
@@ -19,10 +19,10 @@ class Entry(msgspec.Struct, forbid_unknown_fields=True):
     start: float | None = None
 
 
-class Entries(msgspec.Struct, forbid_unknown_fields=True):
+class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
     """The whole file."""
 
-    parameter: list[Entry]
+    parameter: list[ParameterEntry]
 
 
 def read_parameters(path: Path) -> list[Parameter]:
@@ -34,7 +34,7 @@ def read_parameters(path: Path) -> list[Parameter]:
     document = read_document(path)
     if not document.get("parameter"):
         raise InputError(f"{path}: holds no [[parameter]]; a fit's parameters are a list of them")
-    entries = to_structure(document, Entries, path)
+    entries = to_structure(document, ParameterFile, path)
     try:
         return [parameter(**msgspec.structs.asdict(each)) for each in entries.parameter]
     except InputError as problem:

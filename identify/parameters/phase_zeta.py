@@ -15,7 +15,8 @@ from drftjax.physics.terrain import AbstractZeta, ConstantZeta
 from drftjax.recorded.observation import ROUNDING
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.command_knots import SCATTER, simplify_command
-from drftjax.setups.setup import SetUp, ZetaKnots
+from drftjax.setups.setup import SetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 from identify.parameters.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
 # A speed that changes by less than this share of the run's largest in a second is steady [1/s].
@@ -85,14 +86,14 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
 
 
 def zeta_phases(
-    candidates: Sequence[PreparedRun], parameters: Sequence[Parameter] = ()
+    runs: Sequence[PreparedRun], parameters: Sequence[Parameter] = ()
 ) -> list[Parameter]:
     """One zeta for each phase in which any run has samples to compare, before the parameters.
 
     Zeta among these goes: what is known of it, and whether runs share it, holds for each phase. A
     phase that is a parameter by itself stays as it is.
     """
-    present = {name for each in candidates for name in _compared(each)}
+    present = {name for each in runs for name in _compared(each)}
     others = {p.quantity.name: p for p in parameters}
     whole = others.pop("terrain.zeta", parameter("zeta", shared=False))
     phases = [quantity(PHASE_PREFIX + name) for name in PHASES if name in present]
@@ -108,28 +109,26 @@ def _compared(each: PreparedRun) -> set[str]:
     }
 
 
-def by_phase(parameters: Sequence[Parameter]) -> bool:
+def has_phase_zeta(parameters: Sequence[Parameter]) -> bool:
     """Whether any of them is the zeta of a phase."""
     return any(p.quantity.name.startswith(PHASE_PREFIX) for p in parameters)
 
 
-def with_phases(
-    candidates: Sequence[PreparedRun], parameters: Sequence[Parameter]
-) -> list[PreparedRun]:
+def with_phases(runs: Sequence[PreparedRun], parameters: Sequence[Parameter]) -> list[PreparedRun]:
     """The runs with zeta by phase, all phases at the run's own to begin with.
 
     Raises:
         InputError: where no run has samples in a phase that is to be fitted.
     """
-    present = {name for each in candidates for name in _compared(each)}
+    present = {name for each in runs for name in _compared(each)}
     for each in parameters:
         name = each.quantity.name.removeprefix(PHASE_PREFIX)
-        if name != each.quantity.name and name not in present and candidates:
+        if name != each.quantity.name and name not in present and runs:
             known = ", ".join(phase for phase in PHASES if phase in present)
             raise InputError(f"no run has samples in the phase {name!r}; they have {known}")
-    grids = [_grid(each) for each in candidates]
+    grids = [_grid(each) for each in runs]
     most = max((len(time) for time, _ in grids), default=0)
-    return [_with_phases(each, *grid, most) for each, grid in zip(candidates, grids, strict=True)]
+    return [_with_phases(each, *grid, most) for each, grid in zip(runs, grids, strict=True)]
 
 
 def _grid(each: PreparedRun) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ SHORT_NAMES = {
 }
 
 
-def of_zeta(name: str) -> bool:
+def is_zeta_name(name: str) -> bool:
     """Whether a quantity's full name is that of zeta, of a whole run or of a phase of it."""
     return name == SHORT_NAMES["zeta"] or name.startswith(PHASE_PREFIX)
 
@@ -65,7 +65,7 @@ class Quantity(eqx.Module):
     @property
     def is_zeta(self) -> bool:
         """Whether it says how strong the sand is, of a whole run or of a phase of it."""
-        return of_zeta(self.name)
+        return is_zeta_name(self.name)
 
     def record(self, setup: SetUp, value: float) -> None:
         """Write the number into a set-up; the zeta of a phase is one of several, written whole."""

@@ -9,7 +9,7 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.observation import SHOWN
 from identify.parameters.parameter import Parameter
 from identify.results.noise_floor import fast_scatter, noise_floor
-from identify.results.outliers import begun_in_motion, outlier_sentences
+from identify.results.outliers import moving_start_sentences, outlier_sentences
 from identify.results.values import RunFit, Value
 from identify.solver.problem import coordinates_of
 from identify.uncertainty.random_effects import paule_mandel
@@ -102,7 +102,7 @@ def between_run_sentences(runs: Sequence[RunFit]) -> list[str]:
     Runs that could not be simulated to the end are left out.
     """
     runs = [run for run in runs if run.status != "diverged"]
-    told = [*begun_in_motion(runs), *outlier_sentences(runs), *_scatter(runs)]
+    told = [*moving_start_sentences(runs), *outlier_sentences(runs), *_scatter(runs)]
     if not runs:
         return told
     floor = noise_floor(runs)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from drftjax.recorded.commanded_motion import STANDS, commanded_speed
+from drftjax.recorded.commanded_motion import DEFAULT_MOTION, commanded_speed
 from drftjax.recorded.observation import white_noise
 from identify.results.values import RunFit
 
@@ -51,7 +51,7 @@ def outlier_sentences(runs: Sequence[RunFit]) -> list[str]:
     return told
 
 
-def begun_in_motion(runs: Sequence[RunFit]) -> list[str]:
+def moving_start_sentences(runs: Sequence[RunFit]) -> list[str]:
     """Sentences on runs that begin while the wheel turns, with a carriage taken to be at rest."""
     names = []
     for run in runs:
@@ -59,7 +59,12 @@ def begun_in_motion(runs: Sequence[RunFit]) -> list[str]:
         command = setup.command.build()
         rim = commanded_speed(setup.wheel.radius, command.omega)
         free = setup.rig.carriage == "free"
-        if free and rim[0] > STANDS * rim.max() and not setup.start.speed and "speed" not in fitted:
+        if (
+            free
+            and rim[0] > DEFAULT_MOTION.standing_share * rim.max()
+            and not setup.start.speed
+            and "speed" not in fitted
+        ):
             names.append(run.name)
     if not names:
         return []

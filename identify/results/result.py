@@ -51,7 +51,7 @@ class FitResult:
         starts: What became of several starting points, where there were any.
         profiles: Profiles asked for.
         bootstraps: Bootstraps asked for.
-        optimum: What `profile` and `bootstrap` go on from.
+        estimate: What `profile` and `bootstrap` go on from.
     """
 
     shared: Mapping[str, Value]
@@ -65,7 +65,7 @@ class FitResult:
     starts: "MultistartSummary | None" = None
     profiles: tuple["ProfileLikelihood", ...] = ()
     bootstraps: tuple["Bootstrap", ...] = ()
-    optimum: "Estimate | None" = field(default=None, repr=False)
+    estimate: "Estimate | None" = field(default=None, repr=False)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """The same with further runs named as left out."""
@@ -187,7 +187,7 @@ class FitResult:
                     "zeta_path": _path(run.path),
                     "rmse_before": run.rmse(False),
                     "rmse_after": run.rmse(),
-                    "setup": msgspec.to_builtins(_slim(run.setup)),
+                    "setup": msgspec.to_builtins(_with_short_command(run.setup)),
                 }
                 for run in self.runs
             ],
@@ -204,7 +204,7 @@ class FitResult:
         from identify.uncertainty.profile_likelihood import profile_likelihoods
 
         with jax.enable_x64(True):
-            found = profile_likelihoods(self._settled(), name, **options)
+            found = profile_likelihoods(self._solved(), name, **options)
         return replace(self, profiles=(*self.profiles, *found))
 
     def bootstrap(self, count: int, **options: Any) -> "FitResult":
@@ -212,13 +212,13 @@ class FitResult:
         from identify.uncertainty.bootstrap import bootstrap
 
         with jax.enable_x64(True):
-            found = bootstrap(self._settled(), count, **options)
+            found = bootstrap(self._solved(), count, **options)
         return replace(self, bootstraps=tuple(found))
 
-    def _settled(self) -> "Estimate":
-        if self.optimum is None:
+    def _solved(self) -> "Estimate":
+        if self.estimate is None:
             raise InputError("this result holds no solved fit to go on from")
-        return self.optimum
+        return self.estimate
 
     @property
     def bands(self) -> Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]:
@@ -276,7 +276,7 @@ def _path(path: "ZetaPath | None") -> dict | None:
     return columns | {"told": path.identified.tolist(), "weight": path.weight}
 
 
-def _slim(setup: SetUp) -> SetUp:
+def _with_short_command(setup: SetUp) -> SetUp:
     return msgspec.structs.replace(setup, command=decimate_command(setup.command))
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.setups.setup import RigSetUp, SetUp, WheelSetUp
-from identify.parameters.parameter import Parameter, typical
-from identify.parameters.quantity import of_zeta
+from identify.parameters.parameter import Parameter, typical_change
+from identify.parameters.quantity import is_zeta_name
 
 if TYPE_CHECKING:
     pass
@@ -42,7 +42,7 @@ class Value:
     @property
     def size(self) -> float:
         """What the error is held against: the value, or what it typically changes by if more."""
-        return max(abs(self.value), typical(self.label))
+        return max(abs(self.value), typical_change(self.label))
 
     @property
     def identified(self) -> bool:
@@ -121,7 +121,7 @@ class RunFit:
     @property
     def has_own_zeta(self) -> bool:
         """Whether its zeta was fitted to it alone."""
-        return self.path is not None or any(map(of_zeta, self.values))
+        return self.path is not None or any(map(is_zeta_name, self.values))
 
     @property
     def residuals(self) -> dict[str, np.ndarray]:

@@ -117,7 +117,7 @@ class BatchedLevenbergMarquardt:
     def coordinates(self, point: np.ndarray) -> Coordinates:
         """Coordinates as the problem takes them, from one row."""
         shared, own = self._coordinates(point[None])
-        return self.problem.everywhere((shared[0], own[0]))
+        return self.problem.on_all_devices((shared[0], own[0]))
 
     def run(
         self,
@@ -205,20 +205,20 @@ class BatchedLevenbergMarquardt:
         if shift is not None:
             residual = residual + shift
         information, slope = normal_equations(blocks[: self.runs], self.shared, residual)
-        belief, belief_slope = self._beliefs(point)
-        information += np.diag(belief_slope**2)
-        slope += belief_slope * belief
-        return float(np.sum(residual**2) + np.sum(belief**2)), information, slope
+        prior, prior_slope = self._priors(point)
+        information += np.diag(prior_slope**2)
+        slope += prior_slope * prior
+        return float(np.sum(residual**2) + np.sum(prior**2)), information, slope
 
-    def _beliefs(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _priors(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = [
-            (float(p.belief(at)), float(p.bijector.slope(at)) / p.prior_error)
+            (float(p.prior_residual(at)), float(p.bijector.slope(at)) / p.prior_error)
             if np.isfinite(p.prior_error)
             else (0.0, 0.0)
             for p, at in zip(self.parameters, jnp.asarray(point), strict=True)
         ]
-        belief, slope = zip(*values, strict=True) if values else ((), ())
-        return np.array(belief), np.array(slope)
+        prior, slope = zip(*values, strict=True) if values else ((), ())
+        return np.array(prior), np.array(slope)
 
     def _coordinates(self, points: np.ndarray) -> Coordinates:
         rows = self.counts.shape[0]

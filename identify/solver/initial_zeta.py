@@ -45,7 +45,7 @@ def zeta_from_mean_sinkage(
 
     def miss(log_zeta: np.ndarray) -> np.ndarray:
         values = shared, own.at[:, column].set(coordinate(log_zeta))
-        found = predict(problem, problem.everywhere(values))[:, z]
+        found = predict(problem, problem.on_all_devices(values))[:, z]
         return np.where(counts, found - recorded, 0).sum(axis=1) / number
 
     nought = np.zeros(len(zeta))
@@ -53,4 +53,4 @@ def zeta_from_mean_sinkage(
     found = match_mean_sinkage(miss, nought, miss_at_start=first, settings=settings)
     better = np.abs(found.miss) < np.abs(first)
     at = coordinate(np.where(better, found.log_zeta, nought))
-    return problem.everywhere((shared, own.at[:, column].set(at)))
+    return problem.on_all_devices((shared, own.at[:, column].set(at)))

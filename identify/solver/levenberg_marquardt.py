@@ -53,11 +53,11 @@ class Solution:
         coordinates: Shared coordinates, and each run's own.
         residual: Weighted residuals there, shape (runs, channels, samples).
         blocks: Their derivative, shape (runs, channels, samples, shared + own).
-        belief: Residuals of the priors of all coordinates: shared, then each run's own.
-        belief_slope: Their derivative, each by its own coordinate.
+        prior: Residuals of the priors of all coordinates: shared, then each run's own.
+        prior_slope: Their derivative, each by its own coordinate.
         steps: Steps taken.
         status: "converged", "stalled" or "out of steps".
-        promised: Share of the sum of squares that a straight line from here says is still to gain.
+        predicted_gain: Share of the sum of squares that the linearised problem could still gain.
         active: False for runs that were put aside, as their simulation diverged; shape (runs,).
             They count no more, and their own coordinates stay where they last could be simulated.
     """
@@ -65,17 +65,17 @@ class Solution:
     coordinates: Coordinates
     residual: np.ndarray
     blocks: np.ndarray
-    belief: np.ndarray
-    belief_slope: np.ndarray
+    prior_residual: np.ndarray
+    prior_slope: np.ndarray
     steps: int
     status: str
-    promised: float
+    predicted_gain: float
     active: np.ndarray
 
     @property
     def loss(self) -> float:
         """Sum of squared weighted residuals, those of the priors included."""
-        return float(np.sum(self.residual**2) + np.sum(self.belief**2))
+        return float(np.sum(self.residual**2) + np.sum(self.prior_residual**2))
 
 
 def solve(
@@ -102,7 +102,7 @@ def solve(
     strikes = np.zeros(len(counted), int)
 
     def begun() -> tuple:
-        task = problem, problem.everywhere(jnp.asarray(moving))
+        task = problem, problem.on_all_devices(jnp.asarray(moving))
         return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
 
     coordinates, ahead, status, number = start, None, "out of steps", 0
@@ -163,20 +163,20 @@ def solve(
         shortened = False
     if (active != moving).any() or not np.isfinite(loss):
         # The solver has not been where it stands with all these runs.
-        task = problem, problem.everywhere(jnp.asarray(active))
+        task = problem, problem.on_all_devices(jnp.asarray(active))
         stands = [(at, *_step(task, at, _initial(task, at))[1:3]) for at in (coordinates, *parted)]
         best = min(stands, key=lambda each: np.nan_to_num(float(each[2]), nan=np.inf))
         if best is not stands[0]:
             ahead, status = None, "stalled"
         coordinates, state, _ = best
     ends = _ending(coordinates, ahead or coordinates, state)
-    residual, blocks, belief, belief_slope = map(np.asarray, ends)
+    residual, blocks, prior, prior_slope = map(np.asarray, ends)
     coordinates = ahead or coordinates
-    promised, _ = _whole_step(problem, residual, blocks, belief, belief_slope)
-    if status == "stalled" and promised < NEGLIGIBLE:
+    predicted_gain, _ = _whole_step(problem, residual, blocks, prior, prior_slope)
+    if status == "stalled" and predicted_gain < NEGLIGIBLE:
         status = "converged"
     return Solution(
-        coordinates, residual, blocks, belief, belief_slope, number, status, promised, active
+        coordinates, residual, blocks, prior, prior_slope, number, status, predicted_gain, active
     )
 
 
@@ -190,16 +190,16 @@ def _whole_step(
     problem: Problem,
     residual: np.ndarray,
     blocks: np.ndarray,
-    belief: np.ndarray,
-    belief_slope: np.ndarray,
+    prior: np.ndarray,
+    prior_slope: np.ndarray,
 ) -> tuple[float, np.ndarray]:
     """Share of the sum of squares that a straight line could still take away, and the step there.
 
     Arguments as in `Solution`; the step is of all coordinates: shared ones, then each run's own.
     """
     information, slope = normal_equations(blocks, len(problem.shared), residual)
-    information += np.diag(belief_slope**2)
-    slope += belief_slope * belief
+    information += np.diag(prior_slope**2)
+    slope += prior_slope * prior
     step = -np.linalg.lstsq(information, slope, rcond=None)[0]
     whole = max(np.sum(residual**2), np.finfo(float).tiny)
     return float(-slope @ step / whole), step
@@ -211,16 +211,14 @@ def _on_the_way(task: "Task", coordinates: Coordinates, state, under: float) -> 
     None where there is none, or the step promises nothing noticeable.
     """
     problem, _ = task
-    residual, blocks, belief, belief_slope = map(
-        np.asarray, _ending(coordinates, coordinates, state)
-    )
-    promised, step = _whole_step(problem, residual, blocks, belief, belief_slope)
-    if promised < NEGLIGIBLE:
+    residual, blocks, prior, prior_slope = map(np.asarray, _ending(coordinates, coordinates, state))
+    predicted_gain, step = _whole_step(problem, residual, blocks, prior, prior_slope)
+    if predicted_gain < NEGLIGIBLE:
         return None
     shared, own = coordinates
     number = len(problem.shared)
     for part in PARTS:
-        there = problem.everywhere(
+        there = problem.on_all_devices(
             (shared + part * step[:number], own + part * step[number:].reshape(own.shape))
         )
         # Not finite, so not under, where a run cannot be simulated.
@@ -245,20 +243,20 @@ def _function(coordinates: Coordinates, task: Task) -> tuple[tuple[Array, ...], 
 def _initial(task: Task, start: Coordinates):
     shape, nothing = jax.eval_shape(_function, start, task)
     state = _SOLVER.init(_function, start, task, {}, shape, nothing, frozenset())
-    return task[0].everywhere(state)
+    return task[0].on_all_devices(state)
 
 
 @eqx.filter_jit
 def _step(task: Task, coordinates: Coordinates, state):
     coordinates, state, _ = _SOLVER.step(_function, coordinates, task, {}, state, frozenset())
-    coordinates, state = task[0].everywhere((coordinates, state))
-    residual, *beliefs = state.f_info.residual
+    coordinates, state = task[0].on_all_devices((coordinates, state))
+    residual, *priors = state.f_info.residual
     each = jnp.sum(residual**2, axis=(1, 2))
-    loss = each.sum() + sum(jnp.sum(part**2) for part in beliefs)
+    loss = each.sum() + sum(jnp.sum(part**2) for part in priors)
     # What a straight line says that the next step, known already, leaves of each run.
     ahead = jax.tree.map(jnp.subtract, state.y_eval, coordinates)
-    promised, *_ = state.f_info.jac.mv(ahead)
-    return coordinates, state, loss, each, jnp.sum((residual + promised) ** 2, axis=(1, 2))
+    predicted_gain, *_ = state.f_info.jac.mv(ahead)
+    return coordinates, state, loss, each, jnp.sum((residual + predicted_gain) ** 2, axis=(1, 2))
 
 
 @eqx.filter_jit
@@ -271,8 +269,8 @@ def _tried(task: Task, tried: Coordinates) -> tuple[Bool[Array, " runs"], Float[
 @eqx.filter_jit
 def _loss(task: Task, at: Coordinates) -> Float[Array, ""]:
     """Sum of squares of the runs that count, and of the priors."""
-    residual, *beliefs = _function(at, task)[0]
-    return jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in beliefs)
+    residual, *priors = _function(at, task)[0]
+    return jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in priors)
 
 
 @eqx.filter_jit
@@ -300,10 +298,10 @@ def _ending(coordinates: Coordinates, ahead: Coordinates, state):
     ]
     blocks = jnp.stack([info.jac.mv(unit)[0] for unit in units], axis=-1)
     step = jax.tree.map(jnp.subtract, ahead, coordinates)
-    residual, *beliefs = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
-    # Each belief bears on one coordinate, so a single sweep gives every slope.
+    residual, *priors = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
+    # Each prior bears on one coordinate, so a single sweep gives every slope.
     _, *slopes = info.jac.mv(jax.tree.map(jnp.ones_like, coordinates))
-    flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (beliefs, slopes)]
+    flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (priors, slopes)]
     return residual, blocks, *flat
 
 

@@ -10,37 +10,41 @@ from jaxtyping import Array, Float, Int
 from drftjax.recorded.batch import Batch, PaddedObservations, Values, between_rows, map_over_runs
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
+from identify.solver.abstract_noise import AbstractNoise
 
 
 class Problem(eqx.Module):
-    """Weighted residuals of a batch as a function of coordinates, with their exact derivative.
+    r"""Weighted residuals of a batch as a function of coordinates, with their exact derivative.
 
-    `predicted`, `residual` and `blocks` are programs of their own: what calls them in a program
-    traces the simulation no second time.
+    The residual of a sample is (simulated - recorded) / noise, whitened by the noise model:
+    $r(\theta, u_1, \dots, u_R)$ with shared coordinates $\theta$ and each run's own $u$.
+    `prediction`, `residual` and `blocks` are compiled programs of their own, so that a program that
+    calls one of them does not trace the simulation again.
 
     Attributes:
-        batch: Trials and recordings.
-        parameters: What is fitted.
-        correlation: Share of the last sample's residual that a sample carries on [-], taken off
-            before it counts.
-        mesh: Devices that share the runs.
+        batch: Trials and recordings, stacked.
+        parameters: Fitted parameters.
+        noise: Model that whitens the residuals.
+        mesh: Devices over which the runs are divided.
     """
 
     batch: Batch
     parameters: tuple[Parameter, ...]
-    correlation: Float[Array, " channels"]
+    noise: AbstractNoise
     mesh: Mesh = eqx.field(static=True)
 
     @property
     def shared(self) -> tuple[Parameter, ...]:
+        """Parameters with one value for all runs."""
         return tuple(each for each in self.parameters if each.shared)
 
     @property
     def own(self) -> tuple[Parameter, ...]:
+        """Parameters with one value for each run."""
         return tuple(each for each in self.parameters if not each.shared)
 
     def start(self) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
-        """Coordinates of the trials as they stand; shared ones from the first run."""
+        """Return the coordinates of the trials' own values; shared ones from the first run."""
 
         def coordinates(parameters: tuple[Parameter, ...], trials: Trial) -> Array:
             columns = [jax.vmap(p.coordinate)(trials) for p in parameters]
@@ -48,16 +52,16 @@ class Problem(eqx.Module):
             return jnp.stack(columns, axis=1) if columns else jnp.zeros((runs, 0))
 
         shared = coordinates(self.shared, self.batch.trials)[0]
-        return self.everywhere((shared, coordinates(self.own, self.batch.trials)))
+        return self.on_all_devices((shared, coordinates(self.own, self.batch.trials)))
 
-    def everywhere(self, values: Values) -> Values:
-        """`values` on every device; where they lie is part of what a program is compiled for."""
+    def on_all_devices(self, values: Values) -> Values:
+        """Return `values` on every device: a program is compiled for the place of its arguments."""
         return eqx.filter_shard(values, NamedSharding(self.mesh, PartitionSpec()))
 
     def trial_at(
         self, trial: Trial, shared: Float[Array, " shared"], own: Float[Array, " own"]
     ) -> Trial:
-        """One run's trial with the parameters' values put in."""
+        """Return one run's trial with the values of the parameters at these coordinates."""
         for parameter, coordinate in zip(
             self.shared + self.own, jnp.concatenate([shared, own]), strict=True
         ):
@@ -67,22 +71,22 @@ class Problem(eqx.Module):
     def prior_residuals(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, " shared"], Float[Array, "runs own"]]:
-        """Residuals of the priors, shaped like the coordinates; zero where there is none."""
+        """Return (value - prior mean) / prior error of each coordinate; zero without a prior."""
         true_run = (jnp.arange(own.shape[0]) < self.batch.runs).astype(own.dtype)
 
         def of(parameters: tuple[Parameter, ...], values: Array) -> Array:
             if not parameters:
                 return values
-            columns = [p.belief(values[..., k]) for k, p in enumerate(parameters)]
+            columns = [p.prior_residual(values[..., k]) for k, p in enumerate(parameters)]
             return jnp.stack(columns, axis=-1)
 
         return of(self.shared, shared), of(self.own, own) * true_run[:, None]
 
     @eqx.filter_jit
-    def predicted(
+    def prediction(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
-        """Simulated channels at the recorded times [m, N, N m]."""
+        """Return the simulated channels at the recorded times [m, N, N m]."""
 
         def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array) -> Array:
             return self._predict_one(trial, observed, shared, own, observed.all_rows)
@@ -93,16 +97,16 @@ class Problem(eqx.Module):
     def residual(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
-        """(Simulated minus recorded) / noise, whitened; zero where nothing was recorded."""
+        """Return the weighted, whitened residuals [-]; zero where nothing is compared."""
         return self._over_runs(self._residual_one, shared, own)
 
     @eqx.filter_jit
     def blocks(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
-        """Residuals, and their derivative by (shared, this run's own) coordinates.
+        """Return the residuals, and their derivative by (shared, this run's own) coordinates.
 
-        No run depends on another's own parameters, so as many forward sweeps as one run has
+        No run depends on another run's own parameters: as many forward sweeps as one run has
         parameters give the whole Jacobian of any number of runs.
         """
 
@@ -118,11 +122,11 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
-    def ar1_coefficients(self, observed: PaddedObservations) -> Float[Array, "channels samples"]:
-        """Share of the last sample's residual that each carries on [-]: the less, the later."""
-        counts = observed.weight > 0
-        follows = jnp.pad(counts[:, :-1], ((0, 0), (1, 0))) & counts
-        return jnp.where(follows, self.correlation[:, None] ** observed.intervals, 0)
+    def whiten(
+        self, weighted: Float[Array, "channels samples"], observed: PaddedObservations
+    ) -> Float[Array, "channels samples"]:
+        """Return one run's weighted residuals, whitened by the noise model."""
+        return self.noise.whiten(weighted, sample_gaps(observed))
 
     def _predict_one(
         self,
@@ -139,10 +143,7 @@ class Problem(eqx.Module):
         self, trial: Trial, observed: PaddedObservations, shared: Array, own: Array
     ) -> Array:
         simulated = self._predict_one(trial, observed, shared, own, observed.compared_rows)
-        raw = observed.weight * (simulated - observed.values)
-        before = jnp.pad(raw[:, :-1], ((0, 0), (1, 0)))
-        carried = self.ar1_coefficients(observed)
-        return jnp.where(carried > 0, (raw - carried * before) / jnp.sqrt(1 - carried**2), raw)
+        return self.whiten(observed.weight * (simulated - observed.values), observed)
 
     def _over_runs(self, one, shared: Array, own: Array):
         return map_over_runs(self.batch, self.mesh, one, shared, own)
@@ -151,8 +152,24 @@ class Problem(eqx.Module):
 Coordinates = tuple[Float[Array, " shared"], Float[Array, "runs own"]]
 
 
-def coordinates_of(run: int, number: int, shared: int) -> np.ndarray:
-    """Places of a run's `number` coordinates, shared ones first, among those of all runs."""
+def sample_gaps(observed: PaddedObservations) -> Float[Array, "channels samples"]:
+    """Return the usual intervals between each compared sample and the compared one before [-].
+
+    Infinite where the sample or the one before is not compared.
+    """
+    counts = observed.weight > 0
+    follows = jnp.pad(counts[:, :-1], ((0, 0), (1, 0))) & counts
+    return jnp.where(follows, observed.intervals, jnp.inf)
+
+
+def coordinates_of(run: int, number: int, shared: int) -> Int[np.ndarray, " number"]:
+    """Return the places of one run's coordinates among those of all runs.
+
+    Args:
+        run: Number of the run.
+        number: Coordinates that a run has, shared ones included; these come first.
+        shared: Number of shared coordinates.
+    """
     own = number - shared
     return np.r_[0:shared, shared + run * own : shared + (run + 1) * own]
 
@@ -160,12 +177,15 @@ def coordinates_of(run: int, number: int, shared: int) -> np.ndarray:
 def normal_equations(
     blocks: np.ndarray, shared: int, residual: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """J^T J and J^T r of all coordinates: shared ones, then each run's own.
+    """Return $J^T J$ and $J^T r$ of all coordinates: shared ones, then each run's own.
 
     Args:
-        blocks: Derivatives, shape (runs, channels, samples, shared + own).
+        blocks: Derivatives of each run, shape (runs, channels, samples, shared + own).
         shared: Number of shared coordinates.
         residual: Residuals, shape (runs, channels, samples).
+
+    Returns:
+        Shapes (all, all) and (all,), with all = shared + runs * own.
     """
     runs, own = len(blocks), blocks.shape[-1] - shared
     size = shared + runs * own
@@ -179,11 +199,11 @@ def normal_equations(
 
 
 def predict(problem: Problem, coordinates: Coordinates) -> np.ndarray:
-    """Simulated channels of every run at its recorded times [m, N, N m]."""
-    return np.asarray(problem.predicted(*coordinates))
+    """Return every run's channels [m, N, N m], shape (runs, channels, samples)."""
+    return np.asarray(problem.prediction(*coordinates))
 
 
 def linearize(problem: Problem, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted residuals of every run, and their derivative by (shared, own) coordinates."""
+    """Return every run's weighted residuals, and their derivative by (shared, own)."""
     residual, blocks = problem.blocks(*coordinates)
     return np.asarray(residual), np.asarray(blocks)

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identify.solver.abstract_noise import AbstractNoise
+
 # Beyond this the inflation is no longer an estimate but a statement that the samples are one.
 LARGEST_CORRELATION = 0.9999
 
@@ -62,6 +64,7 @@ class Whitening:
         offset: np.ndarray,
         phase: np.ndarray,
         intervals: np.ndarray,
+        noise: AbstractNoise,
     ) -> "Whitening":
         """The whitening of these residuals.
 
@@ -71,12 +74,13 @@ class Whitening:
             offset: Weighted residual that the simulation's own error makes, likewise.
             phase: Number of each sample's phase, shape (runs, samples).
             intervals: Usual intervals from the sample before, likewise.
+            noise: Model of the scatter.
         """
         number = np.maximum(counts.sum(axis=2), 1)
         inflation = np.maximum((residual**2).sum(axis=2) / number, FINEST_RUN**2)
         for run, channel in np.ndindex(inflation.shape):
-            rho = lag_one_correlation(residual[run, channel], counts[run, channel], intervals[run])
-            inflation[run, channel] *= (1 + rho) / (1 - rho)
+            here = run, channel
+            inflation[here] *= noise.inflation(residual[here], counts[here], intervals[run])
         scale = counts / np.sqrt(inflation)[:, :, None]
         return cls(scale, offset * scale, phase)
 

@@ -6,24 +6,22 @@ that runs share scatters by from run to run) is put on the fitted simulation, an
 again. Over runs: as many runs are drawn with replacement, which needs no model of the noise but
 several runs, and speaks of shared values only.
 
-Each refit is one Gauss-Newton step from the optimum with the derivative stored there,
+Each refit is one Gauss-Newton step from the estimate with the derivative stored there,
 $-(J^T J)^{-1} J^T r$: exact where the simulation is a straight line over the errors. `refit=True`
 goes all the way instead, every draw side by side.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.common.memory import piece_bytes
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import linearize, normal_equations
-from identify.solver.whitening import FINEST_RUN, lag_one_correlation
-from identify.uncertainty.covariance import inverse
+from identify.solver.whitening import FINEST_RUN
+from identify.uncertainty.covariance import regularized_inverse
 from identify.uncertainty.estimate import Estimate
 
 LEVEL = 0.90
@@ -98,12 +96,12 @@ def require_draws(count: int) -> None:
 
 
 def bootstrap(
-    optimum: Estimate, count: int, *, seed: int = 0, refit: bool = False
+    estimate: Estimate, count: int, *, seed: int = 0, refit: bool = False
 ) -> list[Bootstrap]:
     """Draw values over the noise, and over the runs where there are enough of them.
 
     Args:
-        optimum: Where the fit ended.
+        estimate: Where the fit ended.
         count: Draws.
         seed: Of the draws.
         refit: Fit every draw of the noise all the way.
@@ -112,29 +110,31 @@ def bootstrap(
         InputError: for too few or too many draws, or full refits of a fit with priors.
     """
     require_draws(count)
-    if refit and optimum.share is not None:
+    if refit and estimate.slope_rescaling is not None:
         raise InputError(
             "full refits of draws weigh every sample alike and would outweigh the priors; "
             "leave refit out"
         )
-    believing = np.random.default_rng([seed, 3])
+    random_priors = np.random.default_rng([seed, 3])
     points = np.concatenate(
         [
-            refit_draws(optimum, noise) if refit else one_step_draws(optimum, noise, believing)
-            for noise in noise_chunks(optimum, count, np.random.default_rng(seed))
+            refit_draws(estimate, noise)
+            if refit
+            else one_step_draws(estimate, noise, random_priors)
+            for noise in noise_chunks(estimate, count, np.random.default_rng(seed))
         ]
     )
-    draws = optimum.values(points)
-    bands = predictive_bands(optimum, points - optimum.flat, np.random.default_rng([seed, 1]))
-    found = [Bootstrap.of("noise", refit, optimum.labels, draws, bands)]
-    active = np.flatnonzero(optimum.solution.active[: len(optimum.candidates)])
+    draws = estimate.values(points)
+    bands = predictive_bands(estimate, points - estimate.flat, np.random.default_rng([seed, 1]))
+    found = [Bootstrap.of("noise", refit, estimate.labels, draws, bands)]
+    active = np.flatnonzero(estimate.solution.active[: len(estimate.runs)])
     # Between runs drawn again and a prior nothing says how the one outweighs the other.
-    if optimum.shared and len(active) >= FEWEST_RUNS and optimum.share is None:
-        moves = resample_runs(optimum, count, np.random.default_rng([seed, 2]))
-        flat = np.tile(optimum.flat, (count, 1))
-        flat[:, : optimum.shared] += moves
-        values = optimum.values(flat)[:, : optimum.shared]
-        labels = optimum.labels[: optimum.shared]
+    if estimate.shared and len(active) >= FEWEST_RUNS and estimate.slope_rescaling is None:
+        moves = resample_runs(estimate, count, np.random.default_rng([seed, 2]))
+        flat = np.tile(estimate.flat, (count, 1))
+        flat[:, : estimate.shared] += moves
+        values = estimate.values(flat)[:, : estimate.shared]
+        labels = estimate.labels[: estimate.shared]
         found.append(Bootstrap.of("runs", False, labels, values))
     return found
 
@@ -143,47 +143,40 @@ def bootstrap(
 
 
 def noise_chunks(
-    optimum: Estimate, count: int, random: np.random.Generator
+    estimate: Estimate, count: int, random: np.random.Generator
 ) -> Iterator[np.ndarray]:
     """Noise like the residuals', a bounded number of draws at a time.
 
     Yields:
         Weighted residuals of noise alone, shape (draws, runs, channels, samples).
     """
-    size = 8 * DRAWN_TOGETHER * max(optimum.left.size, 1)
+    size = 8 * DRAWN_TOGETHER * max(estimate.noise_residual.size, 1)
     step = DRAWN_TOGETHER * max(1, int(piece_bytes(CHUNK_BYTES) / size))
     for begin in range(0, count, step):
         end = min(count, begin + step)
         yield np.concatenate(
             [
-                simulated_noise(optimum, min(DRAWN_TOGETHER, end - at), random)
+                simulated_noise(estimate, min(DRAWN_TOGETHER, end - at), random)
                 for at in range(begin, end, DRAWN_TOGETHER)
             ]
         )
 
 
-def simulated_noise(optimum: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
+def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
     """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
     zeta scatters by from run to run."""
-    residual, whitening = optimum.left, optimum.whitening
+    residual, whitening = estimate.noise_residual, estimate.whitening
+    model = estimate.problem.noise
     counts = whitening.scale > 0
-    intervals = np.asarray(optimum.problem.batch.observed.intervals)
+    intervals = np.asarray(estimate.problem.batch.observed.intervals)
     noise = np.zeros((count, *residual.shape))
     for run, channel in np.ndindex(residual.shape[:2]):
         here = counts[run, channel]
         if not here.any():
             continue
-        rho = lag_one_correlation(residual[run, channel], here, intervals[run])
-        shares = rho ** intervals[run]
         spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), FINEST_RUN)
-        fresh = random.standard_normal((count, len(here)))
-        carried = np.empty_like(fresh)
-        carried[:, 0] = fresh[:, 0]
-        for sample, share in enumerate(shares[1:], start=1):
-            carried[:, sample] = (
-                share * carried[:, sample - 1] + np.sqrt(1 - share**2) * fresh[:, sample]
-            )
-        noise[:, run, channel] = np.where(here, spread * carried, 0)
+        drawn = model.sample(random, count, residual[run, channel], here, intervals[run])
+        noise[:, run, channel] = np.where(here, spread * drawn, 0)
         # Units of the unit vectors are whitened ones; back to weighted.
         offset = np.divide(
             whitening.unit[run, channel],
@@ -195,104 +188,105 @@ def simulated_noise(optimum: Estimate, count: int, random: np.random.Generator) 
             inside = whitening.phase[run] == phase
             constant = random.standard_normal(count)
             noise[:, run, channel, inside] += constant[:, None] * offset[inside]
-    for shared, variance in enumerate(optimum.scatter):
+    for shared, variance in enumerate(estimate.run_variance):
         apart = np.sqrt(variance) * random.standard_normal((count, len(residual)))
-        noise += apart[:, :, None, None] * optimum.solution.blocks[..., shared]
+        noise += apart[:, :, None, None] * estimate.solution.blocks[..., shared]
     return noise
 
 
-def one_step_draws(optimum: Estimate, noise: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def one_step_draws(
+    estimate: Estimate, noise: np.ndarray, random: np.random.Generator
+) -> np.ndarray:
     """Coordinates after one Gauss-Newton step towards recordings with this noise.
 
     Args:
-        optimum: Where the fit ended.
+        estimate: Where the fit ended.
         noise: Weighted residuals of noise alone, shape (draws, runs, channels, samples).
         random: Of the noise of what was believed.
     """
-    solution, runs = optimum.solution, len(optimum.candidates)
+    solution, runs = estimate.solution, len(estimate.runs)
     blocks = solution.blocks[:runs]
-    size = len(optimum.flat)
+    size = len(estimate.flat)
     along = np.zeros((len(noise), size))
     for run in range(runs):
         rows = blocks[run].reshape(-1, blocks.shape[-1])
         both = noise[:, run].reshape(len(noise), -1) @ rows
-        along[:, : optimum.shared] += both[:, : optimum.shared]
-        place = optimum.shared + run * optimum.own
-        along[:, place : place + optimum.own] = both[:, optimum.shared :]
-    if optimum.share is not None:
-        believed = solution.belief_slope[:size] * random.standard_normal(along.shape)
-        told = along @ optimum.share[:size, :size].T
-        return optimum.flat + (told + believed) @ optimum.covariance[:size, :size]
-    information, _ = normal_equations(blocks, optimum.shared, solution.residual)
-    return optimum.flat + along @ inverse(information)
+        along[:, : estimate.shared] += both[:, : estimate.shared]
+        place = estimate.shared + run * estimate.own
+        along[:, place : place + estimate.own] = both[:, estimate.shared :]
+    if estimate.slope_rescaling is not None:
+        believed = solution.prior_slope[:size] * random.standard_normal(along.shape)
+        told = along @ estimate.slope_rescaling[:size, :size].T
+        return estimate.flat + (told + believed) @ estimate.covariance[:size, :size]
+    information, _ = normal_equations(blocks, estimate.shared, solution.residual)
+    return estimate.flat + along @ regularized_inverse(information)
 
 
-def refit_draws(optimum: Estimate, noise: np.ndarray) -> np.ndarray:
-    """Coordinates after a whole fit to the simulation at the optimum with this noise on it."""
+def refit_draws(estimate: Estimate, noise: np.ndarray) -> np.ndarray:
+    """Coordinates after a whole fit to the simulation at the estimate with this noise on it."""
     descent = BatchedLevenbergMarquardt(
-        optimum.problem, len(optimum.candidates), None, optimum.solution.active
+        estimate.problem, len(estimate.runs), None, estimate.solution.active
     )
-    shift = -optimum.solution.residual - noise
-    ends = descent.run(np.tile(optimum.flat, (len(noise), 1)), shift=shift)
+    shift = -estimate.solution.residual - noise
+    ends = descent.run(np.tile(estimate.flat, (len(noise), 1)), shift=shift)
     return np.where(np.isfinite(ends.loss)[:, None], ends.points, np.nan)
 
 
-def resample_runs(optimum: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
+def resample_runs(estimate: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
     """Changes of the shared coordinates as runs are drawn with replacement, one step each.
 
     Each run's own coordinates follow the shared ones; what is left of its information and slope
     weighs as often as the run was drawn.
     """
-    solution, shared = optimum.solution, optimum.shared
-    active = np.flatnonzero(solution.active[: len(optimum.candidates)])
+    solution, shared = estimate.solution, estimate.shared
+    active = np.flatnonzero(solution.active[: len(estimate.runs)])
     information = np.zeros((len(active), shared, shared))
     slope = np.zeros((len(active), shared))
     for index, run in enumerate(active):
-        rows = solution.blocks[run].reshape(-1, shared + optimum.own)
+        rows = solution.blocks[run].reshape(-1, shared + estimate.own)
         whole = rows.T @ rows
         along = rows.T @ solution.residual[run].ravel()
-        follow = whole[:shared, shared:] @ inverse(whole[shared:, shared:])
+        follow = whole[:shared, shared:] @ regularized_inverse(whole[shared:, shared:])
         information[index] = whole[:shared, :shared] - follow @ whole[shared:, :shared]
         slope[index] = along[:shared] - follow @ along[shared:]
     drawn = random.multinomial(len(active), np.full(len(active), 1 / len(active)), size=count)
     total = np.einsum("dr,rij->dij", drawn, information)
     along = drawn @ slope
-    return np.stack([-inverse(t) @ a for t, a in zip(total, along, strict=True)])
+    return np.stack([-regularized_inverse(t) @ a for t, a in zip(total, along, strict=True)])
 
 
 # Bands ------------------------------------------------------------------------------------------
 
 
 def predictive_bands(
-    optimum: Estimate, moves: np.ndarray, random: np.random.Generator
+    estimate: Estimate, moves: np.ndarray, random: np.random.Generator
 ) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """Where readings are expected: the simulation over the draws, with noise on it.
 
     Args:
-        optimum: Where the fit ended.
+        estimate: Where the fit ended.
         moves: Changes of all coordinates, shape (draws, coordinates).
         random: Of the noise.
     """
-    plain = eqx.tree_at(
-        lambda p: p.correlation, optimum.problem, jnp.zeros_like(optimum.problem.correlation)
-    )
-    residual, blocks = linearize(plain, optimum.solution.coordinates)
+    problem = estimate.problem
+    plain = replace(problem, noise=problem.noise.for_channels(len(problem.batch.channels)))
+    residual, blocks = linearize(plain, estimate.solution.coordinates)
     weight = np.asarray(plain.batch.observed.weight)
     recorded = np.asarray(plain.batch.observed.values)
     moves = moves[np.isfinite(moves).all(axis=1)]
     tail = (1 - LEVEL) / 2
     bands: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
-    for run, each in enumerate(optimum.candidates):
-        if not optimum.solution.active[run]:
+    for run, each in enumerate(estimate.runs):
+        if not estimate.solution.active[run]:
             continue
-        place = optimum.shared + run * optimum.own
-        mine = np.c_[moves[:, : optimum.shared], moves[:, place : place + optimum.own]]
+        place = estimate.shared + run * estimate.own
+        mine = np.c_[moves[:, : estimate.shared], moves[:, place : place + estimate.own]]
         length = len(each.observation.time)
         bands[each.name] = {}
         for channel in each.observation.channels:
             row = plain.batch.channels.index(channel)
             here = np.flatnonzero(weight[run, row, :length] > 0)
-            off = optimum.model_error.get(channel, 0.0)
+            off = estimate.model_error.get(channel, 0.0)
             noise = np.sqrt(np.mean((residual[run, row, here] / weight[run, row, here]) ** 2))
             low, high = np.full(length, np.nan), np.full(length, np.nan)
             step = max(1, int(piece_bytes(CHUNK_BYTES) / (8 * max(len(mine), 1))))

@@ -66,16 +66,16 @@ def rescaled_covariance(
     return shrink @ (outer @ along).T, shrink @ (inner @ along).T
 
 
-def null_directions(blocks: np.ndarray, shared: int, belief_slope: np.ndarray) -> np.ndarray:
+def null_directions(blocks: np.ndarray, shared: int, prior_slope: np.ndarray) -> np.ndarray:
     """Directions that neither data nor priors see, in columns.
 
     A coordinate's unit is what these would tell it to, were all others known.
 
     Args:
         blocks, shared: As for `covariance`.
-        belief_slope: Derivative of each coordinate's prior residual; zero where it has none.
+        prior_slope: Derivative of each coordinate's prior residual; zero where it has none.
     """
-    information = _information(blocks, shared) + np.diag(belief_slope**2)
+    information = _information(blocks, shared) + np.diag(prior_slope**2)
     _, vectors, _, unseen = _directions(information)
     return vectors[:, unseen]
 
@@ -158,7 +158,7 @@ def _floor(values: np.ndarray) -> float:
     return float(values.max(initial=1.0) * np.finfo(float).eps * max(len(values), 1))
 
 
-def inverse(information: np.ndarray) -> np.ndarray:
+def regularized_inverse(information: np.ndarray) -> np.ndarray:
     """Its inverse; a direction without information gets a very large variance."""
     values, vectors, size, _ = _directions(information)
     root = vectors / np.sqrt(np.maximum(values, _floor(values))) / size[:, None]

@@ -23,7 +23,7 @@ class Estimate:
     Attributes:
         problem: Runs and parameters, with the weights of the last solve.
         solution: Where the solver stopped.
-        candidates: The runs; the batch may hold more, which weigh nothing.
+        runs: The runs; the batch may hold more, which weigh nothing.
         model_error: What the simulation may be off by [m, N, N m]; see `Estimate.of`.
         left: What is left of the residuals where each run has its own zeta, if they share one: it
             scatters, and the rest is noise. Shaped like the solution's residuals.
@@ -37,32 +37,32 @@ class Estimate:
 
     problem: Problem
     solution: Solution
-    candidates: tuple[PreparedRun, ...]
+    runs: tuple[PreparedRun, ...]
     model_error: Mapping[str, float]
-    left: np.ndarray
+    noise_residual: np.ndarray
     whitening: Whitening
-    scatter: np.ndarray
+    run_variance: np.ndarray
     covariance: np.ndarray
-    share: np.ndarray | None = None
+    slope_rescaling: np.ndarray | None = None
 
     @classmethod
     def of(
         cls,
         problem: Problem,
         solution: Solution,
-        candidates: tuple[PreparedRun, ...],
+        runs: tuple[PreparedRun, ...],
         model_error: Mapping[str, float],
     ) -> "Estimate":
         """Covariance and whitening of a solved problem.
 
         Args:
-            problem, solution, candidates: See `Estimate`.
+            problem, solution, runs: See `Estimate`.
             model_error: Standard deviation of a constant that the simulation may be off by over a
                 phase of the command, by channel [m, N, N m].
         """
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
         offset = _offset(problem, model_error)
-        phases = phases_of(candidates, counts)
+        phases = phases_of(runs, counts)
         intervals = np.asarray(problem.batch.observed.intervals)
         shared, blocks = len(problem.shared), solution.blocks
         # Sand is never the same twice; what is built stays as it is.
@@ -72,11 +72,11 @@ class Estimate:
         moves = np.zeros((len(blocks), len(alone)))
         if sands:
             moves, left = per_run_steps(blocks, left, alone)
-        whitening = Whitening.of(left, counts, offset, phases, intervals)
+        whitening = Whitening.of(left, counts, offset, phases, intervals, problem.noise)
         scatter = np.zeros(shared)
         scatter[sands] = between_run_variance(moves, blocks[..., alone], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
-        return cls(problem, solution, candidates, model_error, left, whitening, scatter, spread)
+        return cls(problem, solution, runs, model_error, left, whitening, scatter, spread)
 
     @property
     def shared(self) -> int:
@@ -89,38 +89,36 @@ class Estimate:
         return len(self.problem.own)
 
     @property
-    def ordered(self) -> list[tuple[Parameter, int | None]]:
+    def coordinate_parameters(self) -> list[tuple[Parameter, int | None]]:
         """The parameter of each coordinate, and whose run it is; padded runs left out."""
-        of_runs = [(p, r) for r in range(len(self.candidates)) for p in self.problem.own]
+        of_runs = [(p, r) for r in range(len(self.runs)) for p in self.problem.own]
         return [*((p, None) for p in self.problem.shared), *of_runs]
 
     @property
     def labels(self) -> tuple[str, ...]:
         """A name for each coordinate: "lambda", "zeta of slow_a"."""
         return tuple(
-            p.quantity.label
-            if run is None
-            else f"{p.quantity.label} of {self.candidates[run].name}"
-            for p, run in self.ordered
+            p.quantity.label if run is None else f"{p.quantity.label} of {self.runs[run].name}"
+            for p, run in self.coordinate_parameters
         )
 
     @property
     def flat(self) -> np.ndarray:
         """All coordinates in one row, padded runs left out."""
         shared, own = map(np.asarray, self.solution.coordinates)
-        return np.r_[shared, own[: len(self.candidates)].ravel()]
+        return np.r_[shared, own[: len(self.runs)].ravel()]
 
     def coordinates(self, flat: np.ndarray) -> Coordinates:
         """Coordinates as the problem takes them, from one row."""
         filled = np.array(self.solution.coordinates[1])
-        filled[: len(self.candidates)] = flat[self.shared :].reshape(-1, self.own)
-        return self.problem.everywhere((jnp.asarray(flat[: self.shared]), jnp.asarray(filled)))
+        filled[: len(self.runs)] = flat[self.shared :].reshape(-1, self.own)
+        return self.problem.on_all_devices((jnp.asarray(flat[: self.shared]), jnp.asarray(filled)))
 
     def values(self, flat: np.ndarray) -> np.ndarray:
         """Parameters' values at these coordinates, the last axis of any shape before it."""
         columns = [
             np.asarray(p.bijector.value(jnp.asarray(flat[..., k])))
-            for k, (p, _) in enumerate(self.ordered)
+            for k, (p, _) in enumerate(self.coordinate_parameters)
         ]
         return np.stack(columns, axis=-1) if columns else np.zeros(flat.shape)
 
@@ -128,28 +126,29 @@ class Estimate:
     def slopes(self) -> np.ndarray:
         """Derivative of each value by its coordinate."""
         at = jnp.asarray(self.flat)
-        return np.array([float(p.bijector.slope(at[k])) for k, (p, _) in enumerate(self.ordered)])
+        return np.array(
+            [float(p.bijector.slope(at[k])) for k, (p, _) in enumerate(self.coordinate_parameters)]
+        )
 
     @property
     def covariance_of_values(self) -> np.ndarray:
         """Covariance of the values, in their units squared, ordered as `labels`."""
-        size = len(self.ordered)
+        size = len(self.coordinate_parameters)
         slopes = self.slopes
         return slopes[:, None] * self.covariance[:size, :size] * slopes
 
 
 def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
     """Weighted residual that the simulation's own error makes, held over a phase."""
-    error = np.array([model_error.get(channel, 0.0) for channel in problem.batch.channels])
-    carried = np.asarray(jax.vmap(problem.ar1_coefficients)(problem.batch.observed))
-    whitened = (1 - carried) / np.sqrt(1 - carried**2)
-    return np.asarray(problem.batch.observed.weight) * error[:, None] * whitened
+    observed = problem.batch.observed
+    error = jnp.asarray([model_error.get(channel, 0.0) for channel in problem.batch.channels])
+    return np.asarray(jax.vmap(problem.whiten)(observed.weight * error[:, None], observed))
 
 
-def phases_of(candidates: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:
+def phases_of(runs: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:
     """Number of the phase of the command (a straight piece of it) that each sample falls in."""
     phases = np.zeros((counts.shape[0], counts.shape[2]), int)
-    for index, each in enumerate(candidates):
+    for index, each in enumerate(runs):
         knots = np.asarray(simplify_command(each.setup.command).time)
         time = each.observation.time + knots[0]
         phases[index, : len(time)] = np.searchsorted(knots, time, side="right")

@@ -18,7 +18,7 @@ import numpy as np
 
 from identify.solver.levenberg_marquardt import Solution
 from identify.solver.problem import linearize, normal_equations
-from identify.uncertainty.covariance import inverse, rescaled_covariance
+from identify.uncertainty.covariance import regularized_inverse, rescaled_covariance
 from identify.uncertainty.estimate import Estimate
 
 MOST_STEPS = 40
@@ -29,20 +29,20 @@ LONGEST_STEP, SMALL_STEP = 0.3, 0.03
 
 
 def apply_priors(
-    optimum: Estimate, progress: Callable[[int, float], None] | None = None
+    estimate: Estimate, progress: Callable[[int, float], None] | None = None
 ) -> Estimate:
     """The most probable values by runs and priors.
 
     Args:
-        optimum: Of the same runs and parameters, each sample weighed alike.
+        estimate: Of the same runs and parameters, each sample weighed alike.
         progress: Called with the number of the step and its size in standard errors.
     """
-    flat, status, shared = optimum.flat, "stalled", optimum.shared
-    here = _at(optimum, flat)
-    share, total = _rescaled(optimum, here)
+    flat, status, shared = estimate.flat, "stalled", estimate.shared
+    here = _at(estimate, flat)
+    share, total = _rescaled(estimate, here)
     for number in range(1, MOST_STEPS + 1):
         data = normal_equations(here.blocks, shared, here.residual)[1]
-        slope = share @ data + here.belief_slope * here.belief
+        slope = share @ data + here.prior_slope * here.prior_residual
         unit = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
         in_units = np.linalg.lstsq(total / np.outer(unit, unit), slope / unit, rcond=None)[0]
         move = -in_units / unit
@@ -53,38 +53,40 @@ def apply_priors(
             status = "converged"
             break
         move = move[: len(flat)] * min(1.0, LONGEST_STEP / np.abs(move).max())
-        ahead = _at(optimum, flat + move)
+        ahead = _at(estimate, flat + move)
         if not (np.isfinite(ahead.residual).all() and np.isfinite(ahead.blocks).all()):
             break
         flat, here = flat + move, ahead
-        share, total = _rescaled(optimum, here)
+        share, total = _rescaled(estimate, here)
     solution = replace(here, status=status)
-    return replace(optimum, solution=solution, covariance=inverse(total), share=share)
+    return replace(
+        estimate, solution=solution, covariance=regularized_inverse(total), slope_rescaling=share
+    )
 
 
-def _rescaled(optimum: Estimate, at: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _rescaled(estimate: Estimate, at: Solution) -> tuple[np.ndarray, np.ndarray]:
     """What rescales the runs' slope, and the information of runs and priors together."""
     information, share = rescaled_covariance(
-        at.blocks, optimum.whitening, optimum.shared, optimum.scatter
+        at.blocks, estimate.whitening, estimate.shared, estimate.run_variance
     )
-    return share, information + np.diag(at.belief_slope**2)
+    return share, information + np.diag(at.prior_slope**2)
 
 
-def _at(optimum: Estimate, flat: np.ndarray) -> Solution:
+def _at(estimate: Estimate, flat: np.ndarray) -> Solution:
     """The solution moved to other coordinates."""
-    problem, coordinates = optimum.problem, optimum.coordinates(flat)
+    problem, coordinates = estimate.problem, estimate.coordinates(flat)
     residual, blocks = linearize(problem, coordinates)
-    counts = optimum.whitening.scale > 0
+    counts = estimate.whitening.scale > 0
     ones = jax.tree.map(jnp.ones_like, coordinates)
-    beliefs, slopes = jax.jvp(problem.prior_residuals, coordinates, ones)
-    belief, slope = (np.concatenate([np.ravel(p) for p in part]) for part in (beliefs, slopes))
+    priors, slopes = jax.jvp(problem.prior_residuals, coordinates, ones)
+    prior, slope = (np.concatenate([np.ravel(p) for p in part]) for part in (priors, slopes))
     return replace(
-        optimum.solution,
+        estimate.solution,
         coordinates=coordinates,
         residual=np.where(counts, residual, 0),
         blocks=np.where(counts[..., None], blocks, 0),
-        belief=belief,
-        belief_slope=slope,
+        prior_residual=prior,
+        prior_slope=slope,
     )
 
 
@@ -97,7 +99,7 @@ CONTRADICT = 3.0
 LEAST_SHARE = 1e-3
 
 
-def prior_conflicts(optimum: Estimate) -> list[str]:
+def prior_conflicts(estimate: Estimate) -> list[str]:
     """Sentences on priors that lie far from what the runs alone would tell.
 
     With a prior of error p the value has the error v, and the runs alone e: 1/v² = 1/p² + 1/e².
@@ -105,18 +107,18 @@ def prior_conflicts(optimum: Estimate) -> list[str]:
     sqrt(p² + e²).
 
     Args:
-        optimum: Where the fit ended; in its unbounded coordinates all errors are straight.
+        estimate: Where the fit ended; in its unbounded coordinates all errors are straight.
     """
-    size = len(optimum.ordered)
-    variance = np.diag(optimum.covariance)[:size]
-    slope = optimum.solution.belief_slope[:size]
-    belief = optimum.solution.belief[:size]
+    size = len(estimate.coordinate_parameters)
+    variance = np.diag(estimate.covariance)[:size]
+    slope = estimate.solution.prior_slope[:size]
+    prior = estimate.solution.prior_residual[:size]
     share = 1 - variance * slope**2
     known = (slope != 0) & (share > LEAST_SHARE)
-    apart = np.abs(belief) / np.sqrt(np.where(known, share, 1.0))
+    apart = np.abs(prior) / np.sqrt(np.where(known, share, 1.0))
     return [
         f"{label}: its prior and the runs contradict each other, by {far:.1f} of their errors; the "
         "value is a compromise that neither believes"
-        for label, far, told in zip(optimum.labels, apart, known, strict=True)
+        for label, far, told in zip(estimate.labels, apart, known, strict=True)
         if told and far > CONTRADICT
     ]

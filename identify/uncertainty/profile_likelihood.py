@@ -1,10 +1,12 @@
-r"""Profile likelihood: how much worse a fit becomes as one value is held elsewhere.
+r"""Profile likelihood: the rise of a fit's sum of squares as one value is held elsewhere.
 
-At each place of the value all others are fitted anew. The runs' sum of squares is scaled so that it
-curves as the value's standard error without a prior asks for (see
-`identify.uncertainty.covariance.rescaled_covariance`). With the priors' added, its rise
-is a chi-squared of one degree of freedom: the interval of a level is where it has risen by less than that level's
-quantile. Unlike a standard error it follows a bend, and it says where there is no end to one side.
+At each place of the value all others are fitted again. The runs' sum of squares is scaled so that
+its curvature is that of the value's standard error without a prior (see
+`identify.uncertainty.covariance.rescaled_covariance`), and the priors' squares are added. Twice the
+logarithm of the likelihood ratio, which this rise is, follows a chi-squared distribution with one
+degree of freedom (Wilks 1938): the interval of a level holds the values whose rise is less than
+that level's quantile. Unlike a standard error, the interval follows a curved likelihood and may be
+open on one side.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +26,7 @@ from identify.parameters.parameter import PHASES, SHORT_NAMES, Parameter
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import normal_equations
 from identify.solver.whitening import Whitening
-from identify.uncertainty.covariance import inverse, rescaled_covariance
+from identify.uncertainty.covariance import regularized_inverse, rescaled_covariance
 from identify.uncertainty.estimate import Estimate
 
 # Places to either side of the fitted value, and how far out the last is in standard errors.
@@ -97,7 +99,7 @@ def require_fitted(name: str, parameters: Sequence[Parameter], by_phase: bool = 
 
 
 def profile_likelihoods(
-    optimum: Estimate,
+    estimate: Estimate,
     name: str,
     level: float = LEVEL,
     progress: Callable[[str, int, int], None] | None = None,
@@ -105,7 +107,7 @@ def profile_likelihoods(
     """The profile of a shared value, or one for each run that has the value for itself.
 
     Args:
-        optimum: Where the fit ended.
+        estimate: Where the fit ended.
         name: As users write it: "lambda", "zeta".
         level: Of the interval.
         progress: Called with the label, the step and the number of places that still move.
@@ -114,30 +116,30 @@ def profile_likelihoods(
         InputError: where no such number was fitted.
     """
     full = SHORT_NAMES.get(name, name)
-    require_fitted(name, [p for p, _ in optimum.ordered])
+    require_fitted(name, [p for p, _ in estimate.coordinate_parameters])
     numbers = [
         index
-        for index, (p, run) in enumerate(optimum.ordered)
-        if p.quantity.name == full and (run is None or optimum.solution.active[run])
+        for index, (p, run) in enumerate(estimate.coordinate_parameters)
+        if p.quantity.name == full and (run is None or estimate.solution.active[run])
     ]
-    return [_profile(optimum, n, level, progress) for n in numbers]
+    return [_profile(estimate, n, level, progress) for n in numbers]
 
 
-def _profile(optimum: Estimate, number: int, level: float, progress) -> ProfileLikelihood:
-    runs, active = len(optimum.candidates), optimum.solution.active
-    descent = BatchedLevenbergMarquardt(optimum.problem, runs, _scaled(optimum, number), active)
-    at_optimum = descent.run(optimum.flat[None])
-    parameter, _ = optimum.ordered[number]
+def _profile(estimate: Estimate, number: int, level: float, progress) -> ProfileLikelihood:
+    runs, active = len(estimate.runs), estimate.solution.active
+    descent = BatchedLevenbergMarquardt(estimate.problem, runs, _scaled(estimate, number), active)
+    at_optimum = descent.run(estimate.flat[None])
+    parameter, _ = estimate.coordinate_parameters[number]
     best, least = at_optimum.points[0], at_optimum.loss[0]
     size = len(best)
-    covariance = optimum.covariance[:size, :size]
+    covariance = estimate.covariance[:size, :size]
     error = np.sqrt(covariance[number, number])
     held = np.zeros(size, bool)
     held[number] = True
     moves = _places(parameter, float(best[number]), float(error)) - best[number]
     # The straight line says where the others go meanwhile.
     points = best + moves[:, None] * covariance[number] / covariance[number, number]
-    label = optimum.labels[number]
+    label = estimate.labels[number]
     report = None if progress is None else lambda step, left: progress(label, step, left)
     ends = descent.run(points, held=held, progress=report)
     places = np.r_[moves[moves < 0], 0.0, moves[moves > 0]]
@@ -149,7 +151,7 @@ def _profile(optimum: Estimate, number: int, level: float, progress) -> ProfileL
     def value(coordinate: np.ndarray) -> np.ndarray:
         full = np.tile(best, (len(coordinate), 1))
         full[:, number] += coordinate
-        return optimum.values(full)[:, number]
+        return estimate.values(full)[:, number]
 
     bounds = [float(value(np.array([e]))[0]) if np.isfinite(e) else e for e in (low, high)]
     return ProfileLikelihood(
@@ -157,16 +159,16 @@ def _profile(optimum: Estimate, number: int, level: float, progress) -> ProfileL
     )
 
 
-def _scaled(optimum: Estimate, number: int) -> Whitening:
+def _scaled(estimate: Estimate, number: int) -> Whitening:
     """One scale for all residuals, at which the runs tell of a coordinate what they do tell."""
-    solution, counts = optimum.solution, optimum.whitening.scale > 0
-    alike, _ = normal_equations(solution.blocks, optimum.shared, solution.residual)
+    solution, counts = estimate.solution, estimate.whitening.scale > 0
+    alike, _ = normal_equations(solution.blocks, estimate.shared, solution.residual)
     told, _ = rescaled_covariance(
-        solution.blocks, optimum.whitening, optimum.shared, optimum.scatter
+        solution.blocks, estimate.whitening, estimate.shared, estimate.run_variance
     )
-    share = inverse(alike)[number, number] / inverse(told)[number, number]
+    share = regularized_inverse(alike)[number, number] / regularized_inverse(told)[number, number]
     even = counts * np.sqrt(share)
-    return Whitening(even, np.zeros(counts.shape), optimum.whitening.phase)
+    return Whitening(even, np.zeros(counts.shape), estimate.whitening.phase)
 
 
 def _places(parameter: Parameter, best: float, error: float) -> np.ndarray:

@@ -1,29 +1,19 @@
-"""Evidence of a smooth path: a linear-Gaussian problem whose noise and smoothness the data choose.
+r"""Smoothness and noise of a linearised zeta(t), by their evidence.
 
-Columns [derivative | data] of each channel stand for a simulation linearised in log zeta at knots.
-The prior is a discrete smoothing spline's; each channel's noise is first-order autoregressive. Both
-are chosen by the data's probability, a Gaussian integral in closed form.
+The columns [derivative | data] of each channel are the simulation linearised in log zeta at the
+knots. The prior is that of a discrete cubic smoothing spline, the noise of each channel is
+first-order autoregressive, and both are chosen by the evidence
+(`drftjax.recorded.gaussian_posterior`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
-# From knots that scatter by a factor e^10 to a straight line for as long as any run.
-WEIGHTS = np.logspace(-2, 10, 25)
-
-
-# Evidence is flat in the noise near its best; more rounds move no error by a percent.
-NOISE_ROUNDS = 15
-
-
-# Of log evidence, less than which is no reason to change a weight.
-NOTICEABLE = 0.5
-
-
-# Standard deviation of the prior of log zeta itself: a factor e^5, so as good as none.
-LEVEL_SPREAD = 5.0
+from drftjax.recorded.gaussian_posterior import gaussian_posterior, second_difference_precision
+from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
 
 
 @dataclass(frozen=True)
@@ -36,52 +26,54 @@ class AR1Noise:
 
 @dataclass(frozen=True)
 class InstrumentFloor:
-    """What one channel's noise may be.
+    """Limits of one channel's noise.
 
     Attributes:
-        floor: Smallest standard deviation [m].
-        longest: Largest correlation of a sample with the one before [-].
+        smallest: Smallest standard deviation [m].
+        largest_correlation: Largest correlation of a sample with the one before [-].
     """
 
-    floor: float
-    longest: float
+    smallest: float
+    largest_correlation: float
 
-    def white(self, spread: float) -> AR1Noise:
-        """White noise of this standard deviation [m], or of the smallest."""
-        return AR1Noise(max(float(spread), self.floor), 0.0)
+    def white_noise(self, spread: float) -> AR1Noise:
+        """Return white noise of this standard deviation [m], or of the smallest."""
+        return AR1Noise(max(float(spread), self.smallest), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LaggedProducts:
-    """Sums of products of one channel's columns [derivative | data], of shape (n, n) each.
+    r"""Sums of products of one channel's columns [derivative | data], of shape (n, n) each.
 
-    Of samples that lie k intervals after the one before, for every k that occurs (the first sample
-    of all is an infinite one after). The inverse covariance of autoregressive noise needs no other
-    numbers of the columns, with $r = \\rho^k$:
+    One sum for every interval k that occurs between a sample and the one before (the first sample
+    is infinitely late). With $\rho_k = \rho^k$, the inverse covariance of autoregressive noise
+    needs no other numbers of the columns:
 
-    $$a^T C^{-1} b = \\sum_k (S_k - r L_k + r^2 B_k) / (\\sigma^2 (1 - r^2))$$
+    $$a^T C^{-1} b = \sum_k (S_k - \rho_k L_k + \rho_k^2 B_k) / (\sigma^2 (1 - \rho_k^2))$$
 
     Attributes:
         intervals: Every k, shape (kinds,).
-        samples: How many samples lie so, shape (kinds,).
-        own: S, of each such sample with itself, shape (kinds, n, n).
-        lagged: L, with the one before, either way round, likewise.
-        before: B, of the one before with itself, likewise.
+        samples: Number of samples with this interval, shape (kinds,).
+        current: S, each such sample with itself, shape (kinds, n, n).
+        lagged: L, each with the one before, and the transpose, likewise.
+        previous: B, the one before with itself, likewise.
     """
 
     intervals: np.ndarray
     samples: np.ndarray
-    own: np.ndarray
+    current: np.ndarray
     lagged: np.ndarray
-    before: np.ndarray
+    previous: np.ndarray
 
     @classmethod
-    def of(cls, columns: np.ndarray, intervals: np.ndarray) -> "LaggedProducts":
-        """Of columns in time.
+    def of(
+        cls, columns: Float[np.ndarray, "samples n"], intervals: Float[np.ndarray, " samples"]
+    ) -> "LaggedProducts":
+        """Sum the products of columns in time.
 
         Args:
-            columns: Shape (samples, n).
-            intervals: Usual intervals from the sample before, infinite first, shape (samples,).
+            columns: Derivatives and data at every sample.
+            intervals: Usual intervals from the sample before [-], infinite first.
         """
         kinds, kind = np.unique(intervals, return_inverse=True)
         ahead = np.concatenate([np.zeros_like(columns[:1]), columns[:-1]])
@@ -95,32 +87,32 @@ class LaggedProducts:
             np.stack([last.T @ last for _, last in pairs]),
         )
 
-    def whitened(self, noise: AR1Noise) -> np.ndarray:
-        """columns^T C^-1 columns."""
+    def whitened_gram(self, noise: AR1Noise) -> Float[np.ndarray, "n n"]:
+        """Return columns^T C^-1 columns."""
         rho = self.ar1_coefficient(noise)[:, None, None]
-        bare = (self.own - rho * self.lagged + rho**2 * self.before) / (1 - rho**2)
+        bare = (self.current - rho * self.lagged + rho**2 * self.previous) / (1 - rho**2)
         return bare.sum(axis=0) / noise.spread**2
 
-    def volume(self, noise: AR1Noise) -> float:
-        """Logarithm of the determinant of the noise's covariance."""
+    def log_determinant(self, noise: AR1Noise) -> float:
+        """Return ln |C| of the noise's covariance C."""
         fresh = np.log1p(-(self.ar1_coefficient(noise) ** 2))
         return float((self.samples * (np.log(noise.spread**2) + fresh)).sum())
 
-    def ar1_coefficient(self, noise: AR1Noise) -> np.ndarray:
-        """What a sample keeps of the one before, by kind: nothing where that is infinitely far."""
+    def ar1_coefficient(self, noise: AR1Noise) -> Float[np.ndarray, " kinds"]:
+        """Return the correlation with the sample before, for each interval; zero for the first."""
         return np.where(np.isfinite(self.intervals), noise.correlation**self.intervals, 0.0)
 
-    def noise(
+    def most_probable_noise(
         self, residual: np.ndarray, covariance: np.ndarray, instrument: InstrumentFloor
     ) -> AR1Noise:
-        """The noise that makes this residual, known to a covariance, most probable.
+        """Return the noise that makes a residual with uncertain coordinates most probable.
 
-        Neighbours alone tell the correlation.
+        The M step of expectation-maximisation; the correlation comes from neighbours alone.
 
         Args:
-            residual: Its coefficients in the columns, shape (n,).
-            covariance: Of the derivative's coordinates.
-            instrument: What the noise may be.
+            residual: Coefficients of the residual in the columns, shape (n,).
+            covariance: Of the derivative's coordinates, shape (n - 1, n - 1).
+            instrument: Limits of the noise.
         """
 
         def power(sums: np.ndarray) -> float:
@@ -128,19 +120,26 @@ class LaggedProducts:
             return float(residual @ sums @ residual + spread)
 
         near = self.intervals == 1
-        both = power((self.own[near] + self.before[near]).sum(axis=0))
-        rho = np.clip(
-            power(self.lagged[near].sum(axis=0)) / max(both, 1e-300), 0, instrument.longest
-        )
-        # Rounding can make nothing of it where the derivative is many times what is left.
-        left = max(power(self.whitened(AR1Noise(1.0, float(rho)))), 0.0)
-        spread = np.sqrt(left / self.samples.sum())
-        return AR1Noise(max(float(spread), instrument.floor), float(rho))
+        both = power((self.current[near] + self.previous[near]).sum(axis=0))
+        rho = power(self.lagged[near].sum(axis=0)) / max(both, 1e-300)
+        rho = float(np.clip(rho, 0, instrument.largest_correlation))
+        # Rounding can make it negative where the derivative is many times the residual.
+        square = max(power(self.whitened_gram(AR1Noise(1.0, rho))), 0.0)
+        return AR1Noise(max(float(np.sqrt(square / self.samples.sum())), instrument.smallest), rho)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Mean and covariance of the coordinates, given weight and noise, and their log evidence."""
+    """Gaussian posterior of a linearised run at one weight and noise.
+
+    Attributes:
+        mean: Of the coordinates: log zeta at the knots, then the start's, shape (n,).
+        covariance: Of these, shape (n, n).
+        information: Of the data alone, shape (n, n).
+        evidence: Log probability of the data.
+        weight: Weight of squared second differences.
+        noise: Of each channel.
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -150,90 +149,92 @@ class Posterior:
     noise: tuple[AR1Noise, ...]
 
 
-def posterior(
-    products: Sequence[LaggedProducts],
-    knots: int,
-    level: float,
-    weight: float,
-    noise: Sequence[AR1Noise],
-) -> Posterior:
-    """Gaussian posterior of a linearised run.
+@dataclass(frozen=True, eq=False)
+class LinearizedPath:
+    """One run's channels, linearised in zeta(t) and the start.
 
-    Args:
+    Attributes:
         products: Of each channel.
         knots: Number of coordinates that are log zeta; the rest are the start's.
         level: Mean of the prior of log zeta.
+        settings: Decision numbers.
+    """
+
+    products: Sequence[LaggedProducts]
+    knots: int
+    level: float
+    settings: ZetaPathSettings = ZETA_PATH_SETTINGS
+
+    def posterior(self, weight: float, noise: Sequence[AR1Noise]) -> Posterior:
+        """Return the posterior at a weight of squared second differences and a noise."""
+        pairs = list(zip(self.products, noise, strict=True))
+        gram = np.sum([p.whitened_gram(n) for p, n in pairs], axis=0)
+        size = len(gram) - 1
+        # Second differences do not depend on the level, so the prior needs its mean.
+        centre = np.r_[np.full(self.knots, self.level), np.zeros(size - self.knots)]
+        found = gaussian_posterior(
+            gram,
+            smoothness_prior(self.knots, size, weight, self.settings.level_spread),
+            centre,
+            sum(p.log_determinant(n) for p, n in pairs),
+        )
+        evidence = found.log_evidence
+        return Posterior(
+            found.mean, found.covariance, found.information, evidence, weight, tuple(noise)
+        )
+
+    def maximize_evidence_given_noise(self, noise: Sequence[AR1Noise], least: float) -> Posterior:
+        """Return the posterior at the weight of largest evidence, at least `least`."""
+        weights = self.settings.weight_grid
+        found = [self.posterior(weight, noise) for weight in weights[least <= weights]]
+        return max(found, key=lambda each: each.evidence)
+
+    def maximize_evidence(
+        self,
+        noise: Sequence[AR1Noise],
+        instruments: Sequence[InstrumentFloor],
+        kept: float | None = None,
+    ) -> Posterior:
+        """Return the posterior at the weight and noise of largest evidence.
+
+        From the smoothest path to the roughest, the noise at each weight starts from that at its
+        neighbour, and once more from the instruments' own: a path may be rough, or its noise
+        correlated for long.
+
+        Args:
+            noise: To start from.
+            instruments: Limits of the noise.
+            kept: Weight of the linearisation before, kept unless another is noticeably better.
+        """
+        found, grid = [], self.settings.weight_grid
+        starts = (grid[::-1], noise), (grid, [each.white_noise(0.0) for each in instruments])
+        for weights, first in starts:
+            now = list(first)
+            for weight in weights:
+                for _ in range(self.settings.noise_rounds):
+                    state = self.posterior(weight, now)
+                    residual = np.r_[state.mean, -1.0]
+                    now = [
+                        p.most_probable_noise(residual, state.covariance, instrument)
+                        for p, instrument in zip(self.products, instruments, strict=True)
+                    ]
+                found.append(self.posterior(weight, now))
+        bonus = self.settings.weight_gain
+        return max(found, key=lambda each: each.evidence + bonus * (each.weight == kept))
+
+
+def smoothness_prior(
+    knots: int, size: int, weight: float, level_spread: float
+) -> Float[np.ndarray, "size size"]:
+    """Return the prior's precision of log zeta at the knots and of the start's coordinates.
+
+    Args:
+        knots: Number of knots.
+        size: Number of all coordinates; those of the start have unit precision.
         weight: Weight of squared second differences.
-        noise: Of each channel.
+        level_spread: Standard deviation of the level of log zeta.
     """
-    whitened = np.sum([p.whitened(n) for p, n in zip(products, noise, strict=True)], axis=0)
-    information, slope, power = whitened[:-1, :-1], whitened[:-1, -1], whitened[-1, -1]
-    prior = smoothness_prior(knots, len(information), weight)
-    # Second differences do not see a level, so it is their mean that the prior needs to be told.
-    centre = np.r_[np.full(knots, level), np.zeros(len(information) - knots)]
-    precision = information + prior
-    covariance = np.linalg.inv(precision)
-    covariance = (covariance + covariance.T) / 2
-    mean = covariance @ (slope + prior @ centre)
-    misfit = power - 2 * mean @ slope + mean @ information @ mean
-    away = (mean - centre) @ prior @ (mean - centre)
-    noise_volume = sum(p.volume(n) for p, n in zip(products, noise, strict=True))
-    volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(prior)[1] + noise_volume
-    evidence = -0.5 * float(misfit + away + volume)
-    return Posterior(mean, covariance, information, evidence, weight, tuple(noise))
-
-
-def smoothness_prior(knots: int, size: int, weight: float) -> np.ndarray:
-    """Precision of a smooth path of log zeta and of the start's coordinates, shape (size, size)."""
-    bends = np.diff(np.eye(knots), 2, axis=0)
     prior = np.eye(size)
-    prior[:knots, :knots] = weight * bends.T @ bends + np.eye(knots) / (LEVEL_SPREAD**2 * knots)
+    level = np.eye(knots) / (level_spread**2 * knots)
+    prior[:knots, :knots] = weight * second_difference_precision(knots) + level
     return prior
-
-
-def smoothest_given(
-    products: Sequence[LaggedProducts],
-    knots: int,
-    level: float,
-    noise: Sequence[AR1Noise],
-    least: float,
-) -> Posterior:
-    """The posterior at the weight of largest evidence, no less than `least`, for a given noise."""
-    weights = WEIGHTS[least <= WEIGHTS]
-    found = [posterior(products, knots, level, weight, noise) for weight in weights]
-    return max(found, key=lambda each: each.evidence)
-
-
-def most_probable(
-    products: Sequence[LaggedProducts],
-    knots: int,
-    level: float,
-    noise: Sequence[AR1Noise],
-    instruments: Sequence[InstrumentFloor],
-    kept: float | None = None,
-) -> Posterior:
-    """The posterior at the weight and noise of largest evidence, over `WEIGHTS`.
-
-    A weight `kept` from the linearisation before gives way only to one that is noticeably more
-    probable: between two that are as good, steps would go to and fro for ever.
-
-    From the smoothest path to the roughest, each weight's noise starting from its neighbour's, and
-    once more from the instruments' own: a path may be rough, or the noise may last.
-    """
-    found = []
-    for weights, first in ((WEIGHTS[::-1], noise), (WEIGHTS, [i.white(0.0) for i in instruments])):
-        now = list(first)
-        for weight in weights:
-            for _ in range(NOISE_ROUNDS):
-                state = posterior(products, knots, level, weight, now)
-                residual = np.r_[state.mean, -1.0]
-                now = [
-                    p.noise(residual, state.covariance, instrument)
-                    for p, instrument in zip(products, instruments, strict=True)
-                ]
-            found.append(posterior(products, knots, level, weight, now))
-
-    def worth(each: Posterior) -> float:
-        return each.evidence + NOTICEABLE * (each.weight == kept)
-
-    return max(found, key=worth)

@@ -1,4 +1,4 @@
-"""A run with zeta in straight lines that draw a spline, and its derivative by the knots."""
+"""Simulation of a run under a spline of log zeta, and its derivative by the knots."""
 
 import equinox as eqx
 import jax
@@ -11,27 +11,29 @@ from drftjax.physics.terrain import KnotZeta
 from drftjax.recorded.batch import Batch, PaddedObservations, between_rows, map_over_runs
 from drftjax.simulation.trial import Trial
 
-# Standard deviation of the start's sinkage and travel about their recorded means [m].
+# Standard deviation of the start's sinkage and travel about their recorded means, the unit of their
+# coordinates [m].
 START_SPREAD = 1e-3
 
 
+# Coordinates of the start: x and z.
 START_COORDINATES = 2
 
 
 def with_zeta_knots(trial: Trial, ends: np.ndarray) -> Trial:
-    """The trial with straight lines of zeta that end here [s]; `placed` says at which zeta."""
+    """Return the trial with straight segments of zeta between these ends [s], all at one."""
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, KnotZeta(ends, 1 + 0 * ends))
 
 
-def placed(
+def path_trial(
     trial: Trial, curve: Float[Array, "ends knots"], coordinates: Float[Array, " all"]
 ) -> Trial:
-    """The trial with log zeta at its knots, and its start moved by (x, z) [START_SPREAD].
+    """Return the trial at these coordinates.
 
     Args:
-        trial: A trial whose zeta is straight lines.
-        curve: The spline that they draw, from `identify.zeta_path.path.cardinal`.
-        coordinates: Log zeta at the spline's knots, and the start's two.
+        trial: A trial whose zeta is straight segments, from `with_zeta_knots`.
+        curve: Values at the segments' ends per value at each knot, from `cardinal_splines`.
+        coordinates: Log zeta at the knots, then the move of the start in x and z [START_SPREAD].
     """
     knots = curve.shape[1]
     trial = eqx.tree_at(
@@ -48,8 +50,8 @@ def predict_path(
     curve: Float[Array, "ends knots"],
     coordinates: Float[Array, " all"],
 ) -> Float[Array, "channels samples"]:
-    """Simulated channels of one run at its recorded times [m], up to the last one compared."""
-    drawn = placed(trial, curve, coordinates)
+    """Return the channels of one run at its recorded times [m], up to the last one compared."""
+    drawn = path_trial(trial, curve, coordinates)
     return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
 
 
@@ -60,9 +62,17 @@ def predict_with_jacobian(
     curves: Float[Array, "runs ends knots"],
     coordinates: Float[Array, "runs all"],
 ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
-    """Every run's channels at its recorded times [m], and their derivative by its coordinates.
+    """Return every run's channels at its recorded times [m], and their derivative.
 
-    As `predicted`; zero for a run of which no row is compared.
+    Args:
+        batch: Runs.
+        mesh: Devices over which the runs are divided.
+        curves: Of each run, as for `path_trial`.
+        coordinates: Of each run, as for `path_trial`.
+
+    Returns:
+        As `predict_path`, and the derivative by each run's coordinates; zero for a run of which no
+        row is compared.
     """
 
     def one(trial: Trial, observed: PaddedObservations, _, own: tuple[Array, Array]):

@@ -22,24 +22,24 @@ import numpy as np
 from rich.progress import Progress
 
 from identify.cluster.result_codec import decode_result, encode_result
-from identify.cluster.scheduler import Local, Log, connected, fit_on
-from identify.cluster.store import Store
+from identify.cluster.scheduler import LocalWorkers, LogFile, connect, fit_on
+from identify.cluster.store import FitStore
 from identify.cluster.worker import (
+    FitOptions,
     FitReply,
     ParameterSpec,
-    Settings,
     _set_up,
     fit_logs,
     fit_replies,
 )
 
 # The step is the one that a fit takes by itself.
-SETTINGS = Settings((ParameterSpec("terrain.zeta", None, None, None),), step=5e-4)
+SETTINGS = FitOptions((ParameterSpec("terrain.zeta", None, None, None),), step=5e-4)
 SANDS = 50
 PROFILE = ([0.0, 0.2, 0.7, 1.0], [0.0, 0.0, 0.5, 0.5])
 
 
-def write_logs(folder: Path, count: int) -> list[Log]:
+def write_logs(folder: Path, count: int) -> list[LogFile]:
     """Runs on fifty sands, each with noise of its own."""
     from drftjax.runlog.hdf5.api import write_run
     from tests.helpers.synthetic_runs import recorded, setup_of
@@ -56,11 +56,11 @@ def write_logs(folder: Path, count: int) -> list[Log]:
         measured = dataclasses.replace(run.measured, **noisy)
         path = folder / f"run{number:04}.h5"
         write_run(path, dataclasses.replace(run, measured=measured))
-        logs.append(Log.at(path))
+        logs.append(LogFile.at(path))
     return logs
 
 
-def one_process(logs: Sequence[Log]) -> tuple[float, list[FitReply]]:
+def one_process(logs: Sequence[LogFile]) -> tuple[float, list[FitReply]]:
     """Time [s] and results of logs fitted one after the other, here."""
     settings = SETTINGS.encoded()
     fit_logs(settings, [(logs[0].digest, logs[0].read())])
@@ -69,11 +69,11 @@ def one_process(logs: Sequence[Log]) -> tuple[float, list[FitReply]]:
     return time.perf_counter() - begin, found
 
 
-def on_cluster(logs: Sequence[Log], workers: int, store: Store) -> tuple[float, float]:
+def on_cluster(logs: Sequence[LogFile], workers: int, store: FitStore) -> tuple[float, float]:
     """Time of start and first fits, and of the rest [s]."""
     warming, rest = logs[: 4 * workers], logs[4 * workers :]
     begin = time.perf_counter()
-    with connected(Local(workers)) as client, Progress() as bar:
+    with connect(LocalWorkers(workers)) as client, Progress() as bar:
         task = bar.add_task("fits", total=len(rest))
         failures = fit_on(client, warming, SETTINGS, store, lambda done, of: None)
         warm = time.perf_counter()
@@ -86,7 +86,7 @@ def on_cluster(logs: Sequence[Log], workers: int, store: Store) -> tuple[float, 
     return warm - begin, end - warm
 
 
-def plainly(logs: Sequence[Log]) -> list:
+def plainly(logs: Sequence[LogFile]) -> list:
     """The same logs fitted as a program of one's own would, without what makes tasks of them."""
     from drftjax.recorded.prepared_run import prepare_run
     from drftjax.runlog.hdf5.api import read_run
@@ -133,7 +133,7 @@ def main() -> None:
         some = logs[: options.one]
         alone, found = one_process(some)
         path = Path(folder) / "fit.store"
-        with Store(path, SETTINGS.named()) as store:
+        with FitStore(path, SETTINGS.plain_values()) as store:
             start, rest = on_cluster(logs, options.workers, store)
             everything = [
                 decode_result(store.result(log.digest)) for log in logs if log.digest in store

@@ -23,7 +23,8 @@ from drftjax.effects.surface import SurfaceSlope
 from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.from_run import setup_from_run
-from drftjax.setups.setup import ZetaKnots, read_setup
+from drftjax.setups.setup import read_setup
+from drftjax.setups.terrain_setup import ZetaKnots
 from tests.helpers.rig_datasets import PROFILES
 from tests.helpers.synthetic_runs import recorded, setup_of
 

@@ -19,11 +19,18 @@ from drftjax.runlog.hdf5.api import read_result, read_run, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA
 from identify.cluster import scheduler as clusters
 from identify.cluster.result_codec import SingleRunResult, decode_result
-from identify.cluster.scheduler import Local, Log, Remote, cluster, connected, fit_on
-from identify.cluster.store import FinishedFit, Store
+from identify.cluster.scheduler import (
+    LocalWorkers,
+    LogFile,
+    RemoteScheduler,
+    connect,
+    fit_on,
+    parse_address,
+)
+from identify.cluster.store import FinishedFit, FitStore
 from identify.cluster.worker import (
+    FitOptions,
     ParameterSpec,
-    Settings,
     _parameters,
     fit_logs,
     fit_replies,
@@ -44,7 +51,7 @@ PRIOR = (0.8, 0.01)
 START = 0.79
 ZETA = ParameterSpec("terrain.zeta", None, PRIOR, START)
 # Every entry that can be told in the result differs from its default.
-SETTINGS = Settings((ZETA,), autoregressive=True, step=STEP)
+SETTINGS = FitOptions((ZETA,), noise="autoregressive", step=STEP)
 RUNS = 12
 
 
@@ -63,13 +70,13 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def logs(folder) -> list[Log]:
-    return [Log.at(path) for path in sorted(folder.glob("run*.h5"))]
+def logs(folder) -> list[LogFile]:
+    return [LogFile.at(path) for path in sorted(folder.glob("run*.h5"))]
 
 
 @pytest.fixture(scope="module")
 def client():
-    with connected(Local(2)) as client:
+    with connect(LocalWorkers(2)) as client:
         yield client
 
 
@@ -97,7 +104,7 @@ def check_same(result: SingleRunResult, other: FitResult) -> None:
 
 
 def test_cluster_finds_what_one_process_finds(client, logs, tmp_path):
-    with Store(tmp_path / "fit.store", SETTINGS.named()) as store:
+    with FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store:
         assert fit_on(client, logs, SETTINGS, store, silent) == {}
         assert len(store) == RUNS
         for log in logs[:4]:
@@ -118,7 +125,7 @@ def test_parameters_are_the_same_on_the_wire(tmp_path):
         parameter("lambda", shared=False),
         parameter("rig.mass_z", shared=False),
     ]
-    settings = Settings(parameter_specs(given))
+    settings = FitOptions(parameter_specs(given))
     # Two NaN are not equal, but read alike.
     assert repr(_parameters(settings.encoded())) == repr(given)
     assert _parameters(settings.encoded()) is _parameters(settings.encoded())
@@ -133,7 +140,7 @@ def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
             killed.append(pids[0])
             os.kill(pids[0], signal.SIGKILL)
 
-    with Store(tmp_path / "fit.store", SETTINGS.named()) as store:
+    with FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store:
         assert fit_on(client, logs, SETTINGS, store, report) == {}
         assert killed
         assert {log.digest for log in logs if log.digest in store} == {log.digest for log in logs}
@@ -220,10 +227,10 @@ def test_malformed_addresses_are_refused(drft, folder, tmp_path, address):
 
 
 def test_addresses():
-    assert cluster("local") == Local(os.cpu_count())
-    assert cluster("local:1") == Local(1)
-    assert cluster("tcp://10.0.0.1:8786") == Remote("tcp://10.0.0.1:8786")
-    assert cluster("tcp://[::1]:8786") == Remote("tcp://[::1]:8786")
+    assert parse_address("local") == LocalWorkers(os.cpu_count())
+    assert parse_address("local:1") == LocalWorkers(1)
+    assert parse_address("tcp://10.0.0.1:8786") == RemoteScheduler("tcp://10.0.0.1:8786")
+    assert parse_address("tcp://[::1]:8786") == RemoteScheduler("tcp://[::1]:8786")
 
 
 def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, monkeypatch):
@@ -245,7 +252,7 @@ def test_without_workers_a_cluster_is_given_up(logs, tmp_path, monkeypatch):
     with (
         LocalCluster(n_workers=0, dashboard_address=None) as empty,
         Client(empty) as client,
-        Store(tmp_path / "fit.store", SETTINGS.named()) as store,
+        FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
         pytest.raises(clusters.InputError, match="no worker"),
     ):
         fit_on(client, logs, SETTINGS, store, silent)
@@ -261,7 +268,7 @@ def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
 
     with (
         Client(started) as client,
-        Store(tmp_path / "fit.store", SETTINGS.named()) as store,
+        FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
         pytest.raises(clusters.InputError, match=r"the cluster is lost .* keeps the \d+ fits"),
     ):
         fit_on(client, logs, SETTINGS, store, report)
@@ -281,7 +288,7 @@ def test_what_has_no_meaning_on_a_cluster_is_refused(drft, folder, tmp_path):
 
 
 def test_workers_of_another_version_are_refused(logs):
-    other = Settings((ZETA,), software="0.0.0")
+    other = FitOptions((ZETA,), software="0.0.0")
     with pytest.raises(clusters.InputError, match=r"must have 0\.0\.0"):
         fit_logs(other.encoded(), [])
 
@@ -290,15 +297,15 @@ def test_workers_of_another_version_are_refused(logs):
 def store(tmp_path) -> Path:
     """A store of two fits."""
     path = tmp_path / "fit.store"
-    with Store(path, SETTINGS.named()) as kept:
+    with FitStore(path, SETTINGS.plain_values()) as kept:
         kept.append(FinishedFit(2 * name, "log.h5", {}, b"result") for name in "ab")
     return path
 
 
-def refusal(path: Path, settings: Settings = SETTINGS) -> str:
+def refusal(path: Path, settings: FitOptions = SETTINGS) -> str:
     before = path.read_bytes()
     with pytest.raises(clusters.InputError) as refused:
-        Store(path, settings.named())
+        FitStore(path, settings.plain_values())
     assert path.read_bytes() == before
     text = str(refused.value)
     assert str(path) in text
@@ -307,18 +314,30 @@ def refusal(path: Path, settings: Settings = SETTINGS) -> str:
 
 
 def test_a_store_of_other_settings_is_refused(store):
-    for name, value in [("zeta", 0.7), ("step", None), ("autoregressive", False)]:
-        other = Settings(**{**SETTINGS.named(), "parameters": (ZETA,), name: value})
+    for name, value in [("zeta", 0.7), ("step", None), ("noise", "white")]:
+        other = FitOptions(**{**SETTINGS.plain_values(), "parameters": (ZETA,), name: value})
         assert f"holds fits with {name}" in refusal(store, other)
+
+
+def test_a_store_of_before_noise_models_had_names_is_gone_on_with(tmp_path):
+    path = tmp_path / "fit.store"
+    plain = SETTINGS.plain_values()
+    before = {name: value for name, value in plain.items() if name != "noise"}
+    with FitStore(path, before | {"autoregressive": True}) as kept:
+        kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
+    with FitStore(path, plain) as kept:
+        assert "aa" in kept
+    other = FitOptions((ZETA,), noise="white", step=STEP)
+    assert "holds fits with noise" in refusal(path, other)
 
 
 def test_a_store_without_fits_is_begun_anew_with_other_settings(tmp_path):
     path = tmp_path / "fit.store"
-    other = Settings((ZETA,), step=2e-3)
+    other = FitOptions((ZETA,), step=2e-3)
     for settings in (SETTINGS, other):
-        with Store(path, settings.named()) as kept:
+        with FitStore(path, settings.plain_values()) as kept:
             assert len(kept) == 0
-    with Store(path, other.named()) as kept:
+    with FitStore(path, other.plain_values()) as kept:
         kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
     assert "holds fits with" in refusal(path)
 
@@ -336,10 +355,10 @@ def test_a_store_cut_anywhere_goes_on(store):
     whole = store.read_bytes()
     for length in range(len(whole)):
         store.write_bytes(whole[:length])
-        with Store(store, SETTINGS.named()) as kept:
+        with FitStore(store, SETTINGS.plain_values()) as kept:
             assert len(kept) == max(0, whole[:length].count(b"\n") - 1)
             kept.append([FinishedFit("bb", "log.h5", {}, b"result")])
-        with Store(store, SETTINGS.named()) as kept:
+        with FitStore(store, SETTINGS.plain_values()) as kept:
             assert "bb" in kept
             assert kept.result("bb") == b"result"
 
@@ -352,11 +371,11 @@ def test_a_file_that_is_no_store_is_left_alone(tmp_path):
     path.unlink()
     path.mkdir()
     with pytest.raises(clusters.InputError, match="ordinary file"):
-        Store(path, {})
+        FitStore(path, {})
 
 
 def test_a_store_in_use_is_refused(store):
-    with Store(store, SETTINGS.named()):
+    with FitStore(store, SETTINGS.plain_values()):
         assert "in use" in refusal(store)
 
 

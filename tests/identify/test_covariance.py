@@ -9,6 +9,7 @@ from identify.results.result import FitResult
 from identify.results.values import RunFit, Value
 from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import between_run_variance, covariance, null_directions
+from identify.uncertainty.noise_model import White
 from tests.helpers.synthetic_runs import setup_of
 
 SAMPLES = 200
@@ -33,7 +34,7 @@ def degenerate(seed: int) -> tuple[np.ndarray, Whitening]:
     phase = np.repeat(np.arange(5), SAMPLES // 5)[None]
     counts = np.ones(one.shape, bool)
     return blocks, Whitening.of(
-        residual, counts, np.full(one.shape, 0.7), phase, np.ones(phase.shape)
+        residual, counts, np.full(one.shape, 0.7), phase, np.ones(phase.shape), White()
     )
 
 
@@ -101,7 +102,7 @@ def test_a_run_of_finer_instruments_than_the_others_is_told_as_well_as_alone():
     clock = np.zeros((2, SAMPLES), int), np.ones((2, SAMPLES))
 
     def errors(size: np.ndarray) -> np.ndarray:
-        whitening = Whitening.of(residual / size, counts, nothing, *clock)
+        whitening = Whitening.of(residual / size, counts, nothing, *clock, White())
         return np.sqrt(np.diag(covariance(blocks / size[..., None], whitening, 0)))
 
     together, alone = errors(np.ones_like(size)), errors(size)

@@ -12,7 +12,7 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.physics.stress import Sharp
 from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
-from identify.design.design import design, promised, search_objective, trapezoid
+from identify.design.design import design, evaluate_setup, search_objective, trapezoid
 from identify.design.fisher_information import (
     CHANNELS,
     InstrumentNoise,
@@ -21,14 +21,14 @@ from identify.design.fisher_information import (
     information,
     log_error,
     parameter_information,
-    scales,
+    parameter_scales,
     sensitivities,
     value_and_gradient,
     with_gradient,
 )
 from identify.design.limits import Limits
 from identify.design.report import design_document, design_toml
-from identify.design.search import Search
+from identify.design.search import DesignSettings
 from identify.parameters.parameter import parameter
 from tests.helpers.drft_command import Drft
 from tests.studies.design import fitted
@@ -48,7 +48,7 @@ ROUNDING = 1e-12
 RECORD = 10e6
 
 LIMITS = Limits(math.radians(80), math.radians(50), 4.0)
-SMALL = Search(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
+SMALL = DesignSettings(knots=3, starts=1, steps=1, scan=2, plate_size=0.008)
 
 
 def given(peak: float = 30.0) -> SetUp:
@@ -62,7 +62,7 @@ def test_sensitivities_and_information_are_those_of_central_differences():
     setup.integrator.method, setup.integrator.step = "held pace", 2.5e-4
     trial = setup.trial()
     quantities = [parameter(name, shared=True).quantity for name in ("lambda", "zeta")]
-    scale = jnp.asarray(scales(trial, quantities))
+    scale = jnp.asarray(parameter_scales(trial, quantities))
     exact = eqx.filter_jit(lambda t: sensitivities(t, quantities, scale))(trial)
     run = eqx.filter_jit(lambda t: t.run())
 
@@ -126,7 +126,7 @@ def test_a_search_keeps_no_record_of_the_steps_of_a_run():
 
 
 def test_fits_scatter_by_the_standard_error_that_was_promised():
-    option = promised(given(80.0), "lambda", ["zeta"])
+    option = evaluate_setup(given(80.0), "lambda", ["zeta"])
     values = fitted(option.setup, seeds=4)
     assert SCATTER[0] < values.std(ddof=1) / option.information.error < SCATTER[1]
     # Three standard errors of a mean.
@@ -134,9 +134,9 @@ def test_fits_scatter_by_the_standard_error_that_was_promised():
 
 
 def test_another_run_of_the_same_wheel_compiles_nothing(compiled):
-    slow = promised(given(70.0), "lambda", ["zeta"])
+    slow = evaluate_setup(given(70.0), "lambda", ["zeta"])
     compiled.clear()
-    fast = promised(given(80.0), "lambda", ["zeta"])
+    fast = evaluate_setup(given(80.0), "lambda", ["zeta"])
     assert fast.information.error < slow.information.error
     assert not compiled
 
@@ -205,11 +205,16 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
 def test_a_designed_run_keeps_the_way_and_says_it():
     limits = dataclasses.replace(LIMITS, travel=0.08)
     found = design(given(), limits=limits, search=SMALL)
-    assert max(each.way for each in (*found.found, *found.scan, *found.others)) <= 0.08 + ROUNDING
+    assert (
+        max(each.rim_travel for each in (*found.found, *found.scan, *found.others))
+        <= 0.08 + ROUNDING
+    )
     # The speeds scanned are those that so short a way allows.
     assert found.peaks[-1] == max(found.scan[-1].setup.command.omega) < limits.speed
-    assert f"over {found.best.way:.3g} m of the rim (the given profile's is" in found.summary()
-    assert design_document(found)["best"]["way"] == found.best.way
+    assert (
+        f"over {found.best.rim_travel:.3g} m of the rim (the given profile's is" in found.summary()
+    )
+    assert design_document(found)["best"]["way"] == found.best.rim_travel
 
 
 def test_a_run_that_tells_less_is_not_called_smaller():
@@ -226,16 +231,16 @@ def test_the_run_that_is_made_already_may_be_the_best():
     setup.command = CommandSetUp([0.0, 0.02, 1.22, 2.78, 3.98, 4.0], [0.0, 0.0, top, top, 0.0, 0.0])
     limits = dataclasses.replace(LIMITS, speed=top)
     found = design(setup, limits=limits, search=SMALL)
-    assert found.beyond == ()
-    assert found.best.information.error <= found.now.information.error
+    assert found.violations == ()
+    assert found.best.information.error <= found.given.information.error
     short = design(setup, limits=dataclasses.replace(limits, travel=0.2), search=SMALL)
-    assert short.beyond == ("its way of 0.434 m is beyond 0.2 m",)
-    assert short.best is not short.now
+    assert short.violations == ("its way of 0.434 m is beyond 0.2 m",)
+    assert short.best is not short.given
 
 
 def test_a_width_that_scaling_factors_imitate_is_said_to_be_so():
     found = design(given(), "wheel.width", limits=LIMITS, search=SMALL)
-    assert not found.seen
+    assert not found.identifiable
     assert "cannot be told from" in found.summary()
     assert "zeta" in found.summary()
 

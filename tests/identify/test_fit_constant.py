@@ -19,6 +19,7 @@ from identify.parameters.bijector import Interval, Positive, Scaled
 from identify.parameters.parameter import QUANTITIES, parameter
 from identify.solver.levenberg_marquardt import structured_residual
 from identify.solver.problem import Problem
+from identify.uncertainty.noise_model import White
 from tests.helpers.synthetic_runs import FAST, NOISE, SLOW, coarse, recorded, recut, setup_of
 
 # Half the width of a 90 % interval, in standard errors of a normal distribution.
@@ -148,7 +149,7 @@ def test_runs_side_by_side_are_fitted_as_if_alone(slow_runs):
 
 def problem_of(candidates, parameters, multiple: int = 2) -> Problem:
     batch = make_batch([c.trial for c in candidates], [c.observation for c in candidates], multiple)
-    return Problem(batch, tuple(parameters), jnp.zeros(len(batch.channels)), device_mesh())
+    return Problem(batch, tuple(parameters), White(), device_mesh())
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from drftjax.setups.setup import put_effects
 from identify.fit_path import fit_paths
 from identify.fit_path_jointly import JointFit, _JointProblem, fit_jointly
 from identify.parameters.parameter import own, shared
-from identify.zeta_path.path import cardinal
+from identify.zeta_path.path import cardinal_splines
 from tests.identify.test_zeta_path import made
 from tests.studies.crosscheck import NOISE
 
@@ -48,7 +48,7 @@ AT_BOUND = 1e-3 * (BOUNDS[1] - BOUNDS[0])
 def wave(number: int):
     """A zeta(t) that the knots draw."""
     values = 0.75 + 0.03 * np.sin(2.0 * KNOTS + number)
-    return lambda t: np.exp(cardinal(KNOTS, np.asarray(t)) @ np.log(values))
+    return lambda t: np.exp(cardinal_splines(KNOTS, np.asarray(t)) @ np.log(values))
 
 
 def run(number: int, top: float, step: float = STEP, **changed) -> PreparedRun:
@@ -74,7 +74,7 @@ def test_lambda_and_zeta_over_time_come_back_together(runs, found):
     # Two runs up to 80 deg/s tell it to a twelfth of itself.
     assert value.error < 0.1 * TRUE_LAMBDA
     assert abs(value.value - TRUE_LAMBDA) < FAR * value.error
-    for number, each in enumerate(found.steps):
+    for number, each in enumerate(found.solvers):
         path = each.path()
         away = (path.value - wave(number)(path.time)) / path.error
         assert np.abs(away[path.identified]).max() < FAR
@@ -90,8 +90,8 @@ def test_what_is_found_does_not_depend_on_the_start(runs, found):
 
 def test_errors_are_those_of_all_coordinates_together(runs, found):
     """The Schur complement against the inverse of the whole matrix, paths and all."""
-    fit = _JointProblem(found.candidates, [shared("lambda")])
-    linear = fit.linearised(found.coordinates, found.steps)
+    fit = _JointProblem(found.runs, [shared("lambda")])
+    linear = fit.linearize(found.coordinates, found.solvers)
     size = sum(each.path for each in linear)
     whole = np.zeros((size + 1, size + 1))
     first = 0
@@ -101,7 +101,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
         first += each.path
     covariance = np.linalg.inv(whole)
     assert found.covariance[0, 0] == pytest.approx(covariance[-1, -1], rel=ROUNDING)
-    path = found.steps[0]
+    path = found.solvers[0]
     knots = np.diag(covariance)[: path.knots]
     assert np.diag(path.posterior.covariance)[: path.knots] == pytest.approx(knots, rel=ROUNDING)
 

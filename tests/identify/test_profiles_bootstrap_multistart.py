@@ -12,7 +12,7 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.runlog.hdf5.api import read_result, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
-from drftjax.setups.setup import ZetaKnots
+from drftjax.setups.terrain_setup import ZetaKnots
 from identify.design.required_speed import _error, add_required_speeds, required_speed
 from identify.fit_constant import MODEL_ERROR, fit
 from identify.fit_path import fit_paths
@@ -70,19 +70,19 @@ def result(runs):
 
 
 def test_every_start_of_a_plain_problem_ends_in_one_optimum(result):
-    optimum = result.optimum
-    coordinates, starts = best_start(optimum.problem, 2, 4)
+    estimate = result.estimate
+    coordinates, starts = best_start(estimate.problem, 2, 4)
     assert starts == MultistartSummary(count=4, same=4, other=0, lost=0, usual=True)
     assert str(starts) == "4 of 4 starting points ended in the same optimum, the best"
-    error = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    descent = BatchedLevenbergMarquardt(optimum.problem, 2)
-    assert np.all(np.abs(descent.flat(coordinates) - optimum.flat) < SAME_FIT * error)
+    error = np.sqrt(np.diag(estimate.covariance)[: len(estimate.flat)])
+    descent = BatchedLevenbergMarquardt(estimate.problem, 2)
+    assert np.all(np.abs(descent.flat(coordinates) - estimate.flat) < SAME_FIT * error)
 
 
 def test_starting_points_begin_with_the_usual_one_and_stay_in_bounds(result):
     bounded = own("rig.drawbar_load", bounds=(-1.0, 5.0))
     problem = dataclasses.replace(
-        result.optimum.problem, parameters=(result.optimum.problem.parameters[0], bounded)
+        result.estimate.problem, parameters=(result.estimate.problem.parameters[0], bounded)
     )
     descent = BatchedLevenbergMarquardt(problem, 2)
     points = starting_points(descent, 9, np.random.default_rng(1))
@@ -145,11 +145,11 @@ def test_whitening_gives_the_inverse_of_the_covariance_it_supposes():
 
 
 def test_linearised_draws_are_those_of_full_refits(result):
-    optimum = result.optimum
-    noise = simulated_noise(optimum, 4, np.random.default_rng(5))
-    error = np.sqrt(np.diag(optimum.covariance)[: len(optimum.flat)])
-    step = (one_step_draws(optimum, noise, np.random.default_rng(0)) - optimum.flat) / error
-    full = (refit_draws(optimum, noise) - optimum.flat) / error
+    estimate = result.estimate
+    noise = simulated_noise(estimate, 4, np.random.default_rng(5))
+    error = np.sqrt(np.diag(estimate.covariance)[: len(estimate.flat)])
+    step = (one_step_draws(estimate, noise, np.random.default_rng(0)) - estimate.flat) / error
+    full = (refit_draws(estimate, noise) - estimate.flat) / error
     assert np.abs(full).max() > 2 * LINEAR
     np.testing.assert_allclose(step, full, rtol=0, atol=LINEAR)
 
@@ -175,8 +175,8 @@ def test_bootstrap_over_runs_sees_what_runs_differ_by():
     """One zeta fitted to runs that have two: the noise is small, the runs' difference is not."""
     zetas = (0.74, 0.75, 0.76, 0.74, 0.76)
     runs = [coarse(f"r{k}", recorded(setup_of(SLOW, z), k)) for k, z in enumerate(zetas)]
-    optimum = fit(runs, [shared("zeta")]).optimum
-    moves = resample_runs(optimum, DRAWS, np.random.default_rng(2))[:, 0]
+    estimate = fit(runs, [shared("zeta")]).estimate
+    moves = resample_runs(estimate, DRAWS, np.random.default_rng(2))[:, 0]
     expected = np.std(np.log(zetas)) / np.sqrt(len(zetas))
     assert moves.std() == pytest.approx(expected, rel=SCATTER)
 
@@ -316,9 +316,9 @@ def test_the_speed_named_starts_from_the_error_that_the_fit_has():
     run = coarse("slow", recorded(setup_of(SLOW, 0.75), 4))
     result = fit([run], [own("zeta"), shared("lambda")])
     (value,) = result.shared.values()
-    assert result.optimum is not None
+    assert result.estimate is not None
     setup = result.runs[0].setup
-    same = _error(result.optimum, 0, setup, "terrain.inertial_coefficient", 1.0)
+    same = _error(result.estimate, 0, setup, "terrain.inertial_coefficient", 1.0)
     assert same == pytest.approx(value.error, rel=REACH)
     # What is believed, 1.1, is what the error is held against, whatever the fit says.
     assert all(
@@ -333,7 +333,7 @@ def test_where_a_fit_starts_is_no_matter_to_the_speed_named():
     result = fit([run], [own("zeta", start=0.6), shared("lambda", start=8.0)])
     setup = result.runs[0].setup
     (value,) = result.shared.values()
-    assert _error(result.optimum, 0, setup, LAMBDA, 1.0) == pytest.approx(value.error, rel=REACH)
+    assert _error(result.estimate, 0, setup, LAMBDA, 1.0) == pytest.approx(value.error, rel=REACH)
 
 
 def test_a_zeta_by_phase_goes_along_to_other_speeds():
@@ -344,9 +344,9 @@ def test_a_zeta_by_phase_goes_along_to_other_speeds():
     assert any(sentence.startswith("lambda could") for sentence in told)
     # By phase there too, so that it is as unknown as in the fit.
     setups = [result.runs[0].setup]
-    same = _error(result.optimum, 0, setups[0], LAMBDA, 1.0)
+    same = _error(result.estimate, 0, setups[0], LAMBDA, 1.0)
     assert same == pytest.approx(result.shared[LAMBDA].error, rel=REACH)
-    assert required_speed(result.optimum, setups, "terrain.zeta.stand").startswith(
+    assert required_speed(result.estimate, setups, "terrain.zeta.stand").startswith(
         "zeta.stand could"
     )
 

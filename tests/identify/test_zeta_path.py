@@ -16,13 +16,12 @@ from drftjax.recorded.observation import intervals_of, white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import IntegratorSetUp
 from identify.zeta_path.evidence import (
-    WEIGHTS,
     AR1Noise,
     InstrumentFloor,
     LaggedProducts,
-    posterior,
+    LinearizedPath,
 )
-from identify.zeta_path.path import LINES, ZetaPath, between, cardinal
+from identify.zeta_path.path import SEGMENTS, ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.simulate import predict_path
 from identify.zeta_path.smoother import zeta_paths
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
@@ -61,7 +60,7 @@ BAND = 1.645
 
 def path_of(number: int):
     values = 0.75 + 0.05 * np.sin(0.9 * KNOTS + number) + 0.01 * (number % 3)
-    return lambda t: np.exp(cardinal(KNOTS, t) @ np.log(values))
+    return lambda t: np.exp(cardinal_splines(KNOTS, t) @ np.log(values))
 
 
 def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=(), step=STEP) -> PreparedRun:
@@ -138,15 +137,17 @@ def test_between_knots_the_path_is_a_curve(paths):
 def test_spline_is_exact_at_its_knots_and_straight_beyond():
     grid = np.array([0.0, 1.0, 2.5, 3.0, 4.0])
     values = np.array([1.0, 3.0, -2.0, 0.5, 4.0])
-    ends = between(grid)
-    np.testing.assert_allclose(ends[::LINES], grid, rtol=0, atol=ROUNDING)
-    curve = cardinal(grid, ends) @ values
-    np.testing.assert_allclose(curve[::LINES], values, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(cardinal(grid, np.array([-3.0, 9.0])) @ values, values[[0, -1]])
+    ends = segment_ends(grid)
+    np.testing.assert_allclose(ends[::SEGMENTS], grid, rtol=0, atol=ROUNDING)
+    curve = cardinal_splines(grid, ends) @ values
+    np.testing.assert_allclose(curve[::SEGMENTS], values, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(
+        cardinal_splines(grid, np.array([-3.0, 9.0])) @ values, values[[0, -1]]
+    )
     # Natural: no bend at the ends; and a straight line stays one.
     small = np.array([0.0, 1e-3, 2e-3])
-    assert np.diff(cardinal(grid, small) @ values, 2) == pytest.approx(0.0, abs=UNBENT)
-    straight = cardinal(grid, ends) @ (2 - 3 * grid)
+    assert np.diff(cardinal_splines(grid, small) @ values, 2) == pytest.approx(0.0, abs=UNBENT)
+    straight = cardinal_splines(grid, ends) @ (2 - 3 * grid)
     np.testing.assert_allclose(straight, 2 - 3 * ends, rtol=0, atol=ROUNDING)
 
 
@@ -244,8 +245,8 @@ def test_sand_that_changes_is_told_by_travel_too(moved):
 
 def test_derivative_by_the_knots_is_exact(candidates):
     each = candidates[1]
-    values, ends = path_of(1)(KNOTS), between(KNOTS)
-    curve = jnp.asarray(cardinal(KNOTS, ends))
+    values, ends = path_of(1)(KNOTS), segment_ends(KNOTS)
+    curve = jnp.asarray(cardinal_splines(KNOTS, ends))
     lines = KnotZeta(ends, path_of(1)(ends))
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, each.trial, lines)
     batch = make_batch([trial], [each.observation])
@@ -279,8 +280,10 @@ def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
     products = LaggedProducts.of(columns, intervals_of(0.01 * place))
     dense = columns.T @ np.linalg.solve(covariance, columns)
-    np.testing.assert_allclose(products.whitened(noise), dense, rtol=INVERSE)
-    assert products.volume(noise) == pytest.approx(np.linalg.slogdet(covariance)[1], rel=INVERSE)
+    np.testing.assert_allclose(products.whitened_gram(noise), dense, rtol=INVERSE)
+    assert products.log_determinant(noise) == pytest.approx(
+        np.linalg.slogdet(covariance)[1], rel=INVERSE
+    )
 
 
 def test_noise_is_found_among_the_samples_that_are_left():
@@ -289,7 +292,9 @@ def test_noise_is_found_among_the_samples_that_are_left():
     place = np.flatnonzero(random.random(20000) < 0.5)
     data = lfilter([1.0], [1.0, -0.9], fresh)[place]
     products = LaggedProducts.of(data[:, None], intervals_of(0.01 * place))
-    found = products.noise(np.ones(1), np.zeros((0, 0)), InstrumentFloor(1e-6, 0.9999))
+    found = products.most_probable_noise(
+        np.ones(1), np.zeros((0, 0)), InstrumentFloor(1e-6, 0.9999)
+    )
     # Five standard deviations of a correlation told by 5,000 pairs, and of the spread.
     assert found.correlation == pytest.approx(0.9, abs=5 * np.sqrt((1 - 0.9**2) / 5000))
     assert found.spread == pytest.approx(0.3, rel=5 * np.sqrt(19 / 2 / 20000))
@@ -299,8 +304,11 @@ def test_noise_lasts_no_longer_than_its_instrument_allows():
     time = np.linspace(0.0, 1.0, 500)
     products = LaggedProducts.of((1e-3 * time)[:, None], intervals_of(time))
     residual, nothing = np.ones(1), np.zeros((0, 0))
-    assert products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9999)).correlation == 0.9999
-    short = products.noise(residual, nothing, InstrumentFloor(1e-6, 0.9))
+    assert (
+        products.most_probable_noise(residual, nothing, InstrumentFloor(1e-6, 0.9999)).correlation
+        == 0.9999
+    )
+    short = products.most_probable_noise(residual, nothing, InstrumentFloor(1e-6, 0.9))
     assert short.correlation == 0.9
     # A slow drift cannot hide in it: the spread that would have to hold it is its own size.
     assert short.spread > 0.1e-3
@@ -312,13 +320,14 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
     found = []
     for _ in range(8):
         bends = random.standard_normal(knots - 2) / np.sqrt(weight)
-        path = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
+        drawn = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
-        data = seen @ path + 0.02 * random.standard_normal(len(seen))
+        data = seen @ drawn + 0.02 * random.standard_normal(len(seen))
         products = [LaggedProducts.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
+        path = LinearizedPath(products, knots, 0.0)
         best = max(
-            WEIGHTS,
-            key=lambda w, p=products: posterior(p, knots, 0.0, w, [AR1Noise(0.02, 0.0)]).evidence,
+            path.settings.weight_grid,
+            key=lambda w, p=path: p.posterior(w, [AR1Noise(0.02, 0.0)]).evidence,
         )
         found.append(np.log10(best))
     # 38 bends tell a weight to sqrt(2 / 38) / ln 10, a tenth of a decade, and eight paths to 0.035;

@@ -17,7 +17,7 @@ from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import Measured
 from drftjax.setups.setup import SetUp, read_setup
 from drftjax.setups.simulated_run import simulated_run
-from identify.design.design import promised
+from identify.design.design import evaluate_setup
 from identify.fit_constant import fit
 from identify.parameters.parameter import parameter
 
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=8)
     chosen = parser.parse_args()
     for path in chosen.setups:
-        option = promised(read_setup(path), "lambda", ["zeta"])
+        option = evaluate_setup(read_setup(path), "lambda", ["zeta"])
         for start_known in (True, False):
             values = fitted(option.setup, chosen.seeds, start_known)
             spread = values.std(ddof=1)

@@ -53,7 +53,7 @@ def test_pieces_of_any_size_draw_the_same(monkeypatch):
         monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
         monkeypatch.setattr(memory, "LEAST", 1.0)
         random = np.random.default_rng(2)
-        pieces.append([len(each) for each in noise_chunks(result.optimum, 45, random)])
+        pieces.append([len(each) for each in noise_chunks(result.estimate, 45, random)])
         found.append(result.bootstrap(45, seed=2).bootstraps[0])
     assert pieces == [[45], [20, 20, 5]]
     np.testing.assert_allclose(found[0].draws, found[1].draws, rtol=ROUNDING)

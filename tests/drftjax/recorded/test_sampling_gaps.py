@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from drftjax.recorded.batch import device_mesh, make_batch
+from drftjax.recorded.batch import make_batch
 from drftjax.recorded.observation import Observation
-from identify.solver.problem import Problem
+from identify.solver.problem import sample_gaps
 from identify.solver.whitening import Whitening
-from identify.uncertainty.noise_model import Autoregressive
+from identify.uncertainty.noise_model import Autoregressive, White
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
@@ -47,9 +47,9 @@ def test_correlation_is_that_of_neighbours_whatever_was_lost_between_others():
     intervals = observation(0.01 * np.flatnonzero(kept)).intervals[None]
     assert set(intervals[0]) > {1.0, 2.0, 3.0}
     counts = np.ones(residual.shape, bool)
-    (found,) = Autoregressive().correlation(residual, counts, intervals)
+    (found,) = Autoregressive().fit(residual, counts, intervals).correlation
     assert found == pytest.approx(RHO, abs=TOLD)
-    (side_by_side,) = Autoregressive().correlation(residual, counts, np.ones(intervals.shape))
+    (side_by_side,) = Autoregressive().fit(residual, counts, np.ones(intervals.shape)).correlation
     assert side_by_side < RHO - 2 * TOLD
 
 
@@ -63,8 +63,9 @@ def test_whitened_residuals_scatter_by_one_on_both_sides_of_gaps():
         counts=run.observation.counts[kept],
     )
     batch = make_batch([run.trial], [short], jax.device_count())
-    problem = Problem(batch, (), jnp.full(2, RHO), device_mesh())
-    share = np.asarray(jax.vmap(problem.ar1_coefficients)(batch.observed))[0]
+    noise = Autoregressive(jnp.full(2, RHO))
+    gaps = jax.vmap(sample_gaps)(batch.observed)
+    share = np.asarray(jax.vmap(noise.coefficients)(gaps))[0]
     length = len(short.time)
     usual = short.intervals
     expected = np.where(short.counts, RHO**usual, 0)
@@ -85,8 +86,8 @@ def test_samples_beside_a_gap_widen_no_error():
     residual[..., 30:] = -1.0
     counts, phase = np.ones(residual.shape, bool), np.zeros((1, 60), int)
     offset, intervals = np.zeros(residual.shape), np.ones((1, 60))
-    close = Whitening.of(residual, counts, offset, phase, intervals).scale
-    apart = Whitening.of(residual, counts, offset, phase, 7 * intervals).scale
+    close = Whitening.of(residual, counts, offset, phase, intervals, White()).scale
+    apart = Whitening.of(residual, counts, offset, phase, 7 * intervals, White()).scale
     assert np.all(apart == 1.0)
     # One change in 60 samples: they carry 0.97 of themselves on, and count sqrt(0.03 / 1.97) each.
     assert np.all(close < 0.2)
