@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import FASTEST, RigDataset, _early, decimate
-from diagnose.model.augmented_model import COVERED, AugmentedModel, predict
+from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
@@ -81,7 +81,7 @@ def test_plates_that_stay_above_the_sand_change_no_number(name):
 def test_what_sinks_past_the_plates_carried_has_no_numbers():
     case = case_with()
     narrow = case.with_fewer_plates()
-    limit = COVERED * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
+    limit = MAX_COVERED_SHARE * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
     z, nothing = case.channels.index("z"), np.zeros(0)
     for log_zeta in (0.0, -1.0):
         deepest = -case.prediction(AugmentedModel(), 0, log_zeta, nothing)[z].min()

@@ -1,0 +1,68 @@
+"""All decision numbers of a diagnosis, in one object that `drftjax.diagnose` takes.
+
+    settings = DiagnosisSettings(weights=WeightSettings(log_prior_unknown=0.0))
+    found = drftjax.diagnose("data/blind/demo", settings=settings)
+
+Each part documents its numbers, their units and the reason for them.
+"""
+
+from dataclasses import dataclass, field
+
+from diagnose.dataset import DatasetSettings
+from diagnose.hypotheses.screening import ScreeningSettings
+from diagnose.linear.linear_fit import LinearFitSettings
+from diagnose.selection.model_weights import WeightSettings
+from diagnose.selection.verdict import VerdictSettings
+
+
+@dataclass(frozen=True)
+class HeldOutSettings:
+    """Number of hypotheses whose prediction of held-out runs is simulated: those that are weighed.
+
+    Attributes:
+        max_singles: Leading single effects, two forms of one counting once.
+        max_pairs: Leading pairs, likewise.
+    """
+
+    max_singles: int = 4
+    max_pairs: int = 4
+
+
+@dataclass(frozen=True)
+class StandardErrorSettings:
+    """Numbers of the standard errors of an effect's numbers.
+
+    Attributes:
+        slow_worth: Independent statements in one bin of a slow part [-].
+        fast_worth: Independent statements in one sample of a fast part [-].
+    """
+
+    slow_worth: float = 1.0
+    fast_worth: float = 0.1
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Numbers by which a diagnosis decides, one part for each step.
+
+    Attributes:
+        dataset: Preparation of the recorded runs.
+        screening: Choice and refinement of hypotheses; its `linear_fit` also holds a model's own
+            error, for the weights and the unknown effect.
+        held_out: Hypotheses that are weighed.
+        weights: Weights of effects, none and unknown.
+        verdict: From weights to the verdict.
+        standard_error: Errors of the numbers of effects.
+    """
+
+    dataset: DatasetSettings = DatasetSettings()
+    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
+    held_out: HeldOutSettings = HeldOutSettings()
+    weights: WeightSettings = WeightSettings()
+    verdict: VerdictSettings = VerdictSettings()
+    standard_error: StandardErrorSettings = StandardErrorSettings()
+
+    @property
+    def linear_fit(self) -> LinearFitSettings:
+        """Weights of linear fits and of the log score."""
+        return self.screening.linear_fit
