@@ -16,20 +16,13 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
+from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 
 # Lengths are padded to this at least [samples]; padding costs next to nothing.
 MIN_PADDED_SIZE = 2304
-
-
-# Largest step of log zeta over which mean sinkage is taken to be linear in it [-].
-MAX_LOG_ZETA_STEP = 0.2
-
-
-# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
-SINKAGE_PER_LOG_ZETA = 0.023
 
 
 @dataclass(frozen=True)
@@ -50,22 +43,16 @@ class DatasetSettings:
 
 @dataclass(frozen=True)
 class InitialZetaSettings:
-    """Numbers of the secant search for the zeta at which each run is linearised.
+    """Numbers of the search for the zeta at which each run is linearised.
 
     Attributes:
         window: Part of all that a wheel turns and travels, (from, to) [-], over which mean sinkage
             is matched: past the start, and before most effects have grown.
-        tolerance: Step of log zeta at which the search ends [-].
-        max_iterations: Secant steps at most.
-        max_step: Longest step of log zeta [-].
-        sinkage_slope: First guess of the rise per unit of log zeta [m].
+        search: Numbers of the secant search.
     """
 
     window: tuple[float, float] = (0.05, 0.4)
-    tolerance: float = 2e-5
-    max_iterations: int = 12
-    max_step: float = MAX_LOG_ZETA_STEP
-    sinkage_slope: float = SINKAGE_PER_LOG_ZETA
+    search: ZetaMatchSettings = ZetaMatchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +264,7 @@ def match_initial_zeta(
 ) -> np.ndarray:
     """Log zeta of each run at which the reference model meets its early mean sinkage.
 
-    Secant steps. All responses are linearised there; it is not yet the best that zeta can do.
+    All responses are linearised there; it is not yet the zeta that suits all channels best.
 
     Args:
         dataset: The runs.
@@ -301,30 +288,18 @@ def match_initial_zeta(
 
 def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:
     z = dataset.channels.index("z")
-    recorded = dataset.recording(run)[z]
     early = _early_samples(dataset, run, settings.window)
-    model, nothing = AugmentedModel(), np.zeros(0)
+    recorded = dataset.recording(run)[z, early].mean()
 
-    def mean_residual(log_zeta: float) -> float:
-        simulated = dataset.prediction(model, run, log_zeta, nothing)[z]
-        return float((simulated - recorded)[early].mean())
+    def miss(log_zeta: np.ndarray) -> float:
+        simulated = dataset.prediction(AugmentedModel(), run, float(log_zeta), np.zeros(0))
+        return float(simulated[z, early].mean() - recorded)
 
-    def step(residual: float, slope: float) -> float:
-        return float(np.clip(-residual / slope, -settings.max_step, settings.max_step))
-
-    at, here = 0.0, mean_residual(0.0)
-    then = step(here, settings.sinkage_slope)
-    for _ in range(settings.max_iterations):
-        if abs(then - at) < settings.tolerance:
-            break
-        there = mean_residual(then)
-        slope = (there - here) / (then - at)
-        at, here = then, there
-        if not np.isfinite(slope) or slope == 0:
-            name = dataset.runs[run].name
-            raise RunError(name, "no zeta lets the reference model follow its sinkage")
-        then = at + step(here, slope)
-    return at
+    found = match_mean_sinkage(miss, settings=settings.search)
+    if not np.isfinite(found.miss) or found.slope == 0:
+        name = dataset.runs[run].name
+        raise RunError(name, "no zeta lets the reference model follow its sinkage")
+    return float(found.log_zeta)
 
 
 def _early_samples(dataset: RigDataset, run: int, window: tuple[float, float]) -> np.ndarray:

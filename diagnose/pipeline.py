@@ -15,7 +15,13 @@ from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, residuals_of, unmatched
+from diagnose.gap.zeta_matching import (
+    REFERENCE_NAME,
+    WITH_EFFECTS_NAME,
+    MatchedRun,
+    residuals_of,
+    unmatched,
+)
 from diagnose.hypotheses.hypothesis import Hypothesis, gaussian_prior, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linear_fit import LinearFitSettings
@@ -144,9 +150,9 @@ class _Diagnosing:
             weighed, selected, notes = self.judge_unknown(
                 weighed, gap, unknown, places, {reported_name(e.about.name) for e in effects}
             )
-        notes = [*notes, *unmatched(dataset, gap.reference, REFERENCE)]
+        notes = [*notes, *unmatched(dataset, gap.reference, REFERENCE_NAME)]
         if selected.effects:
-            notes += unmatched(dataset, selected.matches, WITH)
+            notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
         self.report("what to run next")
         chosen = weighed.chosen
         advice = (

@@ -13,7 +13,13 @@ from diagnose.gap.discretization_error import APART, discretization_errors
 from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.selected_effects import as_model
-from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, match_runs, residuals_of
+from diagnose.gap.zeta_matching import (
+    REFERENCE_NAME,
+    WITH_EFFECTS_NAME,
+    MatchedRun,
+    match_runs,
+    residuals_of,
+)
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import with_common_origin
@@ -47,7 +53,9 @@ def evaluate_model(
     model, coordinates = as_model(effects)
     before = match_runs(case, AugmentedModel(), np.zeros(0))
     after = match_runs(case, model, coordinates) if effects else before
-    if lost := _uncovered(case, after, WITH) | _uncovered(case, before, REFERENCE):
+    if lost := _uncovered(case, after, WITH_EFFECTS_NAME) | _uncovered(
+        case, before, REFERENCE_NAME
+    ):
         kept = [each for run, each in enumerate(case.runs) if run not in lost]
         if not kept:
             raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.gap import Gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, unmatched
+from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, MatchedRun, unmatched
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.observation import SHOWN
@@ -49,11 +49,11 @@ class Evaluation:
     @property
     def notes(self) -> list[str]:
         """What else must be known, in sentences."""
-        with_them = unmatched(self.case, self.after, WITH) if self.effects else []
+        with_them = unmatched(self.case, self.after, WITH_EFFECTS_NAME) if self.effects else []
         return [
             self.how,
             *self.doubts,
-            *unmatched(self.case, self.before, REFERENCE),
+            *unmatched(self.case, self.before, REFERENCE_NAME),
             *with_them,
             *(f"Left out: {why}" for why in self.left_out.values()),
         ]

@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 import drftjax
 from diagnose import api as interface
 from diagnose.gap.cross_validation import at_mean_sinkage
-from diagnose.gap.zeta_matching import MET
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import run_rows
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import EffectInfo, MemorylessSurface, strength
 from drftjax.effects.sensor import SinkageDrift, TravelGain
 from drftjax.effects.surface import SurfaceSlope
+from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import ZetaKnots, read_setup
@@ -125,7 +125,7 @@ def test_the_zeta_of_the_run_table_meets_each_runs_mean_sinkage(found):
         each, near = found.selected.matches[number], dataset.runs[number].setup.terrain.zeta
         assert each.matched
         assert zeta == pytest.approx(near * np.exp(each.log_zeta), abs=ROUNDED)
-        assert abs(each.residual[z].mean()) < MET
+        assert abs(each.residual[z].mean()) < ZetaMatchSettings().max_miss
 
 
 def test_it_tells_and_shows_itself(found):
