@@ -16,7 +16,11 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
-from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
+from drftjax.recorded.matched_zeta import (
+    DEFAULT_ZETA_MATCH,
+    ZetaMatchSettings,
+    match_mean_sinkage,
+)
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
@@ -41,6 +45,9 @@ class DatasetSettings:
     plate_margin: float = 1.25
 
 
+DEFAULT_DATASET = DatasetSettings()
+
+
 @dataclass(frozen=True)
 class InitialZetaSettings:
     """Numbers of the search for the zeta at which each run is linearised.
@@ -52,7 +59,10 @@ class InitialZetaSettings:
     """
 
     window: tuple[float, float] = (0.05, 0.4)
-    search: ZetaMatchSettings = ZetaMatchSettings()
+    search: ZetaMatchSettings = DEFAULT_ZETA_MATCH
+
+
+DEFAULT_INITIAL_ZETA = InitialZetaSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +79,11 @@ class RigDataset:
 
     runs: Sequence[PreparedRun]
     batch: Batch
-    settings: DatasetSettings = DatasetSettings()
+    settings: DatasetSettings = DEFAULT_DATASET
 
     @classmethod
     def of(
-        cls, runs: Sequence[PreparedRun], settings: DatasetSettings = DatasetSettings()
+        cls, runs: Sequence[PreparedRun], settings: DatasetSettings = DEFAULT_DATASET
     ) -> "RigDataset":
         """Decimate runs to `settings.max_sample_rate` and pad them to common sizes.
 
@@ -127,7 +137,9 @@ class RigDataset:
                 return RigDataset.of(fewer, self.settings)
         return self
 
-    def precompile(self, pool: RunPool, program: Callable, models: Sequence[AugmentedModel]) -> None:
+    def precompile(
+        self, pool: RunPool, program: Callable, models: Sequence[AugmentedModel]
+    ) -> None:
         """Compile a program for some models side by side, before threads need it.
 
         Otherwise every thread that needs a program first would compile it for itself. All arguments
@@ -221,9 +233,7 @@ def _with_plates_within(reach: float, each: PreparedRun) -> PreparedRun:
     return replace(each, trial=eqx.tree_at(lambda t: t.simulator.wheel, each.trial, wheel))
 
 
-def decimate(
-    each: PreparedRun, max_rate: float = DatasetSettings().max_sample_rate
-) -> PreparedRun:
+def decimate(each: PreparedRun, max_rate: float = DEFAULT_DATASET.max_sample_rate) -> PreparedRun:
     """The run with every n-th of its samples, where a logger took more than `max_rate` [Hz]."""
     seen = each.observation
     if len(seen.time) < 2:
@@ -260,7 +270,7 @@ def pitch(trial: Trial) -> float:
 
 
 def match_initial_zeta(
-    dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = InitialZetaSettings()
+    dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = DEFAULT_INITIAL_ZETA
 ) -> np.ndarray:
     """Log zeta of each run at which the reference model meets its early mean sinkage.
 

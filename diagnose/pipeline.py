@@ -40,7 +40,7 @@ from diagnose.selection.verdict import (
     reassign_unknown,
     weight_by_name,
 )
-from diagnose.settings import DiagnosisSettings, StandardErrorSettings
+from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings, StandardErrorSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
 from diagnose.unknown.disturbances import by_stage, estimate_disturbances
 from drftjax.effects.base import AbstractEffect
@@ -51,7 +51,7 @@ def diagnose(
     dataset: RigDataset,
     effects: Sequence[type[AbstractEffect]],
     report: Report = lambda stage: None,
-    settings: DiagnosisSettings = DiagnosisSettings(),
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
     """Find which effects explain the runs of a dataset.
 
@@ -155,9 +155,7 @@ class _Diagnosing:
             notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
         self.report("what to run next")
         chosen = weighed.chosen
-        advice = (
-            next_run(dataset, chosen, competing, gap.floors, self.pool) if competing else {}
-        )
+        advice = next_run(dataset, chosen, competing, gap.floors, self.pool) if competing else {}
         is_listed = selected is gap.selected
         return Diagnosis(
             verdict=reported_names(weighed.verdict),
@@ -262,12 +260,10 @@ class _Diagnosing:
     def explain_unknown(
         self, weighed: _Weighed, gap: _MeasuredGap, places: Sequence[GapShare]
     ) -> tuple[UnknownEffect | None, list[GapShare]]:
-        """The simplest unknown signal where the verdict is unknown, and shares of the gap by stage."""
+        """The simplest unknown signal, if that is the verdict, and shares of the gap by stage."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
         none = weighed.screening.none
-        linearized = linearize_runs(
-            dataset, none.log_zeta, pool, settings.screening.linearization
-        )
+        linearized = linearize_runs(dataset, none.log_zeta, pool, settings.screening.linearization)
         disturbances = estimate_disturbances(
             dataset, linearized, pool, linear_fit=settings.linear_fit
         )
@@ -365,11 +361,10 @@ def _standard_errors(
     The square root of the diagonal of $\Lambda^{-1}$ with
     $\Lambda = \Pi + \sum_r (H_r - h_r h_r^T / z_r)$: precision $\Pi$ of the prior, which bounds the
     error of a number that the runs do not determine, and each run's Hessian H of the coordinates
-    with its own log zeta (z, with cross terms h) marginalised. Block b weighs $w_b/(s_b + \sigma_b^2)$.
+    with its own log zeta (z, with cross terms h) marginalised. Block b weighs $w_b/(s_b +
+    \sigma_b^2)$.
     """
-    matrices = regressors.gram_matrices_of(
-        chosen.columns, chosen.residual, chosen.log_zeta, pool
-    )
+    matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
     worth = {"slow": settings.slow_worth, "fast": settings.fast_worth}
     floor = linear_fit.model_errors(matrices.blocks) ** 2
     weight = np.array([worth[kind] for _, kind in matrices.blocks])

@@ -6,13 +6,13 @@
 Each part documents its numbers, their units and the reason for them.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from diagnose.dataset import DatasetSettings
-from diagnose.hypotheses.screening import ScreeningSettings
+from diagnose.dataset import DEFAULT_DATASET, DatasetSettings
+from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFitSettings
-from diagnose.selection.model_weights import WeightSettings
-from diagnose.selection.verdict import VerdictSettings
+from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
+from diagnose.selection.verdict import DEFAULT_VERDICT, VerdictSettings
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,9 @@ class HeldOutSettings:
     max_pairs: int = 4
 
 
+DEFAULT_HELD_OUT = HeldOutSettings()
+
+
 @dataclass(frozen=True)
 class StandardErrorSettings:
     """Numbers of the standard errors of an effect's numbers.
@@ -39,6 +42,9 @@ class StandardErrorSettings:
 
     slow_worth: float = 1.0
     fast_worth: float = 0.1
+
+
+DEFAULT_STANDARD_ERROR = StandardErrorSettings()
 
 
 @dataclass(frozen=True)
@@ -55,14 +61,17 @@ class DiagnosisSettings:
         standard_error: Errors of the numbers of effects.
     """
 
-    dataset: DatasetSettings = DatasetSettings()
-    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
-    held_out: HeldOutSettings = HeldOutSettings()
-    weights: WeightSettings = WeightSettings()
-    verdict: VerdictSettings = VerdictSettings()
-    standard_error: StandardErrorSettings = StandardErrorSettings()
+    dataset: DatasetSettings = DEFAULT_DATASET
+    screening: ScreeningSettings = DEFAULT_SCREENING
+    held_out: HeldOutSettings = DEFAULT_HELD_OUT
+    weights: WeightSettings = DEFAULT_WEIGHTS
+    verdict: VerdictSettings = DEFAULT_VERDICT
+    standard_error: StandardErrorSettings = DEFAULT_STANDARD_ERROR
 
     @property
     def linear_fit(self) -> LinearFitSettings:
         """Weights of linear fits and of the log score."""
         return self.screening.linear_fit
+
+
+DEFAULT_SETTINGS = DiagnosisSettings()

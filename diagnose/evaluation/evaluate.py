@@ -23,6 +23,7 @@ from diagnose.gap.zeta_matching import (
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import with_common_origin
+from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.prepared_run import prepare_runs
@@ -50,9 +51,20 @@ def evaluate_model(
     Raises:
         InputError: where no run is left.
     """
+    with RunPool() as pool:
+        return _evaluate(case, effects, left_out or {}, caveats, pool)
+
+
+def _evaluate(
+    case: RigDataset,
+    effects: Sequence[AbstractEffect],
+    left_out: Mapping[str, str],
+    caveats: Sequence[str],
+    pool: RunPool,
+) -> Evaluation:
     model, coordinates = as_model(effects)
-    before = match_runs(case, AugmentedModel(), np.zeros(0))
-    after = match_runs(case, model, coordinates) if effects else before
+    before = match_runs(case, AugmentedModel(), np.zeros(0), pool)
+    after = match_runs(case, model, coordinates, pool) if effects else before
     if lost := _uncovered(case, after, WITH_EFFECTS_NAME) | _uncovered(
         case, before, REFERENCE_NAME
     ):
@@ -60,9 +72,10 @@ def evaluate_model(
         if not kept:
             raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
         why = {case.runs[run].name: each for run, each in lost.items()}
-        return evaluate_model(RigDataset.of(kept), effects, {**(left_out or {}), **why}, caveats)
+        fewer = RigDataset.of(kept, case.settings)
+        return _evaluate(fewer, effects, {**left_out, **why}, caveats, pool)
     residuals = residuals_of(before), residuals_of(after)
-    own = discretization_errors(case, np.array([each.log_zeta for each in before]))
+    own = discretization_errors(case, np.array([each.log_zeta for each in before]), pool)
 
     def by_zeta(run: int) -> np.ndarray:
         """Along a straight line over one per cent."""
@@ -75,7 +88,7 @@ def evaluate_model(
     floors, how = noise_floors(case, *residuals, own, by_zeta)
     gap = gaps(case, *residuals, floors)
     doubts = [*caveats, *odd_runs.outliers_among_repeats(case, residuals, own, by_zeta)]
-    return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
+    return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out)
 
 
 def _uncovered(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
@@ -103,8 +116,9 @@ def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]
         paths: The other runs.
     """
     case = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
-    before = match_runs(case, AugmentedModel(), np.zeros(0))
-    after = match_runs(case, *as_model(diagnosis.selected.effects))
+    with RunPool() as pool:
+        before = match_runs(case, AugmentedModel(), np.zeros(0), pool)
+        after = match_runs(case, *as_model(diagnosis.selected.effects), pool)
     return gaps(
         case,
         [each.residual for each in before],

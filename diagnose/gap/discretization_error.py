@@ -12,6 +12,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.run_pool import RunPool
 from drftjax.recorded.prepared_run import PreparedRun
 
 FINER = 2
@@ -22,16 +23,20 @@ FINER = 2
 APART = 0.01
 
 
-def discretization_errors(case: RigDataset, log_zeta: np.ndarray) -> dict[str, float]:
+def discretization_errors(
+    case: RigDataset, log_zeta: np.ndarray, pool: RunPool
+) -> dict[str, float]:
     """RMS of what finer plates change in each channel [m, N, N m], at the same mean sinkage.
 
     Args:
         case: The runs.
         log_zeta: Each run's log zeta over its set-up's, shape (runs,).
+        pool: Threads.
     """
-    fine = RigDataset.of([residuals_on_finer_plates(each) for each in case.runs])
+    finer = [residuals_on_finer_plates(each) for each in case.runs]
+    fine = RigDataset.of(finer, case.settings)
     plain, nothing = AugmentedModel(), np.zeros(0)
-    fine.precompile(predict, [plain])
+    fine.precompile(pool, predict, [plain])
     z = case.channels.index("z")
 
     def of(run: int) -> np.ndarray:
@@ -44,7 +49,7 @@ def discretization_errors(case: RigDataset, log_zeta: np.ndarray) -> dict[str, f
         return here + share * (there - here) - coarse
 
     # A run that finer plates throw off the sand tells nothing of those it was simulated by.
-    kept = [each for each in case.map_runs(of) if np.isfinite(each).all()]
+    kept = [each for each in pool.map(of, case.run_numbers) if np.isfinite(each).all()]
     changes = np.concatenate(kept or [np.zeros((len(case.channels), 1))], axis=1)
     return dict(zip(case.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
 

@@ -10,6 +10,7 @@ from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
+from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
 
 
@@ -39,6 +40,7 @@ def stepwise_gap(
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
+    pool: RunPool,
 ) -> list[NestedModel]:
     """A pair's gap with the one effect that does most alone, refitted, and with both.
 
@@ -49,6 +51,7 @@ def stepwise_gap(
         before: Residuals of each run by the reference model, shape (channels, samples) [m, N, N m].
         floors: Noise floor of each channel [m, N, N m].
         whole: The gap with all of them, by channel.
+        pool: Threads.
 
     Returns:
         Nothing for fewer than two effects.
@@ -58,8 +61,8 @@ def stepwise_gap(
     bench, case = found.regressors, found.regressors.dataset
 
     def left(alone: Hypothesis) -> list[np.ndarray]:
-        given = unseen.get(alone.names) or predict_held_out(bench, alone)
-        return residuals_of(at_mean_sinkage(bench, given))
+        given = unseen.get(alone.names) or predict_held_out(bench, alone, pool)
+        return residuals_of(at_mean_sinkage(bench, given, pool))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
     tried = [(each.names, left(each)) for each in parts]

@@ -20,7 +20,7 @@ from diagnose.hypotheses.hypothesis import (
     lower_bounds,
     top_ranked,
 )
-from diagnose.hypotheses.refinement import RefinementSettings, refine
+from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings, refine
 from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict
@@ -33,8 +33,8 @@ Ranking = tuple[float, float]
 
 
 # Where the gap is large, an error for being linear hides what an effect explains. The last ranking
-# takes linear responses at their word: an effect that zeta all but makes up for is small only on the
-# whole.
+# takes linear responses at their word: an effect that zeta all but makes up for is small only on
+# the whole.
 DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0))
 
 
@@ -68,6 +68,9 @@ class PairScreeningSettings:
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
 
 
+DEFAULT_PAIRS = PairScreeningSettings()
+
+
 @dataclass(frozen=True)
 class PairCandidate:
     """A pair as a linear fit proposes it.
@@ -89,8 +92,8 @@ def refine_pairs(
     regressors: Regressors,
     singles: Sequence[Hypothesis],
     pool: RunPool,
-    settings: PairScreeningSettings = PairScreeningSettings(),
-    refinement: RefinementSettings = RefinementSettings(),
+    settings: PairScreeningSettings = DEFAULT_PAIRS,
+    refinement: RefinementSettings = DEFAULT_REFINEMENT,
 ) -> list[Hypothesis]:
     """Simulate the leading pairs, each refined by some simulations.
 
@@ -144,7 +147,7 @@ def pair_candidates(
     regressors: Regressors,
     singles: Sequence[Hypothesis],
     pool: RunPool,
-    settings: PairScreeningSettings = PairScreeningSettings(),
+    settings: PairScreeningSettings = DEFAULT_PAIRS,
 ) -> Iterator[PairCandidate]:
     """Pairs that linear fits propose, the rankings taking turns; one may come more than once.
 

@@ -6,8 +6,8 @@ along the way it went,
 
 $$J_+ = J + \frac{(r_+ - r - J p)\,p^T}{p^T p}$$
 
-(Broyden 1965, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19), so
-that a few simulations settle a hypothesis even far from the null. p is in the units of
+(Broyden 1965, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19),
+so that a few simulations settle a hypothesis even far from the null. p is in the units of
 `RefinementSettings`.
 """
 
@@ -58,12 +58,15 @@ class RefinementSettings:
     min_gain: float = 0.2
 
 
+DEFAULT_REFINEMENT = RefinementSettings()
+
+
 def refine(
     regressors: Regressors,
     start: Hypothesis,
     max_simulations: int,
     pool: RunPool,
-    settings: RefinementSettings = RefinementSettings(),
+    settings: RefinementSettings = DEFAULT_REFINEMENT,
 ) -> Hypothesis:
     """Refine a hypothesis by simulations, each followed by a linear fit; return the best of them.
 
@@ -230,9 +233,7 @@ def _simulate_with_update(
     )
 
 
-def _broyden_update(
-    jacobian: np.ndarray, step: np.ndarray, change: np.ndarray
-) -> np.ndarray:
+def _broyden_update(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Jacobian, shape (channels, samples, n), corrected by a change of the residual over a step."""
     size = step @ step
     if size == 0:
@@ -254,7 +255,5 @@ def _simulated_fit(
     mean_square, count = regressors.block_mean_squares(residual, pool)
     variance = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
     blocks, runs = regressors.gram_matrices.blocks, len(moved)
-    score = log_score(
-        blocks, count, mean_square, variance, runs, settings=regressors.settings
-    )
+    score = log_score(blocks, count, mean_square, variance, runs, settings=regressors.settings)
     return LinearFit(score, coordinates, log_zeta - before.log_zeta, mean_square, variance)

@@ -5,29 +5,41 @@ pairs with all others.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.dataset import InitialZetaSettings, RigDataset, match_initial_zeta
+from diagnose.dataset import (
+    DEFAULT_INITIAL_ZETA,
+    InitialZetaSettings,
+    RigDataset,
+    match_initial_zeta,
+)
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
 from diagnose.hypotheses.pair_screening import (
+    DEFAULT_PAIRS,
     DEFAULT_RANKINGS,
     PairScreeningSettings,
     Ranking,
     refine_pairs,
 )
 from diagnose.hypotheses.refinement import (
+    DEFAULT_REFINEMENT,
     RefinementSettings,
     predicted_score,
     refine,
     relinearize,
 )
-from diagnose.linear.linear_fit import LinearFit, LinearFitSettings, floor_inflation
+from diagnose.linear.linear_fit import (
+    DEFAULT_LINEAR_FIT,
+    LinearFit,
+    LinearFitSettings,
+    floor_inflation,
+)
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict, predict_with_jacobian
-from diagnose.model.linearized_run import LinearizationSettings
+from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, strengths
@@ -55,8 +67,8 @@ class ScreeningSettings:
         simulations_per_round: Simulations with each, at most.
         min_round_gain: A further round is made while the last one gained this much log score [-].
         hopeless_deficit: A hypothesis that is this far behind the best in log score gets none [-].
-        far_from_floor: Strengths far from zero are tried one by one where the reference model misses
-            a block by more than this many model errors [-].
+        far_from_floor: Strengths far from zero are tried one by one where the reference model
+            misses a block by more than this many model errors [-].
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
         initial_zeta: Numbers of the search for the zeta where all is linearised.
@@ -80,11 +92,14 @@ class ScreeningSettings:
     hopeless_deficit: float = 100.0
     far_from_floor: float = 30.0
     pair_floor: float = 1.5
-    initial_zeta: InitialZetaSettings = InitialZetaSettings()
-    linearization: LinearizationSettings = LinearizationSettings()
-    linear_fit: LinearFitSettings = field(default_factory=LinearFitSettings)
-    refinement: RefinementSettings = RefinementSettings()
-    pairs: PairScreeningSettings = PairScreeningSettings()
+    initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
+    linearization: LinearizationSettings = DEFAULT_LINEARIZATION
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
+    refinement: RefinementSettings = DEFAULT_REFINEMENT
+    pairs: PairScreeningSettings = DEFAULT_PAIRS
+
+
+DEFAULT_SCREENING = ScreeningSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +124,7 @@ def screen_effects(
     effects: Sequence[type[AbstractEffect]],
     pool: RunPool,
     report: Report = lambda stage: None,
-    settings: ScreeningSettings = ScreeningSettings(),
+    settings: ScreeningSettings = DEFAULT_SCREENING,
 ) -> ScreeningResult:
     """Rank every effect, simulate the leading ones, then pairs of them with all.
 
@@ -149,9 +164,7 @@ class _Screening:
 
     def run(self, report: Report) -> ScreeningResult:
         """Rank, simulate and pair the effects."""
-        none = self.refine(
-            linear_start(self.regressors, []), self.settings.reference_simulations
-        )
+        none = self.refine(linear_start(self.regressors, []), self.settings.reference_simulations)
         report("screening")
         ranked = self.rank()
         report(f"simulating the leading {len(ranked)} effects")
@@ -191,9 +204,7 @@ class _Screening:
         orders = []
         gaining: set[str] = set()
         for share, linear_error in settings.rankings:
-            inflation = floor_inflation(
-                blocks, reference.mean_square, share, regressors.settings
-            )
+            inflation = floor_inflation(blocks, reference.mean_square, share, regressors.settings)
             without = linear_fit_of(regressors, [], inflation, linear_error).score
             best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
             for variant in regressors.variants:
@@ -275,12 +286,10 @@ class _Screening:
             best = done[0].score if done else -np.inf
             relinearized = place < settings.max_relinearized
             done.append(self.finish_one(each, best) if relinearized else each)
-        return sorted(
-            done + hypotheses[settings.max_continued :], key=lambda each: -each.score
-        )
+        return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
 
     def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:
-        """Refine a hypothesis with fresh derivatives, round by round, while that gains something."""
+        """Refine a hypothesis with fresh derivatives, round by round, while that gains."""
         settings = self.settings
         for _ in range(settings.max_rounds):
             if not here.is_simulated or not self.leaves_gap(here):
@@ -307,7 +316,7 @@ class _Screening:
 
 
 def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:
-    """Values far from zero to try [typical sizes], by the strength's place; few effects have any."""
+    """Values far from zero to try [typical sizes], by the strength's place; few have any."""
     about = [field_metadata(effect)[name] for name in strengths(effect)]
     return {
         place: [value / each["typical"] for value in each["far"]]

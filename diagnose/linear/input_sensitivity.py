@@ -114,7 +114,7 @@ def effect_sensitivity(
 def _along(
     effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node: Float[Array, ""]
 ) -> InputSensitivity:
-    """Inputs, state and readings of the run with an effect; `effect_sensitivity` differentiates them."""
+    """Inputs, state and readings of the run with an effect, to be differentiated."""
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
@@ -295,8 +295,8 @@ def propagate(
     $$s_{k+1} = A_k^n s_k + \Big(\sum_{i<n} A_k^i\Big)(B_k u_k + m_k),\qquad
       g_k = C_k s_k + D_k u_k + f_k,$$
 
-    from $s_0$ = `sensitivity.start`. Position is read as $(x, z)_k$ of $s_k$, shifted by the grousers'
-    ripple $\rho_k \varphi_k$, and everything by $y_k$.
+    from $s_0$ = `sensitivity.start`. Position is read as $(x, z)_k$ of $s_k$, shifted by the
+    grousers' ripple $\rho_k \varphi_k$, and everything by $y_k$.
 
     Args:
         linearized: The linearised run.

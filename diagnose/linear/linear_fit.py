@@ -1,22 +1,22 @@
 r"""Fits of effects on linear responses, from Gram matrices, and the score of what they leave.
 
-Residuals are divided into blocks b, a channel's slow and fast part (`diagnose.linear.residual_blocks`),
-each with a variance of its own. A linear fit changes the residual of run r by its own log zeta
-$\zeta_r$ and by the coefficients $\theta$ that all runs share; with $x_r = (\zeta_r, \theta, 1)$ the sum of
-squares that it leaves is $x_r^T G_{rb} x_r$, with the Gram matrix $G_{rb} = X_{rb}^T X_{rb}$ of the columns
-$X_{rb}$ = (response to own log zeta, responses to coefficients, residual). Once these matrices are known
-every fit costs a few numbers.
+Residuals are divided into blocks b, a channel's slow and fast part
+(`diagnose.linear.residual_blocks`), each with a variance of its own. A linear fit changes the
+residual of run r by its own log zeta $\zeta_r$ and by the coefficients $\theta$ that all runs
+share; with $x_r = (\zeta_r, \theta, 1)$ the sum of squares that it leaves is $x_r^T G_{rb} x_r$,
+with the Gram matrix $G_{rb} = X_{rb}^T X_{rb}$ of the columns $X_{rb}$ = (response to own log zeta,
+responses to coefficients, residual). Once these matrices are known every fit costs a few numbers.
 
-With $N_b$ samples in block b the mean square left is $s_b = \sum_r x_r^T G_{rb} x_r / N_b$, and the log
-score (profile log-likelihood, up to a constant)
+With $N_b$ samples in block b the mean square left is $s_b = \sum_r x_r^T G_{rb} x_r / N_b$, and the
+log score (profile log-likelihood, up to a constant)
 
 $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
   - \tfrac12 w_\zeta (R - 1) \ln(V_\zeta + \sigma_\zeta^2),$$
 
-where $\sigma_b$ is a model's own error, $e_b$ the part of the response that its linearity may be wrong
-by, $V_\zeta$ the variance of log zeta over the R runs, and $w$ the independent statements in a
-sample. The fit maximises it, with a Gaussian prior on $\theta$, by iteratively reweighted least squares:
-each iteration weighs block b by $w_b / (s_b + e_b + \sigma_b^2)$ of the one before.
+where $\sigma_b$ is a model's own error, $e_b$ the part of the response that its linearity may be
+wrong by, $V_\zeta$ the variance of log zeta over the R runs, and $w$ the independent statements in
+a sample. The fit maximises it, with a Gaussian prior on $\theta$, by iteratively reweighted least
+squares: each iteration weighs block b by $w_b / (s_b + e_b + \sigma_b^2)$ of the one before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -133,7 +133,8 @@ class LinearFit:
         score: Log score.
         coefficients: Of the columns used, in units of their coordinates, shape (columns,).
         log_zeta_change: Change of each run's log zeta [-], shape (runs,).
-        mean_square: Mean square of what is left in each block, shape (blocks,), in its unit squared.
+        mean_square: Mean square of what is left in each block, shape (blocks,), in its unit
+            squared.
         zeta_variance: Variance of log zeta over the runs [-].
     """
 

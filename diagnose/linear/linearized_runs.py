@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset, pitch, with_zeta
 from diagnose.model.linearized_run import (
+    DEFAULT_LINEARIZATION,
     LinearizationSettings,
     LinearizedRun,
     linearize,
@@ -37,7 +38,7 @@ def linearize_runs(
     dataset: RigDataset,
     log_zeta: np.ndarray,
     pool: RunPool,
-    settings: LinearizationSettings = LinearizationSettings(),
+    settings: LinearizationSettings = DEFAULT_LINEARIZATION,
 ) -> LinearizedRuns:
     """Linearise every run of a dataset at its zeta.
 
@@ -60,7 +61,7 @@ def linearize_run(
     dataset: RigDataset,
     run: int,
     log_zeta: float,
-    settings: LinearizationSettings = LinearizationSettings(),
+    settings: LinearizationSettings = DEFAULT_LINEARIZATION,
 ) -> LinearizedRun:
     """Linearise one run of a dataset, padded like the others.
 

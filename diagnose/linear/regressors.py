@@ -10,7 +10,6 @@ from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.linear.input_sensitivity import (
@@ -61,7 +60,8 @@ class Regressors:
 
     Attributes:
         dataset: The runs.
-        log_zeta: Log zeta of each run over its set-up's, where all is linearised [-], shape (runs,).
+        log_zeta: Log zeta of each run over its set-up's, where all is linearised [-], shape
+            (runs,).
         variants: Every effect with every combination of shapes.
         columns: By run: derivatives of the compared samples by (own log zeta, every column in
             units of its typical size) [m, N, N m], shape (channels, samples, 1 + columns).

@@ -1,8 +1,8 @@
 """Slow and fast part of each channel's residual: the blocks that have a variance of their own.
 
 With M the means over bins of `BIN_TIME` and P the lines through the bin means, the slow part of a
-channel's samples y is M y, and the fast part y - P M y. Of travel the slow part is the difference of
-successive bin means, as an error of speed would otherwise weigh on all bins that follow. A model
+channel's samples y is M y, and the fast part y - P M y. Of travel the slow part is the difference
+of successive bin means, as an error of speed would otherwise weigh on all bins that follow. A model
 that misses one block by much says nothing of the others' noise.
 """
 

@@ -152,7 +152,9 @@ def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) ->
     if "z" not in channels:
         return table
     cut = trial.simulator.wheel.cut()
-    limit = jnp.where(cut.sinkage_limit < cut.radius, MAX_COVERED_SHARE * cut.sinkage_limit, jnp.inf)
+    limit = jnp.where(
+        cut.sinkage_limit < cut.radius, MAX_COVERED_SHARE * cut.sinkage_limit, jnp.inf
+    )
     return jnp.where(jnp.max(-table[channels.index("z")]) > limit, jnp.nan, table)
 
 

@@ -1,8 +1,9 @@
 r"""A simulated run and its linearisation: a linear time-varying model along one run.
 
-The run is divided into nodes of n steps, about `LinearizationSettings.node_time` long. In the middle
-of each node one integrator step $s' = F(s, u)$, with sand forces $f = G(s, u)$, is differentiated by
-the state $s = (x, z, v_x, v_z, \varphi)$ and by the inputs $u$ of `diagnose.model.unknown_inputs`:
+The run is divided into nodes of n steps, about `LinearizationSettings.node_time` long. In the
+middle of each node one integrator step $s' = F(s, u)$, with sand forces $f = G(s, u)$, is
+differentiated by the state $s = (x, z, v_x, v_z, \varphi)$ and by the inputs $u$ of
+`diagnose.model.unknown_inputs`:
 
 $$A = \partial F/\partial s,\quad B = \partial F/\partial u,\quad
   C = \partial G/\partial s,\quad D = \partial G/\partial u.$$
@@ -43,14 +44,17 @@ class LinearizationSettings:
 
     Attributes:
         node_time: Length of a node, within which one step's derivative holds [s].
-        max_growth: Largest growth of a motion over a node, as an eigenvalue of its map [-]; no wheel
-            on sand grows faster, so that a larger one comes from a corner of the stress law.
+        max_growth: Largest growth of a motion over a node, as an eigenvalue of its map [-]; no
+            wheel on sand grows faster, so that a larger one comes from a corner of the stress law.
         ripple_points: Points per grouser at which the ripple of (x, z) is sampled.
     """
 
     node_time: float = 0.01
     max_growth: float = 1.02
     ripple_points: int = 48
+
+
+DEFAULT_LINEARIZATION = LinearizationSettings()
 
 
 class LinearizedRun(eqx.Module):
@@ -118,9 +122,7 @@ def command_at_time(trial: Trial, time: Float[Array, ""]) -> Command:
     return Command(omega, jnp.interp(time, trial.time, trial.vx), jnp.zeros_like(omega))
 
 
-def steps_per_node(
-    trial: Trial, node_time: float = LinearizationSettings().node_time
-) -> int:
+def steps_per_node(trial: Trial, node_time: float = DEFAULT_LINEARIZATION.node_time) -> int:
     """Integrator steps that come closest to `node_time` [s]."""
     return max(1, round(node_time / float(trial.step)))
 
@@ -249,14 +251,15 @@ def _powers(
 def repair_outlier_maps(
     linearized: LinearizedRun,
     pitch: float,
-    settings: LinearizationSettings = LinearizationSettings(),
+    settings: LinearizationSettings = DEFAULT_LINEARIZATION,
 ) -> LinearizedRun:
     """Replace a linearised run's outlier maps and its derivatives by the wheel angle.
 
     Where a plate crosses a corner of the stress law just as a step is differentiated, the step's
     map is that corner's and no other step's: maps that grow are replaced by their nearest
     neighbours'. For the same reason no sum of derivatives by the wheel angle is right: the forces
-    jump with it. The angle is therefore taken out of the maps, and its effect in the end is read off
+    jump with it. The angle is therefore taken out of the maps, and its effect in the end is read
+    off
     the run itself: it shifts the grousers' ripple along.
 
     Args:
@@ -310,13 +313,11 @@ def _ripple_slope(linearized: LinearizedRun, pitch: float, points: int) -> np.nd
     return slope
 
 
-def _ripple_slope_one_way(
-    motion: np.ndarray, pitch: float, sense: int, points: int
-) -> np.ndarray:
+def _ripple_slope_one_way(motion: np.ndarray, pitch: float, sense: int, points: int) -> np.ndarray:
     """The same while the wheel turns forward (`sense` 1) or backward (-1).
 
-    The ripple is what remains of (x, z) over the angle beyond its mean over one pitch; the first and
-    the last pitch, which such a mean does not cover, have none.
+    The ripple is what remains of (x, z) over the angle beyond its mean over one pitch; the first
+    and the last pitch, which such a mean does not cover, have none.
     """
     slope = np.zeros((len(motion), 2))
     angle = sense * motion[:, 4]

@@ -17,6 +17,7 @@ import numpy as np
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel, with_effects
+from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
@@ -77,7 +78,11 @@ class NextRun:
 
 
 def next_run(
-    case: RigDataset, first: Hypothesis, others: Sequence[Hypothesis], floors: Mapping[str, float]
+    case: RigDataset,
+    first: Hypothesis,
+    others: Sequence[Hypothesis],
+    floors: Mapping[str, float],
+    pool: RunPool,
 ) -> dict:
     """The variation of a run that parts hypotheses, and the channel that would part them now.
 
@@ -86,6 +91,7 @@ def next_run(
         first, others: Hypotheses settled on them, the likeliest first: one is to be told from all
             others, or, where no variation does that, from the likeliest of them.
         floors: Noise floor of each recorded channel [m, N, N m].
+        pool: Threads.
 
     Returns:
         Plain values: `tells` the hypotheses apart, `run` to make, and `channel` to record on a run
@@ -95,7 +101,7 @@ def next_run(
     variations = _variations(case, base)
     # Compiled by the run as it was, before every thread needs the programs.
     parted = [_separation(variations[0], base, first, others)]
-    parted += case.threads.map(lambda each: _separation(each, base, first, others), variations[1:])
+    parted += pool.map(lambda each: _separation(each, base, first, others), variations[1:])
     floor = TRUSTED | dict(floors)
     driven = case.runs[base].setup.rig.carriage == "driven"
     advice = {}

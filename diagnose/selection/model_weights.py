@@ -1,14 +1,16 @@
 r"""Weights of effects, pairs of them, none and unknown: approximate posterior probabilities.
 
-A hypothesis h with k free numbers is scored by the mean squares $s_b$ that it leaves in the blocks b of
-the residuals, each with a variance of its own. With $N_b$ samples in a block and R runs, the evidence is
+A hypothesis h with k free numbers is scored by the mean squares $s_b$ that it leaves in the blocks
+b of the residuals, each with a variance of its own. With $N_b$ samples in a block and R runs, the
+evidence is
 
 $$E(s, V) = -\tfrac12 \sum_b w_b N_b \ln(s_b + a_b)
   - \tfrac12 w_\zeta (R - 1) \ln(V + \sigma_\zeta^2),$$
 
-with V the variance of log zeta over the runs, $w$ the independent statements in a sample, and $a_b$ the
-mean square that is not held against a model: its own error $(c\,\sigma_b)^2$, what repeats differ by
-beyond noise, and a share $\epsilon^2$ of what the reference model leaves beyond all these. The log weight is
+with V the variance of log zeta over the runs, $w$ the independent statements in a sample, and $a_b$
+the mean square that is not held against a model: its own error $(c\,\sigma_b)^2$, what repeats
+differ by beyond noise, and a share $\epsilon^2$ of what the reference model leaves beyond all
+these. The log weight is
 
 $$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V_h) + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h)
   - \kappa k_h + \ln \pi_h,$$
@@ -17,16 +19,16 @@ on runs that h was not fitted to and on those it was. Prediction alone would con
 where the one run that shows it best is the one left out, as the others know little of its numbers;
 the fit alone would reward what bends to every run.
 
-`unknown` is a model outside the catalogue: it is taken to leave a share $\rho$ (in amplitude) of what
-the reference model leaves beyond noise and $a_b$, with three free numbers, so that a listed effect
-must explain nearly all of a gap to be believed.
+`unknown` is a model outside the catalogue: it is taken to leave a share $\rho$ (in amplitude) of
+what the reference model leaves beyond noise and $a_b$, with three free numbers, so that a listed
+effect must explain nearly all of a gap to be believed.
 
-The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make --seed
-7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they served the
-other half better than those before. The prior of `none` was chosen later, on 138 sets more (seeds 9110
-and 9112, up to 078), by how often what has a weight is right. They are no part of any single dataset.
-Of `formula_error_share` the sets say little between 0.005 and 0.1; a share that pardons a second effect
-is too large.
+The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
+--seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
+served the other half better than those before. The prior of `none` was chosen later, on 138 sets
+more (seeds 9110 and 9112, up to 078), by how often what has a weight is right. They are no part of
+any single dataset. Of `formula_error_share` the sets say little between 0.005 and 0.1; a share that
+pardons a second effect is too large.
 """
 
 from collections.abc import Sequence
@@ -93,8 +95,8 @@ class ScoredHypothesis:
 
     Attributes:
         names: Its effects; none for the reference model.
-        held_out_power: Mean square left in each block on runs it was not fitted to, shape (blocks,),
-            in the block's unit squared.
+        held_out_power: Mean square left in each block on runs it was not fitted to, shape
+            (blocks,), in the block's unit squared.
         fitted_power: The same on the runs it was fitted to.
         zeta_variance: Variance of log zeta over the runs [-].
         parameter_count: Number of its free numbers.
@@ -126,8 +128,9 @@ def log_weights(
         noise_power: Mean square of the instruments' white noise in each block, shape (blocks,).
         runs: Number of runs.
         settings: Numbers of the weights.
-        repeat_power: Mean square of what repeats differ by in each block. What of it is beyond noise
-            and a model's own error is neither held against a model nor for `unknown` to explain.
+        repeat_power: Mean square of what repeats differ by in each block. What of it is beyond
+            noise and a model's own error is neither held against a model nor for `unknown` to
+            explain.
         linear_fit: For a model's own error and the scatter of zeta.
     """
     floor = (settings.model_error_factor * linear_fit.model_errors(blocks)) ** 2

@@ -1,4 +1,4 @@
-"""The verdict: the explanation that the weights speak for, and those that cannot be told from it."""
+"""The verdict: the explanation with the most weight, and those that cannot be told from it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,8 @@ class VerdictSettings:
         group_weight: Effects are named together until this share of the weight is named [-].
         min_named_weight: An effect of less weight than this is not named beside another [-].
         alarm_ratio: Effects or `unknown` are named at all where they outweigh `none` by this factor
-            [-]. It holds down the rate of false alarms, and is no part of the weights, which say what
+            [-]. It holds down the rate of false alarms, and is no part of the weights, which say
+            what
             is likely: many rigs have an effect so faint that these runs could as well have none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
@@ -85,9 +86,7 @@ def _speaking_together(
     return sorted(ranked, key=lambda each: each[0] != stands)
 
 
-def _group(
-    first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...]]
-) -> list[str]:
+def _group(first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...]]) -> list[str]:
     """Names that may stand in the place of one name of the verdict, that one first."""
     group = [first]
     for names in others:

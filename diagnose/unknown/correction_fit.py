@@ -17,14 +17,17 @@ from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.gap import gaps
 from diagnose.gap.selected_effects import SelectedEffects, effects_of
 from diagnose.gap.zeta_matching import residuals_of
-from diagnose.hypotheses.hypothesis import STRENGTH_BELIEF, Hypothesis, linear_start, refine
-from diagnose.linear.linear_fit import WORTH
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
+from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings, refine
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, LinearFitSettings
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.localization.shares import MOST, GapShare
 from diagnose.localization.spectrum import HERTZ, HERTZ_LABELS
 from diagnose.model.augmented_model import AugmentedModel, predict
 from diagnose.model.shared_programs import in_modes
-from diagnose.selection.model_weights import SCALE
+from diagnose.run_pool import RunPool
+from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
 from diagnose.unknown.dependence import FittedCurve, choose_disturbance, fit_curve
 from diagnose.unknown.disturbances import KNOT, Disturbance
 from drftjax.effects.correction import STAGES, Curve, entry_of, states_known_to, with_values
@@ -157,21 +160,31 @@ class UnknownEffect:
 
 def fit_unknown_effect(
     case: RigDataset,
+    linearized: LinearizedRuns,
     found: Sequence[Disturbance],
     none: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     places: Sequence[GapShare],
+    pool: RunPool,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
+    refinement: RefinementSettings = DEFAULT_REFINEMENT,
+    weights: WeightSettings = DEFAULT_WEIGHTS,
 ) -> UnknownEffect:
     """The simplest unknown signal of a case, and a correction where it follows something.
 
     Args:
         case: The runs.
+        linearized: The same, linearised along the reference model.
         found: By `stages`, best first; not empty.
         none: The reference model, settled.
         before: What it leaves of each run, shape (channels, samples) [m, N, N m].
         floors: Noise floor of each channel.
         places: Shares of the gap, by frequency among others.
+        pool: Threads.
+        linear_fit: Weights of linear fits.
+        refinement: Numbers of the refinement by simulation.
+        weights: For the share of a gap that `unknown` is taken to leave.
     """
     fast = HERTZ_LABELS[1 + HERTZ.index(FASTEST) :]
     too_fast = sum(e.share for e in places if e.axis == "frequency" and e.label in fast)
@@ -181,33 +194,38 @@ def fit_unknown_effect(
     curves = [(curve, share) for name, share in likely for curve in fit_curve(case, stage, name)]
     if not curves:
         return UnknownEffect(stage, variables, None, too_fast)
-    kinds = [in_modes(each.kind, _modes(each), 1 / STRENGTH_BELIEF) for each, _ in curves]
-    case.precompile(predict, [AugmentedModel((kind,)) for kind in kinds])
-    bench = Regressors.of(case, none.log_zeta, kinds)
+    typical = 1 / linear_fit.strength_prior
+    kinds = [
+        in_modes(each.kind, _modes(each, linear_fit.slow_worth), typical) for each, _ in curves
+    ]
+    case.precompile(pool, predict, [AugmentedModel((kind,)) for kind in kinds])
+    bench = Regressors.of(case, linearized, kinds, pool, linear_fit)
 
     def of(one: tuple[tuple[FittedCurve, float], ShapeVariant]) -> Correction | None:
         (curve, share), variant = one
-        found = refine(bench, linear_start(bench, [variant]), TURNS)
+        found = refine(bench, linear_start(bench, [variant]), TURNS, pool, refinement)
         return (
-            _corrected(bench, curve, share, found, before, floors) if found.is_simulated else None
+            _corrected(bench, curve, share, found, before, floors, pool)
+            if found.is_simulated
+            else None
         )
 
-    each_of = case.map_items(of, zip(curves, bench.variants, strict=True))
+    each_of = pool.map_outer(of, zip(curves, bench.variants, strict=True))
     tried = [each for each in each_of if each is not None]
     if not tried:
         return UnknownEffect(stage, variables, None, too_fast)
     best = min(tried, key=lambda each: (not each.added.helps, each.added.left))
     # With one condition nothing was left out, and sixteen knots follow anything.
     if len(group_by_condition(case.runs)) > 1:
-        best = match_listed_effect(tried, dict(variables)) or best
+        best = match_listed_effect(tried, dict(variables), weights) or best
     variables.sort(key=lambda each: each[0] != best.effect.variable)
     return UnknownEffect(stage, variables, best, too_fast)
 
 
-def equivalent_effect(one: Correction) -> str | None:
+def equivalent_effect(one: Correction, weights: WeightSettings = DEFAULT_WEIGHTS) -> str | None:
     """The effect of the list that a curve would be a form of, where it explains the runs."""
     least = max(
-        SCALE.unknown_residual_share * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap))
+        weights.unknown_residual_share * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap))
     )
     explains = one.added.helps and one.added.left <= least
     if not explains or not _of_places(np.asarray(one.effect.values())):
@@ -227,7 +245,9 @@ def _of_places(values: np.ndarray) -> bool:
 
 
 def match_listed_effect(
-    tried: Sequence[Correction], follows: Mapping[str, float]
+    tried: Sequence[Correction],
+    follows: Mapping[str, float],
+    weights: WeightSettings = DEFAULT_WEIGHTS,
 ) -> Correction | None:
     """The curve that is an effect of the list, where the runs tell it from curves of other things.
 
@@ -235,7 +255,7 @@ def match_listed_effect(
         tried: Curves of one stage, simulated.
         follows: Share of the signal that each variable explains on runs left out [-].
     """
-    meant = [each for each in tried if equivalent_effect(each) is not None]
+    meant = [each for each in tried if equivalent_effect(each, weights) is not None]
     if not meant:
         return None
     best = min(meant, key=lambda each: each.added.left)
@@ -248,7 +268,7 @@ def match_listed_effect(
         for each in rivals
     )
     of_place = 1 - follows.get("time", 0.0) >= OF_TIME * (1 - follows[place])
-    return replace(best, means=equivalent_effect(best)) if told and of_place else None
+    return replace(best, means=equivalent_effect(best, weights)) if told and of_place else None
 
 
 def _corrected(
@@ -258,9 +278,10 @@ def _corrected(
     found: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
+    pool: RunPool,
 ) -> Correction | None:
     """What a curve, fitted by simulation, leaves of the gap on runs left out; None if one fails."""
-    met = at_mean_sinkage(bench, predict_held_out(bench, found))
+    met = at_mean_sinkage(bench, predict_held_out(bench, found, pool), pool)
     after = residuals_of(met)
     if not bench.dataset.all_finite(after):
         return None
@@ -273,10 +294,10 @@ def _corrected(
     return Correction(plain, explained, added)
 
 
-def _modes(curve: FittedCurve) -> np.ndarray:
+def _modes(curve: FittedCurve, slow_worth: float) -> np.ndarray:
     """Curves whose amplitudes are believed to be one each, and independent, before any run."""
     # A fit by simulation takes a half second for less than the straight lines here do.
-    precision = WORTH["slow"] * curve.precision
+    precision = slow_worth * curve.precision
     size, way = np.linalg.eigh(precision)
     spread = 1 / np.sqrt(size)
     kept = spread > SMALLEST_MODE * spread.max()

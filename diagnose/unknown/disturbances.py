@@ -6,7 +6,7 @@ error of a reading.
 The stage whose error explains most for the simplest signal has the largest evidence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -20,7 +20,8 @@ from diagnose.linear.input_sensitivity import (
     propagate,
     zeta_sensitivity,
 )
-from diagnose.linear.linear_fit import FLOOR
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, LinearFitSettings
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.shares import (
     PROBABILITY,
@@ -31,6 +32,7 @@ from diagnose.localization.shares import (
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.model.linearized_run import FORCES, MOTION, LinearizedRun
 from diagnose.model.unknown_inputs import INPUTS
+from diagnose.run_pool import RunPool
 from diagnose.unknown.gaussian_smoother import GramSums, SmoothedSignal, fit_zeta_only, smooth
 from drftjax.effects.correction import READING, STAGES
 
@@ -108,18 +110,25 @@ class Disturbance:
 
 
 def estimate_disturbances(
-    case: RigDataset, log_zeta: np.ndarray, residual: Sequence[np.ndarray] | None = None
+    case: RigDataset,
+    linearized: LinearizedRuns,
+    pool: RunPool,
+    residual: Sequence[np.ndarray] | None = None,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> list[Disturbance]:
     """The stages by evidence, best first.
 
     Args:
         case: The runs.
-        log_zeta: Each run's, over its set-up's, where all is linearised.
+        linearized: The same, linearised along the reference model.
+        pool: Threads.
         residual: Simulated less recorded, shape (channels, samples): the reference model's where
             none is given, or what some explanation leaves.
+        linear_fit: For a model's own error, the unit of what is compared.
     """
     names = [*WITHIN, *(READING + channel for channel in case.channels)]
-    found = case.map_runs(lambda run: _of_run(case, run, float(log_zeta[run]), residual))
+    errors = {each: linear_fit.model_error[each, "slow"] for each in case.channels}
+    found = pool.map(lambda run: _of_run(case, run, linearized, residual, errors), case.run_numbers)
     times = [time for time, _, _ in found]
     count = 1 + max(len(time) for time in times)
     data = [[d[c] for _, _, d in found] for c in range(len(case.channels))]
@@ -128,9 +137,9 @@ def estimate_disturbances(
         columns = [[a[name][c][:, :count] for _, a, _ in found] for c in range(len(case.channels))]
         if not any(np.any(a[:, 1:]) for runs in columns for a in runs):
             return None
-        return _stage(case, name, DisturbanceRegressors(times, columns, data))
+        return _stage(case, name, DisturbanceRegressors(times, columns, data), errors)
 
-    made = [each for each in case.threads.map(of, names) if each is not None]
+    made = [each for each in pool.map(of, names) if each is not None]
     return sorted(made, key=lambda each: -each.evidence)
 
 
@@ -141,12 +150,9 @@ def described(name: str) -> tuple[str, float, str]:
     return unit, typical, WITHIN.get(name, of_a_reading)
 
 
-def floor_of(channel: str) -> float:
-    """A model's own error in the slow part of a channel [m, N, N m]."""
-    return FLOOR[channel, "slow"]
-
-
-def _stage(case: RigDataset, name: str, columns: DisturbanceRegressors) -> Disturbance:
+def _stage(
+    case: RigDataset, name: str, columns: DisturbanceRegressors, errors: Mapping[str, float]
+) -> Disturbance:
     unit, typical, meaning = described(name)
     sums = GramSums.of(columns.columns, columns.data)
     nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
@@ -161,7 +167,7 @@ def _stage(case: RigDataset, name: str, columns: DisturbanceRegressors) -> Distu
         fit.evidence - nothing.evidence,
         max(0.0, 1 - after / before) if before > 0 else 0.0,
         fit.freedom,
-        _left(case, fit),
+        _left(case, fit, errors),
         columns.time,
         [fit.mean[r, 1 : 1 + n] for r, n in enumerate(lengths)],
         [error[r, 1 : 1 + n] for r, n in enumerate(lengths)],
@@ -188,16 +194,22 @@ def _power(
     return total
 
 
-def _left(case: RigDataset, fit: SmoothedSignal) -> dict[str, float]:
+def _left(case: RigDataset, fit: SmoothedSignal, errors: Mapping[str, float]) -> dict[str, float]:
     return {
-        channel: float(np.sqrt(left)) * floor_of(channel)
+        channel: float(np.sqrt(left)) * errors[channel]
         for channel, left in zip(case.channels, fit.left, strict=True)
     }
 
 
-def _of_run(case: RigDataset, run: int, log_zeta: float, residual: Sequence[np.ndarray] | None):
+def _of_run(
+    case: RigDataset,
+    run: int,
+    linearized: LinearizedRuns,
+    residual: Sequence[np.ndarray] | None,
+    errors: Mapping[str, float],
+):
     """Knot times, columns by stage and channel, and data by channel of one run."""
-    path = case.linearized(run, log_zeta)
+    path, log_zeta = linearized.runs[run], float(linearized.log_zeta[run])
     time = case.time(run)
     if residual is None:
         given = case.prediction(AugmentedModel(), run, log_zeta, np.zeros(0)) - case.recording(run)
@@ -209,7 +221,7 @@ def _of_run(case: RigDataset, run: int, log_zeta: float, residual: Sequence[np.n
     room = ROOM * int(np.ceil((longest / KNOT + 2) / ROOM))
     hats = _hats(path, room)
     nodes = np.asarray(path.time)[: int(path.nodes) + 1]
-    slow = _Slow(case.channels, splitter, time, nodes, given)
+    slow = _Slow(case.channels, splitter, time, nodes, given, errors)
     own = slow.of(np.asarray(propagate(path, zeta_sensitivity(path))))
     columns = {
         name: _beside(own, slow.of(np.asarray(propagate(path, _kick(path, hats, name)))))
@@ -232,6 +244,7 @@ class _Slow:
     time: np.ndarray
     nodes: np.ndarray
     given: np.ndarray
+    errors: Mapping[str, float]
 
     def of(self, response: np.ndarray) -> list[np.ndarray]:
         """From readings at nodes, shape (nodes, 5, columns)."""
@@ -251,7 +264,7 @@ class _Slow:
             seen = np.isfinite(self.given[index]).all()
             means = self.splitter.bin_means @ np.where(seen, rows, 0)
             slow = np.diff(means, axis=0) if channel == "x" else means
-            found.append((slow if seen else slow[:0]) / floor_of(channel))
+            found.append((slow if seen else slow[:0]) / self.errors[channel])
         return found
 
 
