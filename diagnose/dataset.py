@@ -17,7 +17,6 @@ from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
 from drftjax.recorded.matched_zeta import (
-    DEFAULT_ZETA_MATCH,
     ZetaMatchSettings,
     match_mean_sinkage,
 )
@@ -48,6 +47,9 @@ class DatasetSettings:
 DEFAULT_DATASET = DatasetSettings()
 
 
+INITIAL_ZETA_MATCH = ZetaMatchSettings(max_steps=12)
+
+
 @dataclass(frozen=True)
 class InitialZetaSettings:
     """Numbers of the search for the zeta at which each run is linearised.
@@ -55,11 +57,12 @@ class InitialZetaSettings:
     Attributes:
         window: Part of all that a wheel turns and travels, (from, to) [-], over which mean sinkage
             is matched: past the start, and before most effects have grown.
-        search: Numbers of the secant search.
+        search: Numbers of the secant search. It may take more steps than others: the zeta of a
+            set-up may be a guess, and far from the sand's.
     """
 
     window: tuple[float, float] = (0.05, 0.4)
-    search: ZetaMatchSettings = DEFAULT_ZETA_MATCH
+    search: ZetaMatchSettings = INITIAL_ZETA_MATCH
 
 
 DEFAULT_INITIAL_ZETA = InitialZetaSettings()

@@ -5,8 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.checks import outlier_runs
 from diagnose.checks.caveats import caveats
+from diagnose.checks.outlier_runs import (
+    gap_carried_by_one_run,
+    outliers_among_repeats,
+    outliers_by_zeta,
+)
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import discretization_errors
@@ -140,7 +144,7 @@ class _Diagnosing:
             found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
         self.report("where the gap lies")
-        places = list(localize(dataset, gap.before, dict(gap.floors)))
+        places = list(localize(dataset, gap.before, dict(gap.floors), settings.localization))
         notes = gap.notes
         unknown, selected = None, gap.selected
         if weighed.verdict != (NONE,):
@@ -180,6 +184,7 @@ class _Diagnosing:
                     gap.floors,
                     gap.selected.gap,
                     self.pool,
+                    settings.gap,
                 )
                 if weighed.verdict == chosen.names and is_listed
                 else []
@@ -237,7 +242,7 @@ class _Diagnosing:
 
     def measure_gap(self, weighed: _Weighed) -> _MeasuredGap:
         """The gap without and with the chosen hypothesis, and its noise floors."""
-        dataset, pool = self.dataset, self.pool
+        dataset, pool, settings = self.dataset, self.pool, self.settings
         regressors, none = weighed.screening.regressors, weighed.screening.none
         chosen = weighed.chosen
         reference = at_mean_sinkage(regressors, predict_held_out(regressors, none, pool), pool)
@@ -245,15 +250,17 @@ class _Diagnosing:
         if chosen.names:
             matches = at_mean_sinkage(regressors, weighed.held_out[chosen.names], pool)
         before, after = residuals_of(reference), residuals_of(matches)
-        own = discretization_errors(dataset, none.log_zeta, pool)
+        own = discretization_errors(dataset, none.log_zeta, pool, settings.discretization)
         floors, how = noise_floors(dataset, before, after, own, none.by_zeta)
         notes = [
             how,
             *caveats(dataset),
-            *outlier_runs.outliers_among_repeats(dataset, [before, after], own, none.by_zeta),
-            *outlier_runs.outliers_by_zeta(regressors, chosen),
+            *outliers_among_repeats(
+                dataset, [before, after], own, none.by_zeta, settings.outlier_runs
+            ),
+            *outliers_by_zeta(regressors, chosen, settings.outlier_runs),
         ]
-        gap = gaps(dataset, before, after, floors)
+        gap = gaps(dataset, before, after, floors, settings.gap)
         selected = SelectedEffects(effects_of(chosen), chosen.log_zeta, matches, gap)
         return _MeasuredGap(reference, floors, notes, selected)
 
@@ -265,9 +272,13 @@ class _Diagnosing:
         none = weighed.screening.none
         linearized = linearize_runs(dataset, none.log_zeta, pool, settings.screening.linearization)
         disturbances = estimate_disturbances(
-            dataset, linearized, pool, linear_fit=settings.linear_fit
+            dataset,
+            linearized,
+            pool,
+            settings=settings.unknown_effect,
+            linear_fit=settings.linear_fit,
         )
-        stages = by_stage(disturbances)
+        stages = by_stage(disturbances, settings.localization)
         if weighed.verdict != (UNKNOWN,) or not disturbances:
             return None, stages
         self.report("what an effect that explains it would look like")
@@ -275,14 +286,12 @@ class _Diagnosing:
             dataset,
             linearized,
             disturbances,
-            none,
             gap.before,
             gap.floors,
             [*places, *stages],
             pool,
-            settings.linear_fit,
-            settings.screening.refinement,
-            settings.weights,
+            settings.unknown_effect,
+            settings.correction_steps,
         )
         return unknown, stages
 
@@ -307,19 +316,23 @@ class _Diagnosing:
             The weights, where the correction is a form of a listed effect with its verdict; the
             effects selected; and the notes with those on the choice.
         """
-        correction = None if unknown is None else unknown.tried
-        curve = None if correction is None else correction.added
+        correction = None if unknown is None else unknown.best_correction
+        curve = None if correction is None else correction.selection
         known, log_zeta = gap.selected, weighed.screening.none.log_zeta
-        without = gaps(self.dataset, gap.before, gap.before, gap.floors)
+        settings = self.settings
+        without = gaps(self.dataset, gap.before, gap.before, gap.floors, settings.gap)
         reference = SelectedEffects((), log_zeta, gap.reference, without)
-        selected = best_selection([known] if curve is None else [known, curve], reference)
+        tried = [known] if curve is None else [known, curve]
+        selected = best_selection(tried, reference, settings.selection)
         offered = curve is not None and selected is curve
         notes = [
             *gap.notes,
             *([] if unknown is None else unknown.sentences(selected is curve)),
-            *outlier_runs.gap_carried_by_one_run(self.dataset, places, gap.before, gap.floors),
+            *gap_carried_by_one_run(
+                self.dataset, places, gap.before, gap.floors, settings.outlier_runs
+            ),
         ]
-        meant = correction.means if correction is not None and offered else None
+        meant = correction.listed_effect if correction is not None and offered else None
         if meant is not None and meant in listed:
             share = reassign_unknown(weighed.share, meant)
             weighed = replace(weighed, share=share, verdict=(meant,), groups=[[meant]])

@@ -98,8 +98,8 @@ class Diagnosis:
     @property
     def correction(self) -> Correction | None:
         """The correction, where it is selected in the place of an unlisted mechanism."""
-        tried = None if self.unknown_effect is None else self.unknown_effect.tried
-        return tried if tried is not None and tried.added is self.selected else None
+        tried = None if self.unknown_effect is None else self.unknown_effect.best_correction
+        return tried if tried is not None and tried.selection is self.selected else None
 
     def meaning(self, name: str) -> str:
         """Meaning of an effect of the verdict, also of one of the user's that no catalogue has."""

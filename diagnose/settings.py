@@ -8,11 +8,18 @@ Each part documents its numbers, their units and the reason for them.
 
 from dataclasses import dataclass
 
+from diagnose.checks.outlier_runs import DEFAULT_OUTLIER_RUNS, OutlierRunSettings
 from diagnose.dataset import DEFAULT_DATASET, DatasetSettings
+from diagnose.gap.discretization_error import DEFAULT_DISCRETIZATION, DiscretizationSettings
+from diagnose.gap.gap import DEFAULT_GAP, GapSettings
+from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelectionSettings
 from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFitSettings
+from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
 from diagnose.selection.verdict import DEFAULT_VERDICT, VerdictSettings
+from diagnose.unknown.correction_fit import CorrectionStepSettings
+from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,12 @@ class DiagnosisSettings:
         weights: Weights of effects, none and unknown.
         verdict: From weights to the verdict.
         standard_error: Errors of the numbers of effects.
+        discretization: Comparison with finer plates, for the noise floor.
+        gap: Intervals of the gap.
+        selection: Rule by which effects are worth adding.
+        localization: Shares of the gap.
+        outlier_runs: Runs that do not go with the others.
+        unknown_effect: Disturbances and corrections of an unlisted mechanism.
     """
 
     dataset: DatasetSettings = DEFAULT_DATASET
@@ -67,11 +80,29 @@ class DiagnosisSettings:
     weights: WeightSettings = DEFAULT_WEIGHTS
     verdict: VerdictSettings = DEFAULT_VERDICT
     standard_error: StandardErrorSettings = DEFAULT_STANDARD_ERROR
+    discretization: DiscretizationSettings = DEFAULT_DISCRETIZATION
+    gap: GapSettings = DEFAULT_GAP
+    selection: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION
+    localization: LocalizationSettings = DEFAULT_LOCALIZATION
+    outlier_runs: OutlierRunSettings = DEFAULT_OUTLIER_RUNS
+    unknown_effect: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT
 
     @property
     def linear_fit(self) -> LinearFitSettings:
         """Weights of linear fits and of the log score."""
         return self.screening.linear_fit
+
+    @property
+    def correction_steps(self) -> CorrectionStepSettings:
+        """Settings of the steps that a correction goes through."""
+        return CorrectionStepSettings(
+            self.localization,
+            self.linear_fit,
+            self.screening.refinement,
+            self.weights,
+            self.gap,
+            self.selection,
+        )
 
 
 DEFAULT_SETTINGS = DiagnosisSettings()

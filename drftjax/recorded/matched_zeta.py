@@ -15,7 +15,7 @@ class ZetaMatchSettings:
     """Numbers of the secant search.
 
     Attributes:
-        max_steps: Steps at most: with `max_step` each, they reach a tenth or ten times the first
+        max_steps: Steps at most: with `max_step` each, they reach a fifth or five times the first
             zeta.
         max_step: Longest change of log zeta [-] that one straight line is trusted for.
         min_step: The search ends where the next change of log zeta [-] is smaller: half a
@@ -26,7 +26,7 @@ class ZetaMatchSettings:
             et al. 2024 shows: the slope of the first step, where the caller knows none.
     """
 
-    max_steps: int = 12
+    max_steps: int = 8
     max_step: float = 0.2
     min_step: float = 2e-5
     max_miss: float = 1e-5

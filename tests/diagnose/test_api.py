@@ -176,7 +176,7 @@ def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
     write_run(tmp_path / "good.h5", next(iter(runs.values())))
     (tmp_path / "bad.h5").write_text("not a run log")
     found = drftjax.evaluate((tmp_path,), [])
-    assert [each.name for each in found.case.runs] == ["good"]
+    assert [each.name for each in found.dataset.runs] == ["good"]
     assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
 
 
@@ -185,7 +185,7 @@ def test_runs_without_sinkage_are_left_out_and_alone_refused(runs):
     blind = dataclasses.replace(runs[lacking].measured, z=None)
     given = {kept: runs[kept], lacking: dataclasses.replace(runs[lacking], measured=blind)}
     found = drftjax.evaluate(given, [])
-    assert [each.name for each in found.case.runs] == [kept]
+    assert [each.name for each in found.dataset.runs] == [kept]
     assert f"Left out: {lacking}: has no z, so its sinkage is not known" in found.notes
     with pytest.raises(InputError, match="has no z"):
         drftjax.evaluate([given[lacking]], [])
@@ -275,7 +275,7 @@ def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope, why):
 def test_a_run_that_the_model_throws_away_is_left_out_and_the_others_are_told(runs):
     *longer, shortest = runs
     found = drftjax.evaluate(runs, [SinkageDrift(rate=DRIFT)])
-    assert [each.name for each in found.case.runs] == [shortest]
+    assert [each.name for each in found.dataset.runs] == [shortest]
     assert len(found.before) == len(found.after) == 1
     said = [note for note in found.notes if note.startswith("Left out: ")]
     for name, why in zip(longer, said, strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.gap.discretization_error import discretization_errors, residuals_on_finer_plates
+from diagnose.gap.discretization_error import discretization_errors, with_finer_plates
 from diagnose.gap.gap import gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
@@ -38,7 +38,7 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, po
     own = discretization_errors(case, log_zeta, pool)
     values = run.observation.values.copy()
     values[:, case.counts(0)] = case.prediction(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
-    fine = residuals_on_finer_plates(
+    fine = with_finer_plates(
         dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
     )
     assert fine.setup.wheel.plate_size == PLATE / 2

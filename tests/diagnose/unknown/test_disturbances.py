@@ -14,14 +14,13 @@ from diagnose.linear.linearized_runs import linearize_run, linearize_runs
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from diagnose.unknown.dependence import (
-    CURVES,
-    TIED,
     choose_disturbance,
     fit_curve,
     rank_dependence,
     signal_against,
 )
 from diagnose.unknown.disturbances import Disturbance, estimate_disturbances
+from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
     AbstractPlane,
@@ -131,7 +130,7 @@ def test_noise_needs_no_stage():
 def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed():
     found = of_gain()
     assert found[0].name == "speed"
-    assert found[0].evidence > found[1].evidence + TIED
+    assert found[0].evidence > found[1].evidence + DEFAULT_UNKNOWN_EFFECT.tied_evidence
     assert found[0].explained > 0.95  # of the gap: noise is under a per mille of it
     ranked = [
         (v, s) for v, s in rank_dependence(dataset(), found[0]) if v in states_known_to("speed")
@@ -140,13 +139,13 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert ranked[0][1] > NEARLY_ALL
 
 
-@pytest.mark.parametrize("which", range(len(CURVES)))
+@pytest.mark.parametrize("which", range(len(DEFAULT_UNKNOWN_EFFECT.curves)))
 def test_a_curve_in_its_place_closes_the_gap(which):
     found = fit_curve(dataset(), of_gain()[0], "angular velocity")[which]
-    knots, values = np.asarray(found.kind.knots), found.values
+    knots, values = np.asarray(found.effect_type.knots), found.values
     assert np.polyfit(knots, values, 1)[0] == pytest.approx(0.05, abs=SLOPE)
     before = with_(SpeedGain, gain=0.05)
-    after = with_(found.kind, **values_of(values))
+    after = with_(found.effect_type, **values_of(values))
     for run, (truth, corrected) in enumerate(zip(before, after, strict=True)):
         x = dataset().channels.index("x")
         gap = np.abs(truth[x] - plain()[run][x])[-1]
@@ -158,8 +157,8 @@ def test_sand_that_loosens_is_an_unknown_zeta_that_follows_the_turning():
     zeta = named(found, "zeta")
     # A slow change of the load sinks the wheel alike.
     assert found[0].name in ("zeta", "force_z")
-    assert zeta.evidence > found[0].evidence - TIED
-    assert zeta.evidence > named(found, "speed").evidence + TIED
+    assert zeta.evidence > found[0].evidence - DEFAULT_UNKNOWN_EFFECT.tied_evidence
+    assert zeta.evidence > named(found, "speed").evidence + DEFAULT_UNKNOWN_EFFECT.tied_evidence
     shares = dict(rank_dependence(dataset(), zeta))
     assert max(shares["turning"], shares["travel"]) > NEARLY_ALL
     assert max(shares, key=lambda each: shares[each]) in ("turning", "travel")
@@ -331,4 +330,6 @@ def test_a_driven_carriage_has_stages_too():
     assert found[0].name == "reading torque"
     # A bend's corner lies between two knots: a little of it, beside the error.
     assert found[0].signal[0][6] == pytest.approx(4.0, abs=SIGMAS * found[0].error[0][6] + 0.05)
-    assert "force_x" not in {each.name for each in found if each.evidence > TIED}
+    assert "force_x" not in {
+        each.name for each in found if each.evidence > DEFAULT_UNKNOWN_EFFECT.tied_evidence
+    }
