@@ -159,7 +159,9 @@ class _Diagnosing:
             notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
         self.report("what to run next")
         chosen = weighed.chosen
-        advice = next_run(dataset, chosen, competing, gap.floors, self.pool) if competing else {}
+        advice = {}
+        if competing:
+            advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
         is_listed = selected is gap.selected
         return Diagnosis(
             verdict=reported_names(weighed.verdict),

@@ -41,7 +41,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis:
-    """Which effects explain the runs of one rig, and how far the gap shrinks with them.
+    """Effects that explain the runs of one rig, and the gap without and with them.
 
     Attributes:
         verdict: Effects that explain the runs, or ("none",), or ("unknown",).

@@ -16,6 +16,7 @@ from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelect
 from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
+from diagnose.next_runs.discrimination import DEFAULT_NEXT_RUN, NextRunSettings
 from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
 from diagnose.selection.verdict import DEFAULT_VERDICT, VerdictSettings
 from diagnose.unknown.correction_fit import CorrectionStepSettings
@@ -71,6 +72,7 @@ class DiagnosisSettings:
         selection: Rule by which effects are worth adding.
         localization: Shares of the gap.
         outlier_runs: Runs that do not go with the others.
+        next_run: Runs that may be proposed.
         unknown_effect: Disturbances and corrections of an unlisted mechanism.
     """
 
@@ -85,6 +87,7 @@ class DiagnosisSettings:
     selection: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION
     localization: LocalizationSettings = DEFAULT_LOCALIZATION
     outlier_runs: OutlierRunSettings = DEFAULT_OUTLIER_RUNS
+    next_run: NextRunSettings = DEFAULT_NEXT_RUN
     unknown_effect: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT
 
     @property

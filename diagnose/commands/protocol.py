@@ -91,7 +91,7 @@ def protocol(
 
 
 def _rig(setup: Path | None, like: Path | None) -> "SetUp":
-    """The rig, its carriage free: one that was driven in a recorded run is let go.
+    """The rig with its carriage free, also where it was driven in the recorded run.
 
     Raises:
         InputError: names the file, what it lacks and what must hold.
@@ -121,7 +121,7 @@ def _rig(setup: Path | None, like: Path | None) -> "SetUp":
 
 
 def _allowance(fast: dict[str, float]) -> str:
-    """What runs that are faster than `drft hils run` allows by itself need.
+    """Sentence on the options for runs that are faster than `drft hils run` allows by default.
 
     Args:
         fast: Largest angular velocity by set-up [rad/s].

@@ -125,7 +125,7 @@ class UnknownEffect:
         found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
         correction = self.best_correction
         if correction is None:
-            found.append(f"Nothing that {stage} can know stands for it: no correction.")
+            found.append(f"No correction of {stage} can depend on that variable: none is offered.")
         elif offered and correction.listed_effect is not None:
             found.append(
                 f"That is what {correction.listed_effect} means, in another form than the list's: "

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.next_runs.recommended_runs import TELLING as TELLING_RUNS
+from diagnose.next_runs.recommended_runs import RECOMMENDED_RUNS
 from drftjax.physics.integrator import steady_step
 
 LETTERS = "abcdefghi"
@@ -79,7 +79,9 @@ PRACTICE = (
 )
 
 
-TELLING = tuple(PlannedRun(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in TELLING_RUNS)
+TELLING = tuple(
+    PlannedRun(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in RECOMMENDED_RUNS
+)
 
 
 def _drawn(
