@@ -1,4 +1,4 @@
-"""`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
+"""`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
 from pathlib import Path
 from typing import Annotated

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import with_effects
+from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.serialization import entry_of
@@ -98,7 +99,8 @@ def tuner_activity(
         before, after = zeta(run)
         return moved((), before), moved(effects, after)
 
-    return case.map_runs(of)
+    with RunPool() as pool:
+        return pool.map(of, case.run_numbers)
 
 
 def _has_its_loop(each: PreparedRun) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel, with_effects
+from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
@@ -96,6 +97,7 @@ def next_run(
     first: Hypothesis,
     others: Sequence[Hypothesis],
     floors: Mapping[str, float],
+    pool: RunPool,
     settings: NextRunSettings = DEFAULT_NEXT_RUN,
 ) -> dict:
     r"""Choose the run, and the channel, that would tell hypotheses apart.
@@ -108,6 +110,7 @@ def next_run(
         first, others: Hypotheses fitted to them, the most probable first: the first one is to be
             told from all others, or, where no variation does that, from the most probable of them.
         floors: Noise floor of each recorded channel [m, N, N m].
+        pool: Threads.
         settings: Runs that may be proposed.
 
     Returns:
@@ -122,7 +125,7 @@ def next_run(
 
     # The run as it was is simulated first, so that its programs are compiled once.
     by_variation = [differences(variations[0])]
-    by_variation += dataset.threads.map(differences, variations[1:])
+    by_variation += pool.map(differences, variations[1:])
     floor = dict(settings.instrument_noise) | dict(floors)
     compared = comparable_channels(dataset.runs[base].setup.rig.carriage == "driven")
     advice = {}

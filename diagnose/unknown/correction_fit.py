@@ -14,17 +14,25 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
-from diagnose.gap.gap import gaps
-from diagnose.gap.selected_effects import SelectedEffects, effects_of
+from diagnose.gap.gap import DEFAULT_GAP, GapSettings, gaps
+from diagnose.gap.selected_effects import (
+    DEFAULT_EFFECT_SELECTION,
+    EffectSelectionSettings,
+    SelectedEffects,
+    effects_of,
+)
 from diagnose.gap.zeta_matching import residuals_of
-from diagnose.hypotheses.hypothesis import STRENGTH_BELIEF, Hypothesis, linear_start, refine
-from diagnose.linear.linear_fit import WORTH
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
+from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings, refine
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, LinearFitSettings
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.localization.shares import GapShare
 from diagnose.model.augmented_model import AugmentedModel, predict
 from diagnose.model.shared_programs import in_modes
-from diagnose.selection.model_weights import SCALE
+from diagnose.run_pool import RunPool
+from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
 from diagnose.unknown.dependence import FittedCurve, choose_disturbance, fit_curve
 from diagnose.unknown.disturbances import Disturbance
 from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
@@ -133,44 +141,74 @@ class UnknownEffect:
         return found
 
 
+@dataclass(frozen=True)
+class CorrectionStepSettings:
+    """Settings of the other steps of a diagnosis that a correction goes through.
+
+    Attributes:
+        localization: Bands that the shares of the gap by frequency are of.
+        linear_fit: Weights of linear fits.
+        refinement: Numbers of the refinement by simulation.
+        weights: For the share of a gap that `unknown` is taken to leave.
+        gap: Numbers of a gap.
+        selection: Rule by which effects are worth adding.
+    """
+
+    localization: LocalizationSettings = DEFAULT_LOCALIZATION
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
+    refinement: RefinementSettings = DEFAULT_REFINEMENT
+    weights: WeightSettings = DEFAULT_WEIGHTS
+    gap: GapSettings = DEFAULT_GAP
+    selection: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION
+
+
+DEFAULT_CORRECTION_STEPS = CorrectionStepSettings()
+
+
 def fit_unknown_effect(
     dataset: RigDataset,
+    linearized: LinearizedRuns,
     found: Sequence[Disturbance],
-    none: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     shares: Sequence[GapShare],
+    pool: RunPool,
     settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT,
-    localization: LocalizationSettings = DEFAULT_LOCALIZATION,
+    steps: CorrectionStepSettings = DEFAULT_CORRECTION_STEPS,
 ) -> UnknownEffect:
     """The simplest disturbance of a dataset, and a correction where it depends on something.
 
     Args:
         dataset: The runs.
+        linearized: The same, linearised along the reference model.
         found: By `estimate_disturbances`, best first; not empty.
-        none: The reference model, refined.
-        before: Its residual of each run [m, N, N m], shape (channels, samples).
+        before: Residual of each run by the reference model [m, N, N m], shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         shares: Shares of the gap, by frequency among others.
+        pool: Threads.
         settings: Curves and thresholds.
-        localization: Bands that the shares by frequency are of.
+        steps: Settings of the other steps.
     """
     disturbance, variables = choose_disturbance(dataset, found, settings)
     unknown = UnknownEffect(
-        disturbance, variables, None, _fast_share(shares, settings, localization), settings
+        disturbance, variables, None, _fast_share(shares, settings, steps.localization), settings
     )
     curves = _candidate_curves(dataset, disturbance, variables, settings)
     if not curves:
         return unknown
-    tried = _simulate_curves(dataset, curves, none, before, floors, settings)
+    tried = _simulate_curves(dataset, linearized, curves, before, floors, pool, settings, steps)
     if not tried:
         return unknown
     best = min(
-        tried, key=lambda each: (not each.selection.improves_gap(), each.selection.remaining)
+        tried,
+        key=lambda each: (
+            not each.selection.improves_gap(steps.selection),
+            each.selection.remaining,
+        ),
     )
     # With one condition nothing was held out, and sixteen knots follow anything.
     if len(group_by_condition(dataset.runs)) > 1:
-        best = match_listed_effect(tried, dict(variables), settings) or best
+        best = match_listed_effect(tried, dict(variables), settings, steps) or best
     variables = sorted(variables, key=lambda each: each[0] != best.effect.variable)
     return replace(unknown, dependence=variables, best_correction=best)
 
@@ -206,39 +244,49 @@ def _candidate_curves(
 
 def _simulate_curves(
     dataset: RigDataset,
+    linearized: LinearizedRuns,
     curves: Sequence[tuple[FittedCurve, float]],
-    none: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
+    pool: RunPool,
     settings: UnknownEffectSettings,
+    steps: CorrectionStepSettings,
 ) -> list[Correction]:
     """Corrections fitted by simulation; without those by which a run cannot be simulated."""
+    weights = steps.linear_fit
     types = [
-        in_modes(each.effect_type, _modes(each, settings), 1 / STRENGTH_BELIEF)
+        in_modes(
+            each.effect_type,
+            _modes(each, weights.slow_worth, settings.min_mode),
+            1 / weights.strength_prior,
+        )
         for each, _ in curves
     ]
-    dataset.precompile(predict, [AugmentedModel((each,)) for each in types])
-    regressors = Regressors.of(dataset, none.log_zeta, types)
+    dataset.precompile(pool, predict, [AugmentedModel((each,)) for each in types])
+    regressors = Regressors.of(dataset, linearized, types, pool, weights)
 
     def fitted(one: tuple[tuple[FittedCurve, float], ShapeVariant]) -> Correction | None:
         (curve, share), variant = one
-        found = refine(regressors, linear_start(regressors, [variant]), settings.refinement_steps)
+        start = linear_start(regressors, [variant])
+        found = refine(regressors, start, settings.refinement_steps, pool, steps.refinement)
         if not found.is_simulated:
             return None
-        return _correction(regressors, curve, share, found, before, floors)
+        return _correction(regressors, curve, share, found, before, floors, pool, steps.gap)
 
-    each_of = dataset.map_items(fitted, zip(curves, regressors.variants, strict=True))
+    each_of = pool.map_outer(fitted, zip(curves, regressors.variants, strict=True))
     return [each for each in each_of if each is not None]
 
 
 def equivalent_effect(
-    correction: Correction, settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT
+    correction: Correction,
+    settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT,
+    steps: CorrectionStepSettings = DEFAULT_CORRECTION_STEPS,
 ) -> str | None:
     """Listed effect that a curve is a form of, where it explains the runs; None otherwise."""
     selection = correction.selection
-    reached = SCALE.unknown_residual_share * selection.before
+    reached = steps.weights.unknown_residual_share * selection.before
     enough = max(reached, settings.max_floors * math.sqrt(len(selection.gap)))
-    explains = selection.improves_gap() and selection.remaining <= enough
+    explains = selection.improves_gap(steps.selection) and selection.remaining <= enough
     if not explains or not _is_of_places(np.asarray(correction.effect.values()), settings):
         return None
     return EQUIVALENT_EFFECTS.get((correction.effect.stage, correction.effect.variable))
@@ -259,6 +307,7 @@ def match_listed_effect(
     tried: Sequence[Correction],
     dependence: Mapping[str, float],
     settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT,
+    steps: CorrectionStepSettings = DEFAULT_CORRECTION_STEPS,
 ) -> Correction | None:
     """The curve that is a form of a listed effect, where the runs rule out other variables.
 
@@ -266,14 +315,17 @@ def match_listed_effect(
         tried: Curves of one stage, simulated.
         dependence: Share of the disturbance that each variable explains in held-out runs [-].
         settings: Thresholds.
+        steps: Settings of the other steps.
     """
-    equivalent = [each for each in tried if equivalent_effect(each, settings) is not None]
+    equivalent = [each for each in tried if equivalent_effect(each, settings, steps) is not None]
     if not equivalent:
         return None
     best = min(equivalent, key=lambda each: each.selection.remaining)
     place, remaining = best.effect.variable, best.selection.remaining
     rivals = [
-        each for each in tried if each.effect.variable != place and each.selection.improves_gap()
+        each
+        for each in tried
+        if each.effect.variable != place and each.selection.improves_gap(steps.selection)
     ]
     ratio = settings.rival_ratio
     better = all(
@@ -286,7 +338,7 @@ def match_listed_effect(
     not_of_time = unexplained_by_time >= settings.time_ratio * (1 - dependence[place])
     if not (better and not_of_time):
         return None
-    return replace(best, listed_effect=equivalent_effect(best, settings))
+    return replace(best, listed_effect=equivalent_effect(best, settings, steps))
 
 
 def _correction(
@@ -296,28 +348,30 @@ def _correction(
     found: Hypothesis,
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
+    pool: RunPool,
+    settings: GapSettings,
 ) -> Correction | None:
     """A fitted curve with the gap of held-out runs; None where one cannot be simulated."""
     dataset = regressors.dataset
-    matches = at_mean_sinkage(regressors, predict_held_out(regressors, found))
+    matches = at_mean_sinkage(regressors, predict_held_out(regressors, found, pool), pool)
     after = residuals_of(matches)
     if not dataset.all_finite(after):
         return None
     (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.effect_type, np.asarray(effect.values()).tolist())
-    gap = gaps(dataset, before, after, floors)
+    gap = gaps(dataset, before, after, floors, settings)
     return Correction(plain, explained, SelectedEffects((plain,), found.log_zeta, matches, gap))
 
 
-def _modes(curve: FittedCurve, settings: UnknownEffectSettings) -> np.ndarray:
+def _modes(curve: FittedCurve, slow_worth: float, min_mode: float) -> np.ndarray:
     r"""Modes of a curve whose amplitudes have independent standard normal priors.
 
     Eigenvectors of the precision $P = V \Lambda V^T$ over the roots of its eigenvalues, shape
     (knots, modes).
     """
     # A fit by simulation gives a half second less weight than the linear fit here does.
-    eigenvalues, vectors = np.linalg.eigh(WORTH["slow"] * curve.precision)
+    eigenvalues, vectors = np.linalg.eigh(slow_worth * curve.precision)
     spread = 1 / np.sqrt(eigenvalues)
-    kept = spread > settings.min_mode * spread.max()
+    kept = spread > min_mode * spread.max()
     return vectors[:, kept] * spread[kept]

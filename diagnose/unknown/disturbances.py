@@ -8,7 +8,7 @@ the slow part of the gap is y = A u + noise, with a smoothness prior on u
 signal has the largest evidence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -22,13 +22,15 @@ from diagnose.linear.input_sensitivity import (
     propagate,
     zeta_sensitivity,
 )
-from diagnose.linear.linear_fit import FLOOR
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, LinearFitSettings
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.localization.shares import GapShare, bootstrap_counts, interval_of
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.model.linearized_run import FORCES, MOTION
 from diagnose.model.unknown_inputs import INPUTS
+from diagnose.run_pool import RunPool
 from diagnose.unknown.gaussian_smoother import GramSums, fit_zeta_only, smooth
 from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
 from drftjax.effects.correction import READING, STAGES
@@ -106,26 +108,31 @@ class Disturbance:
 
 def estimate_disturbances(
     dataset: RigDataset,
-    log_zeta: np.ndarray,
+    linearized: LinearizedRuns,
+    pool: RunPool,
     residual: Sequence[np.ndarray] | None = None,
     settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> list[Disturbance]:
     """Disturbance of every stage, the largest evidence first.
 
     Args:
         dataset: The runs.
-        log_zeta: Each run's log zeta over its set-up's, where all is linearised [-], shape (runs,).
+        linearized: The same, linearised along the reference model.
+        pool: Threads.
         residual: By run, simulated minus recorded, shape (channels, samples): of a hypothesis, or
             of the reference model where none is given.
         settings: Spacing of the knots.
+        linear_fit: For a model's own error, the unit of all data here.
     """
+    errors = {each: linear_fit.model_error[each, "slow"] for each in dataset.channels}
     names = [*INNER_STAGES, *(READING + channel for channel in dataset.channels)]
 
     def of_run(run: int):
         given = None if residual is None else residual[run]
-        return _run_regressors(dataset, run, float(log_zeta[run]), given, settings.knot_spacing)
+        return _run_regressors(dataset, run, linearized, given, settings.knot_spacing, errors)
 
-    found = dataset.map_runs(of_run)
+    found = pool.map(of_run, dataset.run_numbers)
     times = [time for time, _, _ in found]
     count = 1 + max(len(time) for time in times)
     channels = range(len(dataset.channels))
@@ -135,9 +142,9 @@ def estimate_disturbances(
         columns = [[a[name][c][:, :count] for _, a, _ in found] for c in channels]
         if not any(np.any(a[:, 1:]) for runs in columns for a in runs):
             return None
-        return _disturbance(dataset, name, DisturbanceRegressors(times, columns, data))
+        return _disturbance(dataset, name, DisturbanceRegressors(times, columns, data), errors)
 
-    made = [each for each in dataset.threads.map(of_stage, names) if each is not None]
+    made = [each for each in pool.map(of_stage, names) if each is not None]
     return sorted(made, key=lambda each: -each.evidence)
 
 
@@ -148,13 +155,13 @@ def describe_stage(name: str) -> tuple[str, float, str]:
     return unit, typical, INNER_STAGES.get(name, of_a_reading)
 
 
-def model_error(channel: str) -> float:
-    """A model's own error in the slow part of a channel, the unit of all data here [m, N, N m]."""
-    return FLOOR[channel, "slow"]
-
-
-def _disturbance(dataset: RigDataset, name: str, regressors: DisturbanceRegressors) -> Disturbance:
-    """Estimate of one stage's signal."""
+def _disturbance(
+    dataset: RigDataset,
+    name: str,
+    regressors: DisturbanceRegressors,
+    errors: Mapping[str, float],
+) -> Disturbance:
+    """Estimate of one stage's signal; `errors` is the unit of each channel's data [m, N, N m]."""
     unit, typical, meaning = describe_stage(name)
     sums = GramSums.of(regressors.columns, regressors.data)
     nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
@@ -170,7 +177,7 @@ def _disturbance(dataset: RigDataset, name: str, regressors: DisturbanceRegresso
         explained=max(0.0, 1 - after / before) if before > 0 else 0.0,
         freedom=fit.freedom,
         remaining={
-            channel: float(np.sqrt(left)) * model_error(channel)
+            channel: float(np.sqrt(left)) * errors[channel]
             for channel, left in zip(dataset.channels, fit.residual_power, strict=True)
         },
         time=regressors.time,
@@ -206,18 +213,24 @@ def _power(
 
 
 def _run_regressors(
-    dataset: RigDataset, run: int, log_zeta: float, residual: np.ndarray | None, spacing: float
+    dataset: RigDataset,
+    run: int,
+    runs: LinearizedRuns,
+    residual: np.ndarray | None,
+    spacing: float,
+    errors: Mapping[str, float],
 ) -> tuple[np.ndarray, dict[str, list[np.ndarray]], list[np.ndarray]]:
     """Times of the knots, columns by stage and channel, and data by channel of one run.
 
     Args:
         dataset: The runs.
         run: Index of the run.
-        log_zeta: Where it is linearised [-].
+        runs: All runs, linearised.
         residual: Simulated minus recorded; the reference model's for None.
         spacing: Of the knots [s].
+        errors: Unit of each channel's data [m, N, N m].
     """
-    linearized = dataset.linearized(run, log_zeta)
+    linearized, log_zeta = runs.runs[run], float(runs.log_zeta[run])
     time = dataset.time(run)
     if residual is None:
         simulated = dataset.prediction(AugmentedModel(), run, log_zeta, np.zeros(0))
@@ -228,7 +241,7 @@ def _run_regressors(
     padded_knots = spacing * np.arange(size)
     hats = jnp.asarray(_hat(np.asarray(linearized.middle_time)[:, None], padded_knots, spacing))
     nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
-    slow = _SlowPart(dataset.channels, SlowFastSplit.of(time), time, nodes, residual)
+    slow = _SlowPart(dataset.channels, SlowFastSplit.of(time), time, nodes, residual, errors)
     own = slow.of_nodes(np.asarray(propagate(linearized, zeta_sensitivity(linearized))))
     columns = {}
     for name in INNER_STAGES:
@@ -251,6 +264,7 @@ class _SlowPart:
     time: np.ndarray
     nodes: np.ndarray
     residual: np.ndarray
+    errors: Mapping[str, float]
 
     def of_nodes(self, response: np.ndarray) -> list[np.ndarray]:
         """By channel, of readings at nodes, shape (nodes, 5, columns)."""
@@ -270,7 +284,7 @@ class _SlowPart:
             recorded = np.isfinite(self.residual[index]).all()
             means = self.splitter.bin_means @ np.where(recorded, rows, 0)
             slow = np.diff(means, axis=0) if channel == "x" else means
-            found.append((slow if recorded else slow[:0]) / model_error(channel))
+            found.append((slow if recorded else slow[:0]) / self.errors[channel])
         return found
 
 

@@ -201,14 +201,14 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
         names: list[str]
         notes: list[str]
 
-    def search(case, effects, report):
-        names = [each.name for each in case.runs]
+    def search(dataset, effects, report, settings):
+        names = [each.name for each in dataset.runs]
         for name in names:
             if name in lost:
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
         return Found(names, ["A note."])
 
-    monkeypatch.setattr(interface, "diagnose_case", search)
+    monkeypatch.setattr(interface, "diagnose_dataset", search)
     told = []
     found = interface.diagnose_gathered(
         interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
@@ -295,8 +295,9 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
 
 
 def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatch):
-    def not_one(bench, unseen):
-        return [dataclasses.replace(each, matched=False) for each in at_mean_sinkage(bench, unseen)]
+    def not_one(regressors, prediction, pool):
+        found = at_mean_sinkage(regressors, prediction, pool)
+        return [dataclasses.replace(each, matched=False) for each in found]
 
     monkeypatch.setattr("diagnose.pipeline.at_mean_sinkage", not_one)
     found = drftjax.diagnose(runs, ["surface_slope"])

@@ -20,7 +20,7 @@ from diagnose.gap.repeatability import repeat_variance, repeats
 from diagnose.linear.linear_fit import block_names
 from diagnose.localization.shares import GapShare
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 
 # Rounding of squares of misses of a millimetre.
 ROUNDING = 1e-20
@@ -32,7 +32,7 @@ NOISE = {"x": 1e-6, "z": 1e-6}
 @pytest.fixture(scope="module")
 def case() -> RigDataset:
     """Three runs, of which the first two repeat each other."""
-    return case_with()
+    return dataset_with()
 
 
 def alike(run: int) -> np.ndarray:
@@ -95,7 +95,9 @@ def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
     judged = [ScoredHypothesis((), gap, gap, 0.0, 0)]
 
     def of(by_chance: float) -> dict:
-        return weights(judged, (("z", "slow"),), number, noise, 9, chance=np.array([by_chance]))
+        return weights(
+            judged, (("z", "slow"),), number, noise, 9, repeat_power=np.array([by_chance])
+        )
 
     assert of(0.0)[(UNKNOWN,)] > SURE
     assert of(1e-12) == of(0.0)  # within noise and a model's own error

@@ -8,6 +8,7 @@ import pytest
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.gap import gaps
+from diagnose.linear.linearized_runs import linearize_run
 from diagnose.localization.kinematics import PHASES, kinematics_of_run
 from diagnose.localization.localization import localization_sentence, localize
 from diagnose.localization.settings import LocalizationSettings
@@ -294,13 +295,13 @@ def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts
 
 def test_a_grouser_s_ripple_is_told_of_a_wheel_that_turns_backward():
     time, omega = FAST
-    paths = []
+    along = []
     for sense in (1, -1):
         setup = setup_of((time, [sense * each for each in omega]))
         setup.integrator.step, setup.start.angle = FAST_STEP, sense * 0.1
         each = coarse("run", recorded(setup, noise=0.0), model=setup, step=FAST_STEP)
-        paths.append(RigDataset.of([each]).linearized(0, 0.0))
-    forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in paths)
+        along.append(linearize_run(RigDataset.of([each]), 0, 0.0))
+    forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in along)
     assert np.all(np.abs(forward).max(axis=0) > 10 * RIPPLE)
     np.testing.assert_allclose(backward * [1, -1], forward, rtol=0, atol=RIPPLE)
 

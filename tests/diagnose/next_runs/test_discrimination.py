@@ -18,7 +18,7 @@ from diagnose.next_runs.discrimination import (
 )
 from drftjax.effects.catalogue import effect_class
 from drftjax.physics.integrator import STEPS
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
 FLOORS = {"x": 80e-6, "z": 30e-6}
@@ -29,17 +29,18 @@ NAMES = ("drawbar", "horizontal_coulomb")
 
 @pytest.fixture(scope="module")
 def pulled():
-    return case_with({"name": "drawbar", "force": 4.0})
+    return dataset_with({"name": "drawbar", "force": 4.0})
 
 
 @pytest.fixture(scope="module")
-def advice(pulled):
+def advice(pulled, pool):
     # Both pull back all the while as long as the carriage only goes forward.
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
     }
     first, second = (singles[(name,)] for name in NAMES)
-    return next_run(pulled, first, [second], FLOORS)
+    return next_run(pulled, first, [second], FLOORS, pool)
 
 
 def test_it_names_the_run_that_parts_two_explanations(advice):
@@ -122,7 +123,7 @@ def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):
 
 
 @pytest.mark.parametrize("channels", [("z",), ("z", "fz")])
-def test_runs_without_travel_are_advised_too(channels):
+def test_runs_without_travel_are_advised_too(channels, pool):
     vx = [0.0, 0.0, 0.05, 0.05] if "fz" in channels else None
     runs = [
         coarse(
@@ -131,34 +132,38 @@ def test_runs_without_travel_are_advised_too(channels):
         for n, zeta in enumerate((0.75, 0.76))
     ]
     case = RigDataset.of(runs)
-    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")])
+    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")], pool)
     floors = dict.fromkeys(case.channels, 1e-9)
     first, second = found.none, found.singles[0]
-    told = next_run(case, first, [second], floors)
+    told = next_run(case, first, [second], floors, pool)
     compared = {"z", "fx", "fz", "torque"} if "fz" in channels else {"x", "z", "torque"}
     asked = [each for each in (told["run"], told["channel"]) if each is not None]
     assert told["tells"] == ["none", *second.names]
     assert {each["channel"] for each in asked} <= compared
 
 
-def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
+def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled, pool):
     names = ("drawbar", "horizontal_coulomb", "bulldozing")
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, names)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, names)], pool).singles
     }
     first, second, third = (singles[(name,)] for name in names)
-    both = next_run(pulled, first, [second, third], FLOORS)
-    each = [next_run(pulled, first, [rival], FLOORS)["run"]["floors"] for rival in (second, third)]
+    both = next_run(pulled, first, [second, third], FLOORS, pool)
+    each = [
+        next_run(pulled, first, [rival], FLOORS, pool)["run"]["floors"] for rival in (second, third)
+    ]
     assert both["tells"] == [*names]
     # What parts two rivals parts each of them, and no better than the run that is best for it.
     assert DEFAULT_NEXT_RUN.min_floors < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
 
 
-def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled):
+def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled, pool):
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
     }
     first, second = (singles[(name,)] for name in NAMES)
     # Nothing parts an explanation from itself.
-    told = next_run(pulled, first, [second, first], FLOORS)
-    assert told == next_run(pulled, first, [second], FLOORS)
+    told = next_run(pulled, first, [second, first], FLOORS, pool)
+    assert told == next_run(pulled, first, [second], FLOORS, pool)
