@@ -1,4 +1,4 @@
-"""`drftjax.diagnose` and `drftjax.evaluate`: runs in, and what they show out, in one call."""
+"""`drftjax.diagnose` and `drftjax.evaluate`: from runs to a diagnosis or evaluation in one call."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,18 +13,19 @@ from diagnose.evaluation.model_reader import read_model_file
 from diagnose.evaluation.result import Evaluation
 from diagnose.hypotheses.screening import Report
 from diagnose.model.augmented_model import AugmentedModel
-from diagnose.pipeline import diagnose as diagnose_case
+from diagnose.pipeline import diagnose as diagnose_dataset
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import gather_runs, require_one_rig, usable_runs
+from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import OURS, catalogue, effect_class
 from drftjax.recorded.gather import GatheredRuns
 from drftjax.recorded.prepared_run import PreparedRun, Run, as_prepared, named_runs
 
-# An effect with strengths of zero leaves a run as it is but for the roundings of another program
-# [m, N, N m].
-SAME = 1e-6
+# An effect with strengths of zero changes a run by no more than this [m, N, N m]: the roundings of
+# another program.
+NULL_EFFECT_TOLERANCE = 1e-6
 
 
 def diagnose(
@@ -32,6 +33,7 @@ def diagnose(
     effects: Sequence[str | type[AbstractEffect]] | None = None,
     *,
     progress: Report | None = None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
     """Find which effect makes runs of one rig differ from the model, as `drft diagnose` does.
 
@@ -41,28 +43,31 @@ def diagnose(
     Computes in double precision whatever the program around it uses.
 
     Args:
-        runs: Files and folders of run logs, or run logs, one, several, or several by name. What
-            cannot be used is left out, and the result's notes say why.
+        runs: Files and folders of run logs, or run logs, one, several, or several by name. A run
+            that cannot be used is left out, and the result's notes say why.
         effects: Names or classes: only these are considered; the whole catalogue otherwise.
         progress: Called with what is done next.
+        settings: Numbers by which the diagnosis decides.
 
     Raises:
         InputError: where no run can be used, or an effect is not known.
     """
     chosen = effects_among(effects)
     with jax.enable_x64(True):
-        return diagnose_gathered(gather_inputs(runs), chosen, progress or (lambda stage: None))
+        gathered = gather_inputs(runs)
+        report = progress or (lambda stage: None)
+        return diagnose_gathered(gathered, chosen, report, settings=settings)
 
 
 def evaluate(
     runs: Run | Sequence[Run] | Mapping[str, Run],
     model: Diagnosis | str | Path | Sequence[AbstractEffect],
 ) -> Evaluation:
-    """Hold a model with effects against runs that it was not found on, as `drft evaluate` does.
+    """Compare a model with effects with runs that it was not fitted to, as `drft evaluate` does.
 
     Args:
         runs: As for `diagnose`.
-        model: A diagnosis, for what its model.toml holds; a set-up file; or effects with their
+        model: A diagnosis, for the effects of its model.toml; a set-up file; or effects with their
             numbers.
 
     Raises:
@@ -76,14 +81,18 @@ def evaluate(
         elif isinstance(model, Diagnosis):
             effects, origin = model.selected.effects, model.origin
         else:
-            effects = _numbered(model)
+            effects = _in_double_precision(model)
         gathered = gather_inputs(runs, origin)
         caveats = [] if added is None else added.caveats(gathered.runs)
         return evaluate_model(RigDataset.of(gathered.runs), effects, gathered.skipped, caveats)
 
 
-def _numbered(given: object) -> tuple[AbstractEffect, ...]:
-    """Effects in double precision, which they lack where the program around them does."""
+def _in_double_precision(given: object) -> tuple[AbstractEffect, ...]:
+    """Effects with their numbers in double precision.
+
+    Raises:
+        InputError: where something else is given.
+    """
     effects = tuple(given) if isinstance(given, Iterable) else (given,)
     for each in effects:
         if not isinstance(each, AbstractEffect):
@@ -126,7 +135,7 @@ def effects_among(
 def gather_inputs(
     runs: Run | Sequence[Run] | Mapping[str, Run], origin: float | None = None
 ) -> GatheredRuns:
-    """Runs of one wheel, however they are given.
+    """Runs of one wheel, from files, folders or run logs.
 
     Args:
         runs: As for `diagnose`.
@@ -140,22 +149,20 @@ def gather_inputs(
         paths = [Path(each) for each in several if isinstance(each, str | Path)]
         if paths and len(paths) == len(several):
             return gather_runs(paths, origin=origin)
-    candidates, left_out = [], {}
+    prepared, left_out = [], {}
     for name, run in named_runs(runs).items():
         try:
-            candidates.append(as_prepared(name, run))
+            prepared.append(as_prepared(name, run))
         except RunError as problem:
             left_out[name] = str(problem)
-    if left_out and not candidates:
+    if left_out and not prepared:
         raise InputError("; ".join(left_out.values()))
-    told = usable_runs(candidates)
-    kept = require_one_rig(told.runs, origin)
-    return GatheredRuns(kept.runs, {**left_out, **told.skipped, **kept.skipped})
+    usable = usable_runs(prepared)
+    kept = require_one_rig(usable.runs, origin)
+    return GatheredRuns(kept.runs, {**left_out, **usable.skipped, **kept.skipped})
 
 
-def _require_null(
-    candidates: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
-) -> None:
+def _require_null(runs: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]) -> None:
     """Refuse effects of other packages that act where their strengths are zero.
 
     Raises:
@@ -164,13 +171,13 @@ def _require_null(
     for effect in effects:
         if effect in OURS:
             continue
-        case, model = RigDataset.of(candidates[:1]), AugmentedModel((effect,))
-        without = case.prediction(AugmentedModel(), 0, 0.0, np.zeros(0))
-        apart = np.abs(case.prediction(model, 0, 0.0, model.null()) - without).max()
-        if np.isfinite(without).all() and not apart <= SAME:
+        dataset, model = RigDataset.of(runs[:1]), AugmentedModel((effect,))
+        without = dataset.prediction(AugmentedModel(), 0, 0.0, np.zeros(0))
+        change = np.abs(dataset.prediction(model, 0, 0.0, model.null()) - without).max()
+        if np.isfinite(without).all() and not change <= NULL_EFFECT_TOLERANCE:
             raise InputError(
                 f"the effect {effect.about.name!r} of {effect.__module__} acts where all its "
-                f"strengths are zero (by {apart:.2g} m or N in {candidates[0].name}); it must be "
+                f"strengths are zero (by {change:.2g} m or N in {runs[0].name}); it must be "
                 "null there"
             )
 
@@ -180,14 +187,16 @@ def diagnose_gathered(
     effects: Sequence[type[AbstractEffect]],
     report: Report,
     tell: Callable[[str], None] = lambda _: None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
-    """The diagnosis of the runs that the reference model can follow at all.
+    """Diagnose the runs that the reference model can follow; leave out the others.
 
     Args:
         gathered: Runs of one wheel, and why others are not among them.
         effects: Effects to choose from.
         report: Called with what is done next.
         tell: Called with a sentence for every run that is left out here.
+        settings: Numbers by which the diagnosis decides.
 
     Raises:
         InputError: where no run can be followed.
@@ -196,7 +205,8 @@ def diagnose_gathered(
     _require_null(kept, effects)
     while True:
         try:
-            found = diagnose_case(RigDataset.of(kept), effects, report)
+            dataset = RigDataset.of(kept, settings.dataset)
+            found = diagnose_dataset(dataset, effects, report, settings)
             break
         except RunError as problem:
             kept = [each for each in kept if each.name != problem.run]

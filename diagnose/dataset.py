@@ -1,29 +1,21 @@
-"""A case: the runs of one rig made ready for a diagnosis, with the baseline fitted to each."""
+"""The runs of one rig, padded to common sizes, and the zeta that each one starts from."""
 
 import math
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.model.augmented_model import COVERED, AugmentedModel, predict
-from diagnose.model.linearized_run import (
-    LinearizedRun,
-    linearize,
-    repair_outlier_maps,
-    steps_per_node,
-)
+from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
+from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
-from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
+from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
 from drftjax.recorded.matched_zeta import (
     ZetaMatchSettings,
     match_mean_sinkage,
@@ -32,155 +24,166 @@ from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 
-Item = TypeVar("Item")
+# Lengths are padded to this at least [samples]; padding costs next to nothing.
+MIN_PADDED_SIZE = 2304
 
 
-Result = TypeVar("Result")
+@dataclass(frozen=True)
+class DatasetSettings:
+    """Numbers by which recorded runs are prepared for a diagnosis.
+
+    Attributes:
+        max_sample_rate: Samples per second that are kept at most [Hz]. Evidence counts by the
+            sample where it is fast, as on runs at this rate; what a model leaves is no newer for
+            being read more often.
+        plate_margin: Plates are carried for a wheel that sinks this many times as deep as was
+            recorded [-], so that a model with effects may sink somewhat deeper.
+    """
+
+    max_sample_rate: float = 100.0
+    plate_margin: float = 1.25
 
 
-# Samples a second: what a run tells counts by the sample where it is fast, as on runs at this rate,
-# and what a model leaves there is no newer for being read more often.
-FASTEST = 100.0
-
-
-# Lengths are padded to this at least; padding costs next to nothing.
-SMALLEST_SIZE = 2304
-
-
-# Plates are carried for a wheel that sinks this much deeper than was recorded.
-ROOM = 1.25
-
-
-# Part of the way, of all that a run turns and travels, over which sinkage is met at first.
-EARLY = (0.05, 0.4)
+DEFAULT_DATASET = DatasetSettings()
 
 
 INITIAL_ZETA_MATCH = ZetaMatchSettings(max_steps=12)
-"""The zeta of a set-up may be a guess, and far from the sand's."""
+
+
+@dataclass(frozen=True)
+class InitialZetaSettings:
+    """Numbers of the search for the zeta at which each run is linearised.
+
+    Attributes:
+        window: Part of all that a wheel turns and travels, (from, to) [-], over which mean sinkage
+            is matched: past the start, and before most effects have grown.
+        search: Numbers of the secant search. It may take more steps than others: the zeta of a
+            set-up may be a guess, and far from the sand's.
+    """
+
+    window: tuple[float, float] = (0.05, 0.4)
+    search: ZetaMatchSettings = INITIAL_ZETA_MATCH
+
+
+DEFAULT_INITIAL_ZETA = InitialZetaSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class RigDataset:
     """Runs of one rig.
 
+    A run's log zeta counts from the zeta of its set-up.
+
     Attributes:
-        candidates: The runs, as for a fit.
+        runs: The runs, as for a fit.
         batch: The same, padded to common sizes.
+        settings: How they were prepared.
     """
 
     runs: Sequence[PreparedRun]
     batch: Batch
+    settings: DatasetSettings = DEFAULT_DATASET
 
     @classmethod
-    def of(cls, candidates: Sequence[PreparedRun]) -> "RigDataset":
-        """Runs made ready, with `FASTEST` samples a second at most.
+    def of(
+        cls, runs: Sequence[PreparedRun], settings: DatasetSettings = DEFAULT_DATASET
+    ) -> "RigDataset":
+        """Decimate runs to `settings.max_sample_rate` and pad them to common sizes.
 
         Raises:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
-        candidates = [decimate(each) for each in candidates]
+        runs = [decimate(each, settings.max_sample_rate) for each in runs]
         batch = make_batch(
-            [each.trial for each in candidates],
-            [each.observation for each in candidates],
+            [each.trial for each in runs],
+            [each.observation for each in runs],
             size=padded_count,
         )
-        return cls(candidates, batch)
+        return cls(runs, batch, settings)
 
     @property
     def channels(self) -> tuple[str, ...]:
+        """Names of the channels that any run has, in the order of every array of channels."""
         return self.batch.channels
 
-    @cached_property
-    def threads(self) -> ThreadPoolExecutor:
-        """As many threads as there are cores: JAX computes outside Python's lock.
-
-        They compute in the precision of the thread that asks first, which JAX does not hand on,
-        and end with the case.
-        """
-        return _threads()
-
-    @cached_property
-    def leaders(self) -> ThreadPoolExecutor:
-        """Threads like these that do no more than hand work to them and wait."""
-        return _threads()
+    @property
+    def run_numbers(self) -> range:
+        return range(len(self.runs))
 
     @cached_property
     def trials(self) -> list[Trial]:
         """Each run's trial, padded."""
-        return [self._of_run(self.batch.trials, run) for run in self._runs]
+        return [_unstack(self.batch.trials, run) for run in self.run_numbers]
 
     @cached_property
     def observations(self) -> list[PaddedObservations]:
         """Each run's recording, padded."""
-        return [self._of_run(self.batch.observed, run) for run in self._runs]
+        return [_unstack(self.batch.observed, run) for run in self.run_numbers]
 
     def with_fewer_plates(self) -> "RigDataset":
-        """The same case without plates that stay above the sand: but for roundings no change.
+        """The same dataset without plates that stay above the sand: no change but for roundings.
 
-        What sinks far deeper than was recorded has no numbers.
+        A simulation that sinks far deeper than was recorded returns NaN.
         """
         if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
             return self
         z = self.channels.index("z")
-        deepest = max(float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self._runs)
+        deepest = max(
+            float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self.run_numbers
+        )
         wheel = self.runs[0].setup.wheel
         for sectors in range(1, wheel.grouser_count // 2):
             reach = sectors * 2 * math.pi / wheel.grouser_count
-            limit = float(wheel.build(reach).cut().sinkage_limit)
-            if reach < DEFAULT_REACH and COVERED * limit > ROOM * deepest:
-                return RigDataset.of([_sampled_within(reach, each) for each in self.runs])
+            limit = MAX_COVERED_SHARE * float(wheel.build(reach).cut().sinkage_limit)
+            if reach < DEFAULT_REACH and limit > self.settings.plate_margin * deepest:
+                fewer = [_with_plates_within(reach, each) for each in self.runs]
+                return RigDataset.of(fewer, self.settings)
         return self
 
-    @property
-    def _runs(self) -> range:
-        return range(len(self.runs))
+    def precompile(
+        self, pool: RunPool, program: Callable, models: Sequence[AugmentedModel]
+    ) -> None:
+        """Compile a program for some models side by side, before threads need it.
 
-    def _of_run(self, stacked, run: int):
-        return jax.tree.map(lambda leaf: leaf[run], stacked)
+        Otherwise every thread that needs a program first would compile it for itself. All arguments
+        have the same types as in `prediction`: JAX takes a weakly typed number, as Python's are,
+        for another program.
 
-    def map_runs(self, work: Callable[[int], Result]) -> list[Result]:
-        """`work` done for every run, side by side."""
-        return list(self.threads.map(work, self._runs))
-
-    def map_items(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """`work` done for every item, side by side, where it goes over runs itself.
-
-        Runs are of different lengths: one item alone leaves cores idle at the end of each pass.
-        """
-        return list(self.leaders.map(work, items))
-
-    def precompile(self, program: Callable, models: Sequence[AugmentedModel]) -> None:
-        """Compile a program for some models side by side, rather than one by one as they come.
-
-        Without this every thread that needs a program first would compile it for itself. All is of
-        the same types here as in `predicted`: JAX takes a weakly typed number, as Python's are, for
-        another program.
+        Args:
+            pool: Threads.
+            program: `predict` or `predict_with_jacobian`.
+            models: Models that are going to be simulated.
         """
         observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
-        def of(model: AugmentedModel) -> None:
+        def compile_for(model: AugmentedModel) -> None:
             program(model, self.channels, self.trials[0], nothing, as_real(0.0), model.null())
 
         # One of each program, or threads would compile the same side by side.
-        list(self.threads.map(of, {each.program[0]: each for each in models}.values()))
+        pool.map(compile_for, {each.program[0]: each for each in models}.values())
 
     def counts(self, run: int) -> np.ndarray:
-        """Which of a run's recorded samples are compared."""
+        """Mask of a run's recorded samples that are compared, shape (all samples,)."""
         return self.runs[run].observation.counts
 
     def time(self, run: int) -> np.ndarray:
-        """Times of the samples compared [s]."""
+        """Times of the samples compared [s], shape (samples,)."""
         return self.runs[run].observation.time[self.counts(run)]
 
     def sample_interval(self, run: int) -> float:
-        """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
+        """Median time between the samples compared [s]; that of the largest rate for only one."""
         time = self.time(run)
-        return float(np.median(np.diff(time))) if len(time) > 1 else 1 / FASTEST
+        if len(time) > 1:
+            return float(np.median(np.diff(time)))
+        return 1 / self.settings.max_sample_rate
 
     def recording(self, run: int) -> np.ndarray:
-        """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
+        """Recorded channels at the times compared [m, N, N m], shape (channels, samples).
+
+        NaN for a channel that was not recorded.
+        """
         observation = self.runs[run].observation
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
         for name, row in zip(observation.channels, observation.values, strict=True):
@@ -190,7 +193,14 @@ class RigDataset:
     def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
     ) -> np.ndarray:
-        """What a model gives then, like `recorded`."""
+        """Simulated channels at the times compared [m, N, N m], shape (channels, samples).
+
+        Args:
+            model: With effects or without.
+            run: Number of the run.
+            log_zeta: Logarithm of its zeta over its set-up's [-].
+            coordinates: The model's free numbers, shape (free,).
+        """
         found = predict(
             model,
             self.channels,
@@ -202,55 +212,36 @@ class RigDataset:
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 
     def all_finite(self, residuals: Sequence[np.ndarray]) -> bool:
-        """Whether every run was simulated to its end: no number is missing where one was recorded.
+        """Tell whether every run was simulated to its end.
 
         Args:
-            residuals: By run, simulated less recorded, shape (channels, samples).
+            residuals: By run, simulated minus recorded, shape (channels, samples).
+
+        Returns:
+            True where no number is missing at a sample that was recorded.
         """
         return all(
             bool(np.isfinite(each[~np.isnan(self.recording(run))]).all())
             for run, each in enumerate(residuals)
         )
 
-    @cached_property
-    def _traced(self) -> dict[int, tuple[float, LinearizedRun]]:
-        return {}
 
-    def linearized(self, run: int, log_zeta: float) -> LinearizedRun:
-        """A run of the reference model at this zeta, linearised; the last one of a run is kept."""
-        at, found = self._traced.get(run, (np.nan, None))
-        if found is None or at != log_zeta:
-            found = self._linearised(run, log_zeta)
-            self._traced[run] = float(log_zeta), found
-        return found
-
-    def _linearised(self, run: int, log_zeta: float) -> LinearizedRun:
-        trial = with_zeta(self.trials[run], log_zeta)
-        steps = [steps_per_node(each) for each in self.trials]
-        rows = np.asarray(self.batch.observed.compared_rows)
-        nodes = [int(r) * t.every // s for r, t, s in zip(rows, self.trials, steps, strict=False)]
-        size = max(SMALLEST_SIZE, padded_size(max(nodes)))
-        found = linearize(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
-        return repair_outlier_maps(found, pitch(trial))
-
-    def node_interval(self, run: int) -> float:
-        """Length of a node of its trace [s]."""
-        trial = self.trials[run]
-        return float(trial.step) * steps_per_node(trial)
+def _unstack(stacked, run: int):
+    return jax.tree.map(lambda leaf: leaf[run], stacked)
 
 
-def _sampled_within(reach: float, each: PreparedRun) -> PreparedRun:
-    """A run whose wheel carries only the plates within an angle from straight down [rad]."""
+def _with_plates_within(reach: float, each: PreparedRun) -> PreparedRun:
+    """The run with only those plates of its wheel within an angle from straight down [rad]."""
     wheel = each.setup.wheel.build(reach)
     return replace(each, trial=eqx.tree_at(lambda t: t.simulator.wheel, each.trial, wheel))
 
 
-def decimate(each: PreparedRun) -> PreparedRun:
-    """The run with every so many of its samples, where a logger took more than `FASTEST`."""
+def decimate(each: PreparedRun, max_rate: float = DEFAULT_DATASET.max_sample_rate) -> PreparedRun:
+    """The run with every n-th of its samples, where a logger took more than `max_rate` [Hz]."""
     seen = each.observation
     if len(seen.time) < 2:
         return each
-    every = math.floor(1 / (FASTEST * float(np.median(np.diff(seen.time)))) + 1e-6)
+    every = math.floor(1 / (max_rate * float(np.median(np.diff(seen.time)))) + 1e-6)
     if every < 2:
         return each
     kept = slice(int(np.argmax(seen.after_start)) % every, None, every)
@@ -265,22 +256,13 @@ def decimate(each: PreparedRun) -> PreparedRun:
     return replace(each, observation=fewer)
 
 
-def _threads() -> ThreadPoolExecutor:
-    double = bool(jax.config.values["jax_enable_x64"])
-
-    def begin() -> None:
-        jax.enable_x64(double).__enter__()  # for as long as the thread lives
-
-    return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
-
-
 def padded_count(count: int) -> int:
-    """The next power of two, but never small: cases of most rigs share their programs."""
-    return max(SMALLEST_SIZE, 2 ** (count - 1).bit_length())
+    """The next power of two, but never small, so that datasets of most rigs share programs."""
+    return max(MIN_PADDED_SIZE, 2 ** (count - 1).bit_length())
 
 
 def with_zeta(trial: Trial, log_zeta: float) -> Trial:
-    """The trial with its zeta scaled."""
+    """The trial with its zeta multiplied by exp(`log_zeta`)."""
     zeta = trial.simulator.terrain.zeta.value * np.exp(log_zeta)  # pyright: ignore
     return eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
 
@@ -291,56 +273,59 @@ def pitch(trial: Trial) -> float:
 
 
 def match_initial_zeta(
-    case: RigDataset, settings: ZetaMatchSettings = INITIAL_ZETA_MATCH
+    dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = DEFAULT_INITIAL_ZETA
 ) -> np.ndarray:
-    """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
+    """Log zeta of each run at which the reference model meets its early mean sinkage.
 
-    Where all is linearised; not yet the zeta that suits all channels best.
+    All responses are linearised there; it is not yet the zeta that suits all channels best.
 
     Args:
-        case: The runs.
-        settings: Numbers of the secant search.
+        dataset: The runs.
+        pool: Threads.
+        settings: Numbers of the search.
 
     Returns:
-        Shape (runs,).
+        Logarithm of zeta over that of the run's set-up [-], shape (runs,).
 
     Raises:
-        InputError: where a run has no sinkage, or cannot be simulated.
+        InputError: where no run has a sinkage.
+        RunError: where a run cannot be simulated, or zeta does not change its sinkage.
     """
-    if "z" not in case.channels:
+    if "z" not in dataset.channels:
         raise InputError("no run has a recorded sinkage (/measured/z), and nothing stands for it")
-    z = case.channels.index("z")
-    plain = AugmentedModel()
-    case.precompile(predict, [plain])
-
-    def of(run: int) -> float:
-        early = _early(case, run)
-        recorded = case.recording(run)[z, early].mean()
-
-        def miss(log_zeta: np.ndarray) -> float:
-            found = case.prediction(plain, run, float(log_zeta), np.zeros(0))
-            return float(found[z, early].mean() - recorded)
-
-        found = match_mean_sinkage(miss, settings=settings)
-        if not np.isfinite(found.miss) or found.slope == 0:
-            name = case.runs[run].name
-            raise RunError(name, "no zeta lets the reference model follow its sinkage")
-        return float(found.log_zeta)
-
-    return np.array(case.map_runs(of))
+    dataset.precompile(pool, predict, [AugmentedModel()])
+    return np.array(
+        pool.map(lambda run: _initial_zeta(dataset, run, settings), dataset.run_numbers)
+    )
 
 
-def _early(case: RigDataset, run: int) -> np.ndarray:
-    """The samples compared early in the motion, past its start: before most effects have grown.
+def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:
+    z = dataset.channels.index("z")
+    early = _early_samples(dataset, run, settings.window)
+    recorded = dataset.recording(run)[z, early].mean()
+
+    def miss(log_zeta: np.ndarray) -> float:
+        simulated = dataset.prediction(AugmentedModel(), run, float(log_zeta), np.zeros(0))
+        return float(simulated[z, early].mean() - recorded)
+
+    found = match_mean_sinkage(miss, settings=settings.search)
+    if not np.isfinite(found.miss) or found.slope == 0:
+        name = dataset.runs[run].name
+        raise RunError(name, "no zeta lets the reference model follow its sinkage")
+    return float(found.log_zeta)
+
+
+def _early_samples(dataset: RigDataset, run: int, window: tuple[float, float]) -> np.ndarray:
+    """Mask of the compared samples within a window of the way turned and travelled.
 
     All of them where none was taken then.
     """
-    each, time = case.runs[run], case.time(run)
+    each, time = dataset.runs[run], dataset.time(run)
     omega, vx = (
         np.abs(np.interp(time, np.asarray(each.trial.time), np.asarray(speed)))
         for speed in (each.trial.omega, each.trial.vx)
     )
     speed = each.setup.wheel.radius * omega + vx
     moved = np.cumsum(speed * np.gradient(time)) if len(time) > 1 else speed
-    early = (moved > EARLY[0] * moved[-1]) & (moved < EARLY[1] * moved[-1])
+    early = (moved > window[0] * moved[-1]) & (moved < window[1] * moved[-1])
     return early if early.any() else np.ones_like(early)

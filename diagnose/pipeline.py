@@ -1,12 +1,16 @@
-"""A diagnosis: which effect makes a rig's runs differ from the model, where, and by how much."""
+"""The steps of a diagnosis: screen effects, weigh hypotheses, measure and locate the gap."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.checks import outlier_runs as odd_runs
 from diagnose.checks.caveats import caveats
+from diagnose.checks.outlier_runs import (
+    gap_carried_by_one_run,
+    outliers_among_repeats,
+    outliers_by_zeta,
+)
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import discretization_errors
@@ -15,14 +19,23 @@ from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
-from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, residuals_of, unmatched
-from diagnose.hypotheses.hypothesis import Hypothesis, block_mean_squares, prior_widths, top_ranked
+from diagnose.gap.zeta_matching import (
+    REFERENCE_NAME,
+    WITH_EFFECTS_NAME,
+    MatchedRun,
+    residuals_of,
+    unmatched,
+)
+from diagnose.hypotheses.hypothesis import Hypothesis, gaussian_prior, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
-from diagnose.linear.linear_fit import FLOOR
+from diagnose.linear.linear_fit import LinearFitSettings
+from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.localization.localization import localize
+from diagnose.localization.shares import GapShare
 from diagnose.next_runs.discrimination import next_run
 from diagnose.result import Diagnosis, ParameterEstimate
+from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
 from diagnose.selection.verdict import (
     competing_hypotheses,
@@ -31,151 +44,350 @@ from diagnose.selection.verdict import (
     reassign_unknown,
     weight_by_name,
 )
-from diagnose.unknown.correction_fit import fit_unknown_effect
+from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings, StandardErrorSettings
+from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
 from diagnose.unknown.disturbances import by_stage, estimate_disturbances
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, reported_name, reported_names
 
-if TYPE_CHECKING:
-    pass
-
-# Hypotheses whose prediction of left-out runs is simulated: the leading ones of each kind.
-JUDGED_SINGLES, JUDGED_PAIRS = 4, 4
-
 
 def diagnose(
-    case: RigDataset,
+    dataset: RigDataset,
     effects: Sequence[type[AbstractEffect]],
     report: Report = lambda stage: None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
-    """Find which effects explain the runs of a case.
+    """Find which effects explain the runs of a dataset.
 
     Args:
-        case: Runs of one rig.
+        dataset: Runs of one rig.
         effects: Effects to choose from.
         report: Called with what is done next.
+        settings: Numbers by which the diagnosis decides.
 
     Raises:
-        InputError: where the runs cannot be simulated.
+        InputError: where no run has a sinkage.
+        RunError: where a run cannot be simulated.
     """
-    found = screen_effects(case, effects, report)
-    report("predicting the runs left out")
-    leading = [*top_ranked(found.singles, JUDGED_SINGLES), *top_ranked(found.pairs, JUDGED_PAIRS)]
-    of_each = case.map_items(lambda each: predict_held_out(found.regressors, each), leading)
-    # With numbers at which a run left out cannot be simulated an effect explains nothing.
-    unseen = {each.hypothesis.names: each for each in of_each if case.all_finite(each.residual)}
-    leading = [each for each in leading if each.names in unseen]
-    share = _weights(found, leading, unseen)
-    verdict, groups = decide(share)
-    chosen = hypothesis_behind(found, leading, share, verdict)
-    alone = at_mean_sinkage(found.regressors, predict_held_out(found.regressors, found.none))
-    met = at_mean_sinkage(found.regressors, unseen[chosen.names]) if chosen.names else alone
-    before, after = residuals_of(alone), residuals_of(met)
-    own = discretization_errors(case, found.none.log_zeta)
-    floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
-    known = SelectedEffects(
-        effects_of(chosen), chosen.log_zeta, met, gaps(case, before, after, floors)
-    )
-    rivals = competing_hypotheses(found, leading, share, verdict)
-    report("where the gap lies")
-    places = list(localize(case, before, dict(floors)))
-    notes = [
-        how,
-        *caveats(case),
-        *odd_runs.outliers_among_repeats(case, [before, after], own, found.none.by_zeta),
-        *odd_runs.outliers_by_zeta(found.regressors, chosen),
-    ]
-    signal, added, lies = None, known, []
-    if verdict != (NONE,):
-        lies = estimate_disturbances(case, found.none.log_zeta)
-        places += by_stage(lies)
-    if verdict == (UNKNOWN,):
-        if lies:
-            report("what an effect that explains it would look like")
-            signal = fit_unknown_effect(case, lies, found.none, before, floors, places)
-        curve = None if signal is None or signal.tried is None else signal.tried.added
-        reference = SelectedEffects(
-            (), found.none.log_zeta, alone, gaps(case, before, before, floors)
+    with RunPool() as pool:
+        return _Diagnosing(dataset, pool, report, settings).run(effects)
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighed:
+    """Hypotheses and their weights.
+
+    Attributes:
+        screening: All that were screened.
+        leading: Those that were weighed beside the reference model.
+        held_out: Prediction of held-out runs by each of them, by names.
+        share: Weights that sum to one.
+        verdict: Names of the verdict.
+        groups: Names that cannot be told from each of the verdict's.
+        chosen: The hypothesis behind the verdict.
+    """
+
+    screening: ScreeningResult
+    leading: list[Hypothesis]
+    held_out: Mapping[tuple[str, ...], HeldOutPrediction]
+    share: dict[tuple[str, ...], float]
+    verdict: tuple[str, ...]
+    groups: list[list[str]]
+    chosen: Hypothesis
+
+
+@dataclass(frozen=True, eq=False)
+class _MeasuredGap:
+    """The gap without and with the chosen hypothesis, on held-out runs at matched zeta.
+
+    Attributes:
+        reference: Every run by the reference model.
+        floors: Noise floor of each channel [m, N, N m].
+        notes: Sentences on the floors and on runs that do not go with the others.
+        selected: The chosen hypothesis's effects, and the gap with them.
+    """
+
+    reference: list[MatchedRun]
+    floors: dict[str, float]
+    notes: list[str]
+    selected: SelectedEffects
+
+    @property
+    def before(self) -> list[np.ndarray]:
+        """By run, residual of the reference model [m, N, N m], shape (channels, samples)."""
+        return residuals_of(self.reference)
+
+
+@dataclass(frozen=True, eq=False)
+class _Diagnosing:
+    """One diagnosis, step by step.
+
+    Attributes:
+        dataset: Runs of one rig.
+        pool: Threads.
+        report: Called with what is done next.
+        settings: Numbers by which it decides.
+    """
+
+    dataset: RigDataset
+    pool: RunPool
+    report: Report
+    settings: DiagnosisSettings
+
+    def run(self, effects: Sequence[type[AbstractEffect]]) -> Diagnosis:
+        """All steps."""
+        dataset, settings = self.dataset, self.settings
+        found = screen_effects(dataset, effects, self.pool, self.report, settings.screening)
+        weighed = self.weigh(found)
+        gap = self.measure_gap(weighed)
+        competing = competing_hypotheses(
+            found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
-        added = best_selection([known] if curve is None else [known, curve], reference)
-        notes += [] if signal is None else signal.sentences(added is curve)
-        notes += odd_runs.gap_carried_by_one_run(case, places, before, floors)
-        meant = signal.tried.means if added is curve and signal and signal.tried else None
-        if meant in {reported_name(each.about.name) for each in effects}:
-            share = reassign_unknown(share, meant)
-            verdict, groups = (meant,), [[meant]]
-    notes += unmatched(case, alone, REFERENCE_NAME)
-    notes += unmatched(case, added.matches, WITH_EFFECTS_NAME) if added.effects else []
-    report("what to run next")
-    advice = next_run(case, chosen, rivals, floors) if rivals else {}
-    return Diagnosis(
-        verdict=reported_names(verdict),
-        weights=weight_by_name(share),
-        groups=[reported_names(group) for group in groups],
-        selected=added,
-        parameters=_parameters(found.regressors, chosen) if chosen.names and added is known else {},
-        notes=notes,
-        next_run=advice,
-        screening=found,
-        chosen=chosen,
-        residual_before=before,
-        floors=floors,
-        localization=places,
-        unknown_effect=signal,
-        stepwise=(
-            stepwise_gap(found, chosen, unseen, before, floors, known.gap)
-            if verdict == chosen.names and added is known
-            else []
-        ),
-    )
-
-
-def _weights(
-    found: ScreeningResult,
-    leading: Sequence[Hypothesis],
-    unseen: Mapping[tuple[str, ...], HeldOutPrediction],
-) -> dict[tuple[str, ...], float]:
-    products = found.regressors.gram_matrices
-    none = found.none.fit
-    judged = [ScoredHypothesis((), none.mean_square, none.mean_square, none.zeta_variance, 0)]
-    for each in leading:
-        left, _ = block_mean_squares(found.regressors, unseen[each.names].residual)
-        line = each.fit
-        judged.append(
-            ScoredHypothesis(
-                each.names, left, line.mean_square, line.zeta_variance, len(each.coordinates)
+        self.report("where the gap lies")
+        places = list(localize(dataset, gap.before, dict(gap.floors), settings.localization))
+        notes = gap.notes
+        unknown, selected = None, gap.selected
+        if weighed.verdict != (NONE,):
+            unknown, more = self.explain_unknown(weighed, gap, places)
+            places += more
+        if weighed.verdict == (UNKNOWN,):
+            weighed, selected, notes = self.judge_unknown(
+                weighed, gap, unknown, places, {reported_name(e.about.name) for e in effects}
             )
+        notes = [*notes, *unmatched(dataset, gap.reference, REFERENCE_NAME)]
+        if selected.effects:
+            notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
+        self.report("what to run next")
+        chosen = weighed.chosen
+        advice = {}
+        if competing:
+            advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
+        is_listed = selected is gap.selected
+        return Diagnosis(
+            verdict=reported_names(weighed.verdict),
+            weights=weight_by_name(weighed.share),
+            groups=[reported_names(group) for group in weighed.groups],
+            selected=selected,
+            parameters=self.parameters(weighed) if chosen.names and is_listed else {},
+            notes=notes,
+            next_run=advice,
+            screening=found,
+            chosen=chosen,
+            residual_before=gap.before,
+            floors=gap.floors,
+            localization=places,
+            unknown_effect=unknown,
+            stepwise=(
+                stepwise_gap(
+                    found,
+                    chosen,
+                    weighed.held_out,
+                    gap.before,
+                    gap.floors,
+                    gap.selected.gap,
+                    self.pool,
+                    settings.gap,
+                )
+                if weighed.verdict == chosen.names and is_listed
+                else []
+            ),
         )
-    total = products.sample_count.sum(axis=0)
-    runs = len(products.log_zeta)
-    noise = found.regressors.noise_power
-    residuals = [each.residual for each in (found.none, *leading)]
-    differ = repeat_variance(found.regressors.dataset, residuals, found.none.by_zeta)
-    return weights(judged, products.blocks, total, noise, runs, chance=differ)
+
+    def weigh(self, found: ScreeningResult) -> _Weighed:
+        """Predict held-out runs by the leading hypotheses, and weigh them."""
+        self.report("predicting the runs left out")
+        limits = self.settings.held_out
+        leading = [
+            *top_ranked(found.singles, limits.max_singles),
+            *top_ranked(found.pairs, limits.max_pairs),
+        ]
+        predictions = self.pool.map_outer(
+            lambda each: predict_held_out(found.regressors, each, self.pool), leading
+        )
+        # With numbers at which a held-out run cannot be simulated an effect explains nothing.
+        held_out = {
+            each.hypothesis.names: each
+            for each in predictions
+            if self.dataset.all_finite(each.residual)
+        }
+        leading = [each for each in leading if each.names in held_out]
+        share = self.weights(found, leading, held_out)
+        verdict, groups = decide(share, self.settings.verdict)
+        chosen = hypothesis_behind(found, leading, share, verdict)
+        return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
+
+    def weights(
+        self,
+        found: ScreeningResult,
+        leading: Sequence[Hypothesis],
+        held_out: Mapping[tuple[str, ...], HeldOutPrediction],
+    ) -> dict[tuple[str, ...], float]:
+        """Weights of the reference model, the leading hypotheses and unknown."""
+        regressors, none = found.regressors, found.none
+        scored = [_scored(none, none.fit.mean_square)]
+        for each in leading:
+            residual = held_out[each.names].residual
+            power, _ = regressors.block_mean_squares(residual, self.pool)
+            scored.append(_scored(each, power))
+        matrices = regressors.gram_matrices
+        residuals = [each.residual for each in (none, *leading)]
+        return weights(
+            scored,
+            matrices.blocks,
+            matrices.sample_count.sum(axis=0),
+            regressors.noise_power,
+            len(matrices.log_zeta),
+            self.settings.weights,
+            repeat_variance(regressors.dataset, residuals, none.by_zeta),
+            self.settings.linear_fit,
+        )
+
+    def measure_gap(self, weighed: _Weighed) -> _MeasuredGap:
+        """The gap without and with the chosen hypothesis, and its noise floors."""
+        dataset, pool, settings = self.dataset, self.pool, self.settings
+        regressors, none = weighed.screening.regressors, weighed.screening.none
+        chosen = weighed.chosen
+        reference = at_mean_sinkage(regressors, predict_held_out(regressors, none, pool), pool)
+        matches = reference
+        if chosen.names:
+            matches = at_mean_sinkage(regressors, weighed.held_out[chosen.names], pool)
+        before, after = residuals_of(reference), residuals_of(matches)
+        own = discretization_errors(dataset, none.log_zeta, pool, settings.discretization)
+        floors, how = noise_floors(dataset, before, after, own, none.by_zeta)
+        notes = [
+            how,
+            *caveats(dataset),
+            *outliers_among_repeats(
+                dataset, [before, after], own, none.by_zeta, settings.outlier_runs
+            ),
+            *outliers_by_zeta(regressors, chosen, settings.outlier_runs),
+        ]
+        gap = gaps(dataset, before, after, floors, settings.gap)
+        selected = SelectedEffects(effects_of(chosen), chosen.log_zeta, matches, gap)
+        return _MeasuredGap(reference, floors, notes, selected)
+
+    def explain_unknown(
+        self, weighed: _Weighed, gap: _MeasuredGap, places: Sequence[GapShare]
+    ) -> tuple[UnknownEffect | None, list[GapShare]]:
+        """The simplest unknown signal, if that is the verdict, and shares of the gap by stage."""
+        dataset, pool, settings = self.dataset, self.pool, self.settings
+        none = weighed.screening.none
+        linearized = linearize_runs(dataset, none.log_zeta, pool, settings.screening.linearization)
+        disturbances = estimate_disturbances(
+            dataset,
+            linearized,
+            pool,
+            settings=settings.unknown_effect,
+            linear_fit=settings.linear_fit,
+        )
+        stages = by_stage(disturbances, settings.localization)
+        if weighed.verdict != (UNKNOWN,) or not disturbances:
+            return None, stages
+        self.report("what an effect that explains it would look like")
+        unknown = fit_unknown_effect(
+            dataset,
+            linearized,
+            disturbances,
+            gap.before,
+            gap.floors,
+            [*places, *stages],
+            pool,
+            settings.unknown_effect,
+            settings.correction_steps,
+        )
+        return unknown, stages
+
+    def judge_unknown(
+        self,
+        weighed: _Weighed,
+        gap: _MeasuredGap,
+        unknown: UnknownEffect | None,
+        places: Sequence[GapShare],
+        listed: set[str],
+    ) -> tuple[_Weighed, SelectedEffects, list[str]]:
+        """Choose between the likeliest listed effect, a correction and neither.
+
+        Args:
+            weighed: With the verdict unknown.
+            gap: Of the likeliest listed effect.
+            unknown: The simplest unknown signal, if there is one.
+            places: Shares of the gap.
+            listed: Names of the effects to choose from.
+
+        Returns:
+            The weights, where the correction is a form of a listed effect with its verdict; the
+            effects selected; and the notes with those on the choice.
+        """
+        correction = None if unknown is None else unknown.best_correction
+        curve = None if correction is None else correction.selection
+        known, log_zeta = gap.selected, weighed.screening.none.log_zeta
+        settings = self.settings
+        without = gaps(self.dataset, gap.before, gap.before, gap.floors, settings.gap)
+        reference = SelectedEffects((), log_zeta, gap.reference, without)
+        tried = [known] if curve is None else [known, curve]
+        selected = best_selection(tried, reference, settings.selection)
+        offered = curve is not None and selected is curve
+        notes = [
+            *gap.notes,
+            *([] if unknown is None else unknown.sentences(selected is curve)),
+            *gap_carried_by_one_run(
+                self.dataset, places, gap.before, gap.floors, settings.outlier_runs
+            ),
+        ]
+        meant = correction.listed_effect if correction is not None and offered else None
+        if meant is not None and meant in listed:
+            share = reassign_unknown(weighed.share, meant)
+            weighed = replace(weighed, share=share, verdict=(meant,), groups=[[meant]])
+        return weighed, selected, notes
+
+    def parameters(self, weighed: _Weighed) -> dict[str, dict[str, ParameterEstimate]]:
+        """The chosen effects' numbers with standard errors, by effect and field."""
+        regressors, chosen = weighed.screening.regressors, weighed.chosen
+        error = _standard_errors(
+            regressors, chosen, self.pool, self.settings.standard_error, self.settings.linear_fit
+        )
+        found: dict[str, dict[str, ParameterEstimate]] = {}
+        for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
+            effect = chosen.model.effects[free.index]
+            value = float(free.value(at))
+            scale = free.scale if free.scale is not None else value
+            fields = found.setdefault(reported_name(effect.about.name), {})
+            unit = field_metadata(effect)[free.field]["unit"]
+            fields[free.field] = ParameterEstimate(value, float(scale * spread), unit)
+        return found
 
 
-def _parameters(bench: Regressors, chosen: Hypothesis) -> dict[str, dict[str, ParameterEstimate]]:
-    """The chosen effects' numbers with standard errors, by their own columns.
+def _scored(each: Hypothesis, held_out_power: np.ndarray) -> ScoredHypothesis:
+    fit = each.fit
+    return ScoredHypothesis(
+        each.names, held_out_power, fit.mean_square, fit.zeta_variance, len(each.coordinates)
+    )
 
-    What is believed of a number before any run bounds the error of one that the runs do not tell.
+
+def _standard_errors(
+    regressors: Regressors,
+    chosen: Hypothesis,
+    pool: RunPool,
+    settings: StandardErrorSettings,
+    linear_fit: LinearFitSettings,
+) -> np.ndarray:
+    r"""Standard error of each coordinate of a hypothesis, shape (free,).
+
+    The square root of the diagonal of $\Lambda^{-1}$ with
+    $\Lambda = \Pi + \sum_r (H_r - h_r h_r^T / z_r)$: precision $\Pi$ of the prior, which bounds the
+    error of a number that the runs do not determine, and each run's Hessian H of the coordinates
+    with its own log zeta (z, with cross terms h) marginalised. Block b weighs $w_b/(s_b +
+    \sigma_b^2)$.
     """
-    products = bench.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta)
-    worth = np.array([1.0 if kind == "slow" else 0.1 for _, kind in products.blocks])
-    floor = np.array([FLOOR[block] for block in products.blocks]) ** 2
-    weight = worth / (chosen.fit.mean_square + floor)
-    gram = np.einsum("b,rbij->rij", weight, products.gram[:, :, :-1, :-1])
-    width, _ = prior_widths(chosen.model)
+    matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
+    worth = {"slow": settings.slow_worth, "fast": settings.fast_worth}
+    floor = linear_fit.model_errors(matrices.blocks) ** 2
+    weight = np.array([worth[kind] for _, kind in matrices.blocks])
+    weight = weight / (chosen.fit.mean_square + floor)
+    gram = np.einsum("b,rbij->rij", weight, matrices.gram[:, :, :-1, :-1])
+    width, _ = gaussian_prior(chosen.model, linear_fit)
     information = np.diag(1 / width**2)
     for run in gram:
         own = max(run[0, 0], 1e-300)
         information += run[1:, 1:] - np.outer(run[1:, 0], run[0, 1:]) / own
-    error = np.sqrt(np.diag(np.linalg.inv(information)))
-    found: dict[str, dict[str, ParameterEstimate]] = {}
-    for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
-        effect = chosen.model.effects[free.index]
-        value = float(free.value(at))
-        scale = free.scale if free.scale is not None else value
-        fields = found.setdefault(reported_name(effect.about.name), {})
-        unit = field_metadata(effect)[free.field]["unit"]
-        fields[free.field] = ParameterEstimate(value, float(scale * spread), unit)
-    return found
+    return np.sqrt(np.diag(np.linalg.inv(information)))

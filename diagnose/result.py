@@ -1,4 +1,4 @@
-"""Diagnosis: verdict, gaps, numbers of the effects; summary, figure and files."""
+"""The result of a diagnosis: verdict, gaps, numbers of the effects; summary, figure and files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ class ParameterEstimate:
 
     Attributes:
         value, error: The number and its standard error, in `unit`.
-        unit: "-" for none.
+        unit: Unit of both; "-" for none.
     """
 
     value: float
@@ -41,27 +41,28 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis:
-    """What was found.
+    """Effects that explain the runs of one rig, and the gap without and with them.
 
     Attributes:
         verdict: Effects that explain the runs, or ("none",), or ("unknown",).
-        weights: Weight of each effect, of none and of unknown.
-        groups: Names that these runs cannot tell apart, the likeliest first.
-        added: What shrinks the gap, as model.toml holds it: the verdict's effects, or a curve that
-            is one of another form than the list's. Where the verdict is unknown, the likeliest
-            effect known or a correction, if either helps.
-        steps: The same as two effects are added one by one; empty where there are not two.
-        parameters: Numbers of the effects added, by effect and field; none of a correction.
-        notes: What else must be known, in sentences.
-        next_run: What would tell the group apart; empty where nothing need be.
-        found: The search behind it.
-        chosen: The hypothesis that the verdict stands for: the reference model for none, the
-            likeliest effect known for unknown.
-        before: By run, simulated less recorded by the reference model with the zeta that meets the
-            run's mean sinkage, shape (channels, samples).
+        weights: Weight of each effect, of none and of unknown [-].
+        groups: For each name of the verdict, names that these runs cannot tell from it, the most
+            probable first.
+        selected: Effects of model.toml: the verdict's, or a correction that is a form of one.
+            Where the verdict is unknown, the most probable listed effect or a correction, if either
+            helps.
+        parameters: Numbers of the selected effects, by effect and field; none of a correction.
+        notes: Caveats and reasons, in sentences.
+        next_run: Run or channel that would tell the group apart; empty where there is no need.
+        screening: All hypotheses that were screened.
+        chosen: The hypothesis behind the verdict: the reference model for none, the most probable
+            listed effect for unknown.
+        residual_before: By run, simulated minus recorded by the reference model at matched zeta
+            [m, N, N m], shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
-        where: Shares of the gap by axis.
-        unwritten: What an effect that explains the runs looks like, where no form of the list does.
+        localization: Shares of the gap by axis.
+        unknown_effect: The simplest unknown signal, where the verdict is unknown.
+        stepwise: The gap as two effects are added one by one; empty where there are not two.
     """
 
     verdict: tuple[str, ...]
@@ -81,31 +82,32 @@ class Diagnosis:
 
     @property
     def dataset(self) -> RigDataset:
+        """The runs that were diagnosed."""
         return self.screening.regressors.dataset
 
     @property
     def origin(self) -> float | None:
-        """Recorded x that the effects' x = 0 stands for [m]; None where x is as recorded."""
+        """Recorded x of the effects' x = 0 [m]; None where x is as recorded."""
         return self.dataset.runs[0].setup.start.origin
 
     @property
     def gap(self) -> Mapping[str, Gap]:
-        """Before, and after with what is added, on runs left out, by channel."""
+        """By channel, the gap without and with the selected effects, on held-out runs."""
         return self.selected.gap
 
     @property
     def correction(self) -> Correction | None:
-        """The curve that is added in the place of an effect that nobody has written."""
-        tried = None if self.unknown_effect is None else self.unknown_effect.tried
-        return tried if tried is not None and tried.added is self.selected else None
+        """The correction, where it is selected in the place of an unlisted mechanism."""
+        tried = None if self.unknown_effect is None else self.unknown_effect.best_correction
+        return tried if tried is not None and tried.selection is self.selected else None
 
     def meaning(self, name: str) -> str:
-        """What an effect of the verdict does; it may be of the user's own and in no catalogue."""
+        """Meaning of an effect of the verdict, also of one of the user's that no catalogue has."""
         given = {each.effect.about.name: each.effect for each in self.screening.regressors.variants}
         return (given.get(name) or effect_class(name)).about.meaning
 
     def summary(self, width: int = 110) -> str:
-        """Verdict, gaps and all else in words, as text so many columns wide."""
+        """Verdict, gaps and reasons in words, as text of `width` columns."""
         from diagnose.report.text import in_words
 
         return summary_text(in_words(self), width)

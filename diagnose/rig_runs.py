@@ -1,4 +1,4 @@
-"""Run logs on their way into a diagnosis: found, read in a guarded way, and of one wheel."""
+"""Run logs for a diagnosis: read, without copies of each other, of one rig, from one origin."""
 
 import copy
 import dataclasses
@@ -14,12 +14,12 @@ from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 
-# Wheels are the same where their lengths agree to so many places of a millimetre.
-PLACES = 3
+# Wheels are the same where their lengths in millimetres agree to this many decimal places.
+LENGTH_DECIMALS = 3
 
 
 # x counts from where the runs start if they start farther from zero than this [m].
-AT_ZERO = 0.01
+ORIGIN_TOLERANCE = 0.01
 
 
 def gather_runs(
@@ -27,12 +27,12 @@ def gather_runs(
     tell: Callable[[str], None] = lambda _: None,
     origin: float | None = None,
 ) -> GatheredRuns:
-    """Runs of one wheel from files and folders; what cannot be used is left out, and says why.
+    """Read the runs of one wheel from files and folders, and why others are left out.
 
     Args:
         given: Run logs, and folders of them.
         tell: Called with a sentence for every run that is left out.
-        origin: See `from_one_start`.
+        origin: See `with_common_origin`.
 
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
@@ -44,29 +44,29 @@ def gather_runs(
     return GatheredRuns(kept.runs, gathered.skipped | kept.skipped)
 
 
-def require_one_rig(candidates: Sequence[PreparedRun], origin: float | None = None) -> GatheredRuns:
+def require_one_rig(runs: Sequence[PreparedRun], origin: float | None = None) -> GatheredRuns:
     """The runs of one wheel, each once, from one start, and why the others are left out.
 
     Args:
-        candidates: The runs.
-        origin: See `from_one_start`.
+        runs: The runs.
+        origin: See `with_common_origin`.
 
     Raises:
         InputError: where the runs are of several wheels and none prevails.
     """
-    kept = require_one_wheel(candidates)
+    kept = require_one_wheel(runs)
     once = without_repeated_readings(kept.runs)
     return GatheredRuns(with_common_origin(once.runs, origin), kept.skipped | once.skipped)
 
 
-def usable_runs(candidates: Sequence[PreparedRun]) -> GatheredRuns:
-    """The runs that a gap can be told of, and why the others are left out.
+def usable_runs(runs: Sequence[PreparedRun]) -> GatheredRuns:
+    """The runs in which a gap is defined, with sinkage and one zeta; why the others are left out.
 
     Raises:
         InputError: where there are none.
     """
     kept, left_out = [], {}
-    for each in candidates:
+    for each in runs:
         if "z" not in each.observation.channels:
             left_out[each.name] = f"{each.name}: has no z, so its sinkage is not known"
         elif isinstance(each.setup.terrain.zeta, ZetaKnots):
@@ -82,14 +82,14 @@ def usable_runs(candidates: Sequence[PreparedRun]) -> GatheredRuns:
     return GatheredRuns(kept, left_out)
 
 
-def without_repeated_readings(candidates: Sequence[PreparedRun]) -> GatheredRuns:
+def without_repeated_readings(runs: Sequence[PreparedRun]) -> GatheredRuns:
     """The runs without copies of others, which would pass for repeats that agree to the last digit.
 
-    A file that was saved anew, or given another title, holds the very readings of the first.
+    A file that was saved again, or given another title, holds the same readings as the first.
     """
     kept: list[PreparedRun] = []
     left_out = {}
-    for each in candidates:
+    for each in runs:
         first = next((other for other in kept if _same_readings(each, other)), None)
         if first is None:
             kept.append(each)
@@ -107,55 +107,55 @@ def _same_readings(one: PreparedRun, other: PreparedRun) -> bool:
     )
 
 
-def require_one_wheel(candidates: Sequence[PreparedRun]) -> GatheredRuns:
+def require_one_wheel(runs: Sequence[PreparedRun]) -> GatheredRuns:
     """The runs of the wheel and carriage that most have, and why the others are left out.
 
     Raises:
         InputError: where two kinds have as many runs each.
     """
     kinds: dict[str, list[PreparedRun]] = {}
-    for each in candidates:
+    for each in runs:
         kinds.setdefault(describe_rig(each.setup), []).append(each)
     ranked = sorted(kinds.items(), key=lambda kind: -len(kind[1]))
     kind, kept = ranked[0]
     if len(ranked) > 1 and len(ranked[1][1]) == len(kept):
-        told = "; ".join(f"{', '.join(c.name for c in runs)}: {kind}" for kind, runs in ranked[:2])
+        both = "; ".join(f"{', '.join(c.name for c in some)}: {kind}" for kind, some in ranked[:2])
         raise InputError(
-            f"the runs are of different wheels or carriages ({told}); diagnose each apart"
+            f"the runs are of different wheels or carriages ({both}); diagnose each apart"
         )
     others = {
         each.name: f"{each.name}: has {other}, where the {len(kept)} runs kept have {kind}"
-        for other, runs in ranked[1:]
-        for each in runs
+        for other, some in ranked[1:]
+        for each in some
     }
     return GatheredRuns(kept, others)
 
 
 def with_common_origin(
-    candidates: Sequence[PreparedRun], origin: float | None = None
+    runs: Sequence[PreparedRun], origin: float | None = None
 ) -> list[PreparedRun]:
-    """Runs whose x counts from one place, which their set-ups then tell.
+    """Runs whose x counts from one place, which their set-ups then hold as `start.origin`.
 
-    All are moved alike, as x may be of one bed with a patch at one place. Effects are told from
-    x = 0; those that set-ups hold already have places of the recorded x, and nothing is moved.
-    Where a run without x started nobody knows: it is taken to start at x = 0.
+    All are moved by the same distance, as x may be of one bed with a patch at one place. Effects
+    count places from x = 0; those that set-ups hold already have places of the recorded x, and then
+    nothing is moved. A run without x is taken to start at x = 0.
 
     Args:
-        candidates: The runs.
+        runs: The runs.
         origin: Recorded x that x = 0 is to stand for [m], as a model was found with; where none is
             given, the start nearest to zero, or zero where that is as good as there.
     """
-    known = any(each.setup.effects for each in candidates)
-    starts = [each.setup.start.x for each in candidates if _has_x(each)]
+    known = any(each.setup.effects for each in runs)
+    starts = [each.setup.start.x for each in runs if _has_x(each)]
     if known or not starts:
-        return list(candidates)
+        return list(runs)
     if origin is None:
         nearest = min(starts, key=abs)
-        origin = 0.0 if abs(nearest) <= AT_ZERO else nearest
-    return [_counted_from(each, origin) for each in candidates]
+        origin = 0.0 if abs(nearest) <= ORIGIN_TOLERANCE else nearest
+    return [_with_origin(each, origin) for each in runs]
 
 
-def _counted_from(each: PreparedRun, origin: float) -> PreparedRun:
+def _with_origin(each: PreparedRun, origin: float) -> PreparedRun:
     setup, observation = copy.deepcopy(each.setup), each.observation
     setup.start.origin = origin
     if origin == 0.0 or not _has_x(each):
@@ -173,12 +173,12 @@ def _counted_from(each: PreparedRun, origin: float) -> PreparedRun:
 
 
 def _has_x(each: PreparedRun) -> bool:
-    """Whether its x was recorded; that of a driven carriage is not compared."""
+    """Tell whether x was recorded; that of a driven carriage is not compared."""
     return "x" in (*each.observation.channels, *each.observation.unused)
 
 
 def describe_rig(setup: SetUp) -> str:
-    """Wheel and carriage in words: runs of one rig have the same."""
+    """Wheel and carriage in words, the same for all runs of one rig."""
     wheel = setup.wheel
     words = f"a wheel of radius {_mm(wheel.radius)}, width {_mm(wheel.width)}, "
     if wheel.shape == "grouser":
@@ -186,7 +186,7 @@ def describe_rig(setup: SetUp) -> str:
         words += f"{wheel.grouser_count} grousers of {tip}"
         words += "" if wheel.grouser_fraction == 1 else f" (fraction {wheel.grouser_fraction:g})"
     elif wheel.shape == "outline":
-        corners = np.round(1e3 * np.asarray(wheel.points), PLACES) + 0.0  # no minus zero
+        corners = np.round(1e3 * np.asarray(wheel.points), LENGTH_DECIMALS) + 0.0  # no minus zero
         words += f"an outline of {len(corners)} corners ({crc32(corners.tobytes()):08x})"
     else:
         words += "no grousers"
@@ -194,4 +194,4 @@ def describe_rig(setup: SetUp) -> str:
 
 
 def _mm(length: float) -> str:
-    return f"{round(1e3 * length, PLACES):g} mm"
+    return f"{round(1e3 * length, LENGTH_DECIMALS):g} mm"

@@ -25,8 +25,8 @@ class OutlierRunSettings:
         min_noise_ratio: Repeats disagree where they differ by so many times the noise of the
             instruments and the discretisation error [-],
         min_gap_share: and by more than this share of the gap [-].
-        zeta_scatters: The zeta of a run is an outlier where it lies beyond the others' by so many of
-            their standard deviations [-],
+        zeta_scatters: The zeta of a run is an outlier where it lies beyond the others' by so many
+            of their standard deviations [-],
         zeta_distance: and by so much of a logarithm [-]: sand that is prepared alike scatters by a
             per cent or a few.
         min_other_runs: Runs that one is compared with at least.

@@ -1,4 +1,4 @@
-"""`drft diagnose`: recorded runs in; what makes them differ from the model, and how much, out."""
+"""`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
 from pathlib import Path
 from typing import Annotated
@@ -47,7 +47,7 @@ def diagnose(
 
     configure_jax()
     from diagnose.api import diagnose_gathered, effects_among
-    from diagnose.report.model_writer import MARK
+    from diagnose.report.model_writer import MODEL_FILE_MARK
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import require_places
@@ -57,7 +57,7 @@ def diagnose(
     chosen = effects_among(_names(effects))
     if output is not None:
         require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
-        require_own_setup(output / "model.toml", MARK)
+        require_own_setup(output / "model.toml", MODEL_FILE_MARK)
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""`drft evaluate`: a diagnosis's model against runs that it was not found on."""
+"""`drft evaluate`: compare a diagnosis's model with runs that it was not fitted to."""
 
 import math
 from pathlib import Path
@@ -121,7 +121,7 @@ def evaluate(
 
 
 def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> "Table":
-    """How much the tuner moves zeta, before and after."""
+    """Table of the changes of zeta by the tuner, without and with the effects."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -144,7 +144,7 @@ def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActi
 
 
 def _replayed(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> list[str]:
-    """Which runs were replayed in their own loop."""
+    """Sentences on the runs that were replayed in their own loop, or not at all."""
     pairs = zip(found.dataset.runs, moved, strict=False)
     names = [each.name for each, (before, _) in pairs if before.in_its_loop]
     never = [
@@ -167,7 +167,7 @@ def _less(before: float, after: float) -> str:
 def moves_document(
     found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]", setting
 ) -> dict:
-    """The tuner's moves as plain values."""
+    """Changes of zeta by the tuner as plain values, in the layout of the JSON file."""
     return {
         "tick": float(setting.tick),
         "zeta_step": float(setting.zeta_step),

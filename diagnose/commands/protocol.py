@@ -12,8 +12,8 @@ from drftjax.common.errors import InputError
 if TYPE_CHECKING:
     from drftjax.setups.setup import SetUp
 
-# A run that limits slow down below this share of its speed tells little of what it is for.
-SLOWED = 0.5
+# A run that limits slow down below this share of its speed shows little of what it is for [-].
+MIN_SPEED_SHARE = 0.5
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -76,7 +76,7 @@ def protocol(
         name = f"{number}_{run.name}.toml"
         speed, wanted = max(each.command.omega, key=abs), max(run.speed, key=abs)
         tells = run.tells
-        if abs(speed) < SLOWED * abs(wanted):
+        if abs(speed) < MIN_SPEED_SHARE * abs(wanted):
             tells = f"little, slowed down from {abs(wanted):.0f} deg/s: {tells}"
         replace_file(output / name, setup_toml(each, [f"Tells {tells}."]).encode())
         omega = math.radians(abs(speed))
@@ -91,7 +91,7 @@ def protocol(
 
 
 def _rig(setup: Path | None, like: Path | None) -> "SetUp":
-    """The rig, its carriage free: one that was driven in a recorded run is let go.
+    """The rig with its carriage free, also where it was driven in the recorded run.
 
     Raises:
         InputError: names the file, what it lacks and what must hold.
@@ -121,7 +121,7 @@ def _rig(setup: Path | None, like: Path | None) -> "SetUp":
 
 
 def _allowance(fast: dict[str, float]) -> str:
-    """What runs that are faster than `drft hils run` allows by itself need.
+    """Sentence on the options for runs that are faster than `drft hils run` allows by default.
 
     Args:
         fast: Largest angular velocity by set-up [rad/s].

@@ -26,6 +26,7 @@ from diagnose.gap.zeta_matching import (
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import with_common_origin
+from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.prepared_run import prepare_runs
@@ -56,26 +57,10 @@ def evaluate_model(
     Raises:
         InputError: where no run is left.
     """
-    model, coordinates = as_model(effects)
-    before = match_runs(dataset, AugmentedModel(), np.zeros(0))
-    after = match_runs(dataset, model, coordinates) if effects else before
-    lost = _uncovered(dataset, after, WITH_EFFECTS_NAME)
-    lost |= _uncovered(dataset, before, REFERENCE_NAME)
-    if lost:
-        kept = [each for run, each in enumerate(dataset.runs) if run not in lost]
-        if not kept:
-            raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
-        why = {dataset.runs[run].name: each for run, each in lost.items()}
-        return evaluate_model(
-            RigDataset.of(kept),
-            effects,
-            {**(skipped or {}), **why},
-            caveats,
-            gap_settings=gap_settings,
-            outlier_settings=outlier_settings,
-        )
+    with RunPool() as pool:
+        dataset, before, after, lost = _match_covered(dataset, effects, pool)
+        own = discretization_errors(dataset, np.array([each.log_zeta for each in before]), pool)
     residuals = residuals_of(before), residuals_of(after)
-    own = discretization_errors(dataset, np.array([each.log_zeta for each in before]))
 
     def response(run: int) -> np.ndarray:
         return zeta_response(dataset, run, before[run].log_zeta)
@@ -93,12 +78,36 @@ def evaluate_model(
             *caveats,
             *outliers_among_repeats(dataset, residuals, own, response, outlier_settings),
         ],
-        skipped=skipped or {},
+        skipped={**(skipped or {}), **lost},
     )
 
 
+def _match_covered(
+    dataset: RigDataset, effects: Sequence[AbstractEffect], pool: RunPool
+) -> tuple[RigDataset, list[MatchedRun], list[MatchedRun], dict[str, str]]:
+    """The runs that both models cover, matched without and with effects, and why others are not.
+
+    Raises:
+        InputError: where no run is left.
+    """
+    model, coordinates = as_model(effects)
+    skipped: dict[str, str] = {}
+    while True:
+        before = match_runs(dataset, AugmentedModel(), np.zeros(0), pool)
+        after = match_runs(dataset, model, coordinates, pool) if effects else before
+        lost = _uncovered(dataset, after, WITH_EFFECTS_NAME)
+        lost |= _uncovered(dataset, before, REFERENCE_NAME)
+        if not lost:
+            return dataset, before, after, skipped
+        kept = [each for run, each in enumerate(dataset.runs) if run not in lost]
+        if not kept:
+            raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
+        skipped |= {dataset.runs[run].name: each for run, each in lost.items()}
+        dataset = RigDataset.of(kept, dataset.settings)
+
+
 def _uncovered(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
-    """Runs whose wheel takes off, or sinks deeper than its plates cover, by index, with a reason."""
+    """Reason, by index, of runs whose wheel takes off or sinks deeper than its plates cover."""
     z, found = dataset.channels.index("z"), {}
     for run, each in enumerate(runs):
         name = dataset.runs[run].name
@@ -122,6 +131,7 @@ def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]
         paths: Run logs of the other runs.
     """
     dataset = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
-    before = match_runs(dataset, AugmentedModel(), np.zeros(0))
-    after = match_runs(dataset, *as_model(diagnosis.selected.effects))
+    with RunPool() as pool:
+        before = match_runs(dataset, AugmentedModel(), np.zeros(0), pool)
+        after = match_runs(dataset, *as_model(diagnosis.selected.effects), pool)
     return gaps(dataset, residuals_of(before), residuals_of(after), diagnosis.floors)

@@ -1,12 +1,12 @@
-"""How much the online tuner of eq. 7 has to move zeta, without effects and with them.
+"""Activity of the online tuner of Fuke et al. 2024, eq. 7, without effects and with them.
 
 Recorded runs are replayed through `drftjax.tuning.replay.replay_trial`. Each replay starts from the
-zeta that meets the run's mean sinkage by the model it is replayed with, so what is counted is the
-moving to and fro, not the way there. The tuner compares true sinkages: it sees no effect on a
-sensor. What it leaves of the sinkage's error is small with any model, right or wrong.
+matched zeta of the run by the model that it is replayed with, so that only the later changes of
+zeta count. The tuner compares true sinkages: it sees no effect on a sensor. The sinkage error that
+remains is small with any model, right or wrong.
 
-A run that was made in the loop is fed to that very loop again: its tuner, tick and readings, and a
-simulated carriage that is free, as the loop's is; its zeta(0) is what the sinkage at rest tells.
+A run that was made in the loop is replayed in that loop: its tuner, tick and readings, and a
+simulated carriage that is free, as the loop's is; its first zeta is that of the sinkage at rest.
 """
 
 import math
@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import with_effects
+from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.serialization import entry_of
@@ -40,16 +41,15 @@ from hils.replay import replay_tuning
 
 @dataclass(frozen=True, eq=False)
 class TunerActivity:
-    """How one replay moved zeta while the wheel was asked to move.
+    r"""Changes of zeta in one replay, over the ticks on which the wheel is commanded to move.
 
     Attributes:
-        moved: Sum of |dzeta| [-].
-        range: Largest less smallest zeta [-].
-        sinkage: RMSE of the simulated sinkage while it is tuned [m]; NaN where it never is.
-        time: Ticks from the first on which the wheel is asked to move to the last [s], shape
-            (ticks,).
+        moved: Sum of changes, $\sum_k |\zeta_k - \zeta_{k-1}|$ [-].
+        range: Largest minus smallest zeta [-].
+        sinkage: RMS error of the simulated sinkage while it is tuned [m]; NaN where it never is.
+        time: Of these ticks [s], shape (ticks,).
         zeta: On each of them [-], shape (ticks,).
-        in_its_loop: Whether it was replayed in the loop that it was made in.
+        in_its_loop: True where the run was replayed in the loop that it was made in.
     """
 
     moved: float
@@ -61,59 +61,64 @@ class TunerActivity:
 
 
 def tuner_activity(
-    case: RigDataset,
+    dataset: RigDataset,
     effects: Sequence[AbstractEffect],
     zeta: Callable[[int], tuple[float, float]],
     tuner: StepTuner,
 ) -> list[tuple[TunerActivity, TunerActivity]]:
-    """By run, the tuner's moves by the reference model and with the effects.
+    """By run, the tuner's activity with the reference model and with the effects.
 
     Args:
-        case: The runs.
+        dataset: The runs.
         effects: Of the model.
-        zeta: By run, that which meets its mean sinkage by the reference model and with the effects.
+        zeta: Matched zeta of a run, by its index, with the reference model and with the effects.
         tuner: Of runs that were not made in the loop.
 
     Raises:
         InputError: where a replay diverges, or no tick falls where a wheel moves.
     """
     effects = tuple(effects)
-    longest = max(float(each.trial.time[-1]) for each in case.runs)
-    finest = min(float(each.trial.step) for each in case.runs)
+    longest = max(float(each.trial.time[-1]) for each in dataset.runs)
+    finest = min(float(each.trial.step) for each in dataset.runs)
     grid = tick_grid(longest, float(tuner.tick), finest)
 
     def of(run: int) -> tuple[TunerActivity, TunerActivity]:
-        if _has_its_loop(case.runs[run]):
-            return _in_its_loop(case, run, ()), _in_its_loop(case, run, effects)
-        observation = case.runs[run].observation
+        if _has_its_loop(dataset.runs[run]):
+            return _in_its_loop(dataset, run, ()), _in_its_loop(dataset, run, effects)
+        observation = dataset.runs[run].observation
         known = known_sinkage(grid.starts, observation.time, observation.sinkage())
         recorded = jnp.asarray(known)
 
         def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> TunerActivity:
             arrays = jax.tree.map(jnp.asarray, effects)
             start = jnp.asarray(zeta)
-            found = _replay(case.trials[run], arrays, start, recorded, tuner, grid.substeps)
-            return _activity(case, run, ReplayedTuning(grid.starts, *map(np.asarray, found)))
+            found = _replay(dataset.trials[run], arrays, start, recorded, tuner, grid.substeps)
+            return _activity(dataset, run, ReplayedTuning(grid.starts, *map(np.asarray, found)))
 
         before, after = zeta(run)
         return moved((), before), moved(effects, after)
 
-    return case.map_runs(of)
+    with RunPool() as pool:
+        return pool.map(of, dataset.run_numbers)
 
 
 def _has_its_loop(each: PreparedRun) -> bool:
+    """True where the run log holds the loop that the run was made in."""
     made = each.made_in_loop
     return made is not None and made.online is not None and made.online.loop is not None
 
 
-def _in_its_loop(case: RigDataset, run: int, effects: tuple[AbstractEffect, ...]) -> TunerActivity:
-    each = case.runs[run]
+def _in_its_loop(
+    dataset: RigDataset, run: int, effects: tuple[AbstractEffect, ...]
+) -> TunerActivity:
+    """Activity in the loop that the run was made in, with the effects in its simulation."""
+    each = dataset.runs[run]
     assert each.made_in_loop is not None
     try:
         replayed = replay_tuning(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
     except InputError as problem:
         raise RunError(each.name, str(problem)) from None
-    return replace(_activity(case, run, replayed), in_its_loop=True)
+    return replace(_activity(dataset, run, replayed), in_its_loop=True)
 
 
 @eqx.filter_jit
@@ -130,9 +135,9 @@ def _replay(
     return jnp.where(jnp.isfinite(found.output.z), found.zeta, jnp.nan), found.error
 
 
-def _activity(case: RigDataset, run: int, replayed: ReplayedTuning) -> TunerActivity:
+def _activity(dataset: RigDataset, run: int, replayed: ReplayedTuning) -> TunerActivity:
     """Motion of zeta over the ticks on which the wheel is commanded to move."""
-    each, starts = case.runs[run], replayed.time
+    each, starts = dataset.runs[run], replayed.time
     knots = np.asarray(each.trial.time)
     moving = np.flatnonzero(is_commanded_to_move(each.trial, starts) & (starts < knots[-1]))
     if not moving.size:

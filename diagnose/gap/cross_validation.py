@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.gap.zeta_matching import MatchedRun, match_zeta
-from diagnose.hypotheses.hypothesis import Hypothesis, gauss_newton_step
-from diagnose.linear.linear_fit import GramMatrices, fit_linear
+from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.hypotheses.refinement import gauss_newton_step
+from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings, fit_linear
 from diagnose.linear.regressors import Regressors
+from diagnose.run_pool import RunPool
 from drftjax.recorded.matched_zeta import DEFAULT_ZETA_MATCH, ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
@@ -36,7 +38,9 @@ class HeldOutPrediction:
     residual: list[np.ndarray]
 
 
-def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutPrediction:
+def predict_held_out(
+    regressors: Regressors, hypothesis: Hypothesis, pool: RunPool
+) -> HeldOutPrediction:
     r"""Predict every condition with numbers fitted to the runs of the others.
 
     With all runs' numbers $\theta$, the numbers without a condition are
@@ -46,6 +50,7 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
     Args:
         regressors: Of the dataset.
         hypothesis: Effects with numbers fitted to all runs.
+        pool: Threads.
 
     Returns:
         Runs of a dataset with one condition only as they were fitted.
@@ -55,7 +60,7 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
     if len(hypothesis.coordinates) == 0:
         return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = regressors.gram_matrices_of(
-        hypothesis.columns, hypothesis.residual, hypothesis.log_zeta
+        hypothesis.columns, hypothesis.residual, hypothesis.log_zeta, pool
     )
     held_out: set[int] = set()
     dataset = regressors.dataset
@@ -63,9 +68,11 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
         others = np.setdiff1d(np.arange(len(log_zeta)), group)
         if others.size == 0:
             continue
-        _, move = gauss_newton_step(hypothesis, _of_runs(products, others))
+        _, move = gauss_newton_step(
+            hypothesis, products.of_runs(others), settings=regressors.settings
+        )
         for run in group:
-            log_zeta[run] += _own_zeta_step(products, run, move)
+            log_zeta[run] += _own_zeta_step(products, run, move, regressors.settings)
             coordinates[run] += move
         held_out.update(group)
 
@@ -75,12 +82,14 @@ def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutP
         model, at = hypothesis.model, coordinates[run]
         return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
-    return HeldOutPrediction(hypothesis, log_zeta, coordinates, dataset.map_runs(residual_of))
+    residual = pool.map(residual_of, dataset.run_numbers)
+    return HeldOutPrediction(hypothesis, log_zeta, coordinates, residual)
 
 
 def at_mean_sinkage(
     regressors: Regressors,
     prediction: HeldOutPrediction,
+    pool: RunPool,
     settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> list[MatchedRun]:
     """Every run of a held-out prediction at its matched zeta.
@@ -90,6 +99,7 @@ def at_mean_sinkage(
     Args:
         regressors: Of the dataset.
         prediction: Runs predicted without their condition.
+        pool: Threads.
         settings: Numbers of the secant search.
     """
     hypothesis, dataset = prediction.hypothesis, regressors.dataset
@@ -106,17 +116,12 @@ def at_mean_sinkage(
         found = match_zeta(dataset, hypothesis.model, run, coordinates, start, slope, settings)
         return found if found.matched else start
 
-    return dataset.map_runs(of)
+    return pool.map(of, dataset.run_numbers)
 
 
-def _of_runs(products: GramMatrices, runs: np.ndarray) -> GramMatrices:
-    """The products of some runs, by index."""
-    return GramMatrices(
-        products.blocks, products.gram[runs], products.sample_count[runs], products.log_zeta[runs]
-    )
-
-
-def _own_zeta_step(products: GramMatrices, run: int, move: np.ndarray) -> float:
+def _own_zeta_step(
+    products: GramMatrices, run: int, move: np.ndarray, settings: LinearFitSettings
+) -> float:
     """Change of one run's log zeta that fits it best once the effects' numbers have moved.
 
     The numbers stay: their columns are added to the data, and a fit of zeta alone remains.
@@ -125,6 +130,7 @@ def _own_zeta_step(products: GramMatrices, run: int, move: np.ndarray) -> float:
         products: Products of (log zeta, numbers, data) columns by run and block.
         run: Index of the run.
         move: Change of the numbers, shape (numbers,).
+        settings: Weights of the fit.
     """
     gram = products.gram[run]
     moved = gram[:, :, -1] + gram[:, :, 1:-1] @ move
@@ -138,4 +144,4 @@ def _own_zeta_step(products: GramMatrices, run: int, move: np.ndarray) -> float:
         products.sample_count[run][None],
         products.log_zeta[run][None],
     )
-    return float(fit_linear(zeta_only, []).log_zeta_change[0])
+    return float(fit_linear(zeta_only, [], settings=settings).log_zeta_change[0])

@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.run_pool import RunPool
 from drftjax.recorded.prepared_run import PreparedRun
 
 
@@ -37,6 +38,7 @@ DEFAULT_DISCRETIZATION = DiscretizationSettings()
 def discretization_errors(
     dataset: RigDataset,
     log_zeta: np.ndarray,
+    pool: RunPool,
     settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
 ) -> dict[str, float]:
     """RMS change of each channel on finer plates, at the same mean sinkage [m, N, N m].
@@ -44,14 +46,16 @@ def discretization_errors(
     Args:
         dataset: The runs.
         log_zeta: Each run's log zeta over its set-up's [-], shape (runs,).
+        pool: Threads.
         settings: Numbers of the comparison.
 
     Returns:
         By channel; runs that finer plates throw off the sand are left out.
     """
-    fine = RigDataset.of([with_finer_plates(each, settings) for each in dataset.runs])
+    finer = [with_finer_plates(each, settings) for each in dataset.runs]
+    fine = RigDataset.of(finer, dataset.settings)
     model, nothing = AugmentedModel(), np.zeros(0)
-    fine.precompile(predict, [model])
+    fine.precompile(pool, predict, [model])
     z = dataset.channels.index("z")
 
     def change(run: int) -> np.ndarray:
@@ -64,7 +68,7 @@ def discretization_errors(
         share = (coarse - here)[z].mean() / (there - here)[z].mean()
         return here + share * (there - here) - coarse
 
-    kept = [each for each in dataset.map_runs(change) if np.isfinite(each).all()]
+    kept = [each for each in pool.map(change, dataset.run_numbers) if np.isfinite(each).all()]
     changes = np.concatenate(kept or [np.zeros((len(dataset.channels), 1))], axis=1)
     return dict(zip(dataset.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
 

@@ -10,6 +10,7 @@ from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
+from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
 
 
@@ -40,6 +41,7 @@ def stepwise_gap(
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
+    pool: RunPool,
     settings: GapSettings = DEFAULT_GAP,
 ) -> list[NestedModel]:
     """Gap of a pair with the one effect that leaves less of it alone, refitted, and with both.
@@ -51,6 +53,7 @@ def stepwise_gap(
         before: Residuals of each run by the reference model [m, N, N m], shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
         whole: The gap with all of its effects, by channel.
+        pool: Threads.
         settings: Numbers of a gap.
 
     Returns:
@@ -61,8 +64,8 @@ def stepwise_gap(
     regressors, dataset = found.regressors, found.regressors.dataset
 
     def residuals(single: Hypothesis) -> list[np.ndarray]:
-        prediction = held_out.get(single.names) or predict_held_out(regressors, single)
-        return residuals_of(at_mean_sinkage(regressors, prediction))
+        prediction = held_out.get(single.names) or predict_held_out(regressors, single, pool)
+        return residuals_of(at_mean_sinkage(regressors, prediction, pool))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
     tried = [(each.names, residuals(each)) for each in parts]

@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel
+from diagnose.run_pool import RunPool
 from drftjax.recorded.matched_zeta import (
     DEFAULT_ZETA_MATCH,
     ZetaMatchSettings,
@@ -45,6 +46,7 @@ def match_runs(
     dataset: RigDataset,
     model: AugmentedModel,
     coordinates: np.ndarray,
+    pool: RunPool,
     settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> list[MatchedRun]:
     """Simulate every run with a model's effects, each at its matched zeta.
@@ -53,6 +55,7 @@ def match_runs(
         dataset: Runs that the effects were not fitted to.
         model: The effects.
         coordinates: Their numbers, which stay, shape (numbers,).
+        pool: Threads.
         settings: Numbers of the secant search.
     """
     at = np.asarray(coordinates)
@@ -62,7 +65,7 @@ def match_runs(
         start = MatchedRun(first, 0.0, matched=False)
         return match_zeta(dataset, model, run, at, start, settings=settings)
 
-    return dataset.map_runs(of)
+    return pool.map(of, dataset.run_numbers)
 
 
 def residuals_of(runs: Sequence[MatchedRun]) -> list[np.ndarray]:

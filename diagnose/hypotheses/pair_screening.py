@@ -1,62 +1,85 @@
-"""Pairs of effects: which of all that there are are worth a simulation.
+"""Pairs of effects: which of them are worth a simulation.
 
-A pair begins with a single that was settled. Another effect is added to it on straight lines: from
-the null, or, where it was settled alone as well, by what it did to the runs there. The first knows
-every effect, but small strengths alone; the second holds far from the null, too.
+A pair begins with a single effect that was refined. Another one is added to it by a linear fit:
+from its null, or, where it was refined alone as well, by the change that it made to the runs there.
+The first kind of start covers every effect, but only small strengths; the second holds far from the
+null, too.
 """
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from diagnose.hypotheses.hypothesis import (
-    CORRECTED_ERR,
-    STRENGTH_BELIEF,
     Hypothesis,
     least_changes,
     linear_start,
     lower_bounds,
-    refine,
     top_ranked,
 )
-from diagnose.linear.linear_fit import ORDERS, LinearFit, fit_linear, floor_inflation
+from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings, refine
+from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
 
-# Singles that pairs begin with, pairs simulated, and how often each is at most.
-BEGINNINGS, PAIRS, TURNS = 3, 8, 4
+# Numbers of a ranking by linear fits: the share of the worst block's RMS in model errors that model
+# errors are raised to, and the share of a response that may be wrong for being linear.
+Ranking = tuple[float, float]
 
 
-# While the best pair misses a block by more than so many of a model's own errors, the next ones are
-# simulated, so many rounds in all.
-FAR, ROUNDS = 5.0, 2
+# Where the gap is large, an error for being linear hides what an effect explains. The last ranking
+# takes linear responses at their word: an effect that zeta all but makes up for is small only on
+# the whole.
+DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0))
 
 
-# So many of the leading pairs are simulated from the other kind of start as well.
-TWICE = 3
+@dataclass(frozen=True)
+class PairScreeningSettings:
+    """Numbers by which pairs of effects are chosen for simulation.
+
+    Attributes:
+        max_first_effects: Refined single effects that pairs begin with, at most.
+        pairs_per_round: Pairs that are simulated in one round.
+        max_rounds: Rounds at most.
+        far_from_floor: Another round is made while the best pair misses a block by more than this
+            many model errors [-]: far from the null linear fits may rank the right pair low.
+        max_simulations: Simulations of all runs for each pair, at most.
+        both_starts: Leading pairs that are refined from the other kind of start as well, as neither
+            is sure to lead to the best.
+        share_prior: Width of the prior on how much of a refined effect acts beside another [-].
+        rankings: Linear fits rank pairs with an effect at its null once by each of these.
+        refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
+            raised to in the rankings of pairs of refined effects [-].
+    """
+
+    max_first_effects: int = 3
+    pairs_per_round: int = 8
+    max_rounds: int = 2
+    far_from_floor: float = 5.0
+    max_simulations: int = 4
+    both_starts: int = 3
+    share_prior: float = 2.0
+    rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
+    refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
 
 
-# Width of the belief about how much of a settled effect acts beside another.
-SHARE_BELIEF = 2.0
-
-
-# Shares of the worst block's distance that floors are raised to where effects are settled.
-SETTLED_ORDERS = (0.3, 0.0)
+DEFAULT_PAIRS = PairScreeningSettings()
 
 
 @dataclass(frozen=True)
 class PairCandidate:
-    """A pair as straight lines give it.
+    """A pair as a linear fit proposes it.
 
     Attributes:
         names: Its effects.
-        from_null: Whether the second effect starts at its null, or from what it did alone.
-        score: What the lines promise.
-        build: Makes the hypothesis, with the way ahead of it.
+        from_null: The second effect starts at its null, not from its refinement alone.
+        score: Log score that the fit predicts.
+        build: Makes the hypothesis, with its proposed step.
     """
 
     names: frozenset[str]
@@ -65,54 +88,80 @@ class PairCandidate:
     build: Callable[[], Hypothesis]
 
 
-def refine_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The leading pairs, each settled by some simulations.
+def refine_pairs(
+    regressors: Regressors,
+    singles: Sequence[Hypothesis],
+    pool: RunPool,
+    settings: PairScreeningSettings = DEFAULT_PAIRS,
+    refinement: RefinementSettings = DEFAULT_REFINEMENT,
+) -> list[Hypothesis]:
+    """Simulate the leading pairs, each refined by some simulations.
 
     Args:
-        bench: The case.
+        regressors: The runs.
         singles: Effects simulated alone, best first.
+        pool: Threads.
+        settings: Numbers of the choice.
+        refinement: Numbers of the refinement.
+
+    Returns:
+        Best first, but that the first few may be better still from another start.
     """
     starts: dict[frozenset[str], dict[bool, PairCandidate]] = {}
-    for each in pair_candidates(bench, singles):
+    for each in pair_candidates(regressors, singles, pool, settings):
         # Two forms of one effect are no pair: the verdict would name one, with two sets of numbers.
         if len(reported_names(each.names)) == 1:
             continue
         starts.setdefault(each.names, {}).setdefault(each.from_null, each)
-    ways = list(starts.values())
-    found: list[Hypothesis] = []
-    for first in range(0, PAIRS * ROUNDS, PAIRS):
-        begun = [next(iter(kinds.values())).build() for kinds in ways[first : first + PAIRS]]
-        bench.dataset.precompile(predict, [each.model for each in begun])
-        found += bench.dataset.map_items(lambda each: refine(bench, each, TURNS), begun)
-        found.sort(key=lambda each: -each.score)
-        # Far from the null straight lines may rank the pair that explains the runs low.
-        if (
-            not found
-            or floor_inflation(bench.gram_matrices.blocks, found[0].fit.mean_square, 1.0) <= FAR
-        ):
-            break
-    # Far from the null neither start is sure to lead to the best.
 
-    def better(known: Hypothesis) -> Hypothesis:
+    def refined(start: Hypothesis) -> Hypothesis:
+        return refine(regressors, start, settings.max_simulations, pool, refinement)
+
+    def better_start(known: Hypothesis) -> Hypothesis:
         others = list(starts[frozenset(known.names)].values())[1:]
-        again = [refine(bench, other.build(), TURNS) for other in others]
-        return max([known, *again], key=lambda each: each.score)
+        return max(
+            [known, *(refined(other.build()) for other in others)], key=lambda each: each.score
+        )
 
-    return [*bench.dataset.map_items(better, found[:TWICE]), *found[TWICE:]]
+    firsts = [next(iter(kinds.values())) for kinds in starts.values()]
+    found: list[Hypothesis] = []
+    for turn in range(settings.max_rounds):
+        first = turn * settings.pairs_per_round
+        begun = [each.build() for each in firsts[first : first + settings.pairs_per_round]]
+        regressors.dataset.precompile(pool, predict, [each.model for each in begun])
+        found += pool.map_outer(refined, begun)
+        found.sort(key=lambda each: -each.score)
+        if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
+            break
+    leading, rest = found[: settings.both_starts], found[settings.both_starts :]
+    return [*pool.map_outer(better_start, leading), *rest]
 
 
-def pair_candidates(bench: Regressors, singles: Sequence[Hypothesis]) -> Iterator[PairCandidate]:
-    """Pairs as straight lines give them, the orders taking turns; one may come more than once.
+def _worst_miss(regressors: Regressors, best: Hypothesis) -> float:
+    """RMS of the worst block [model errors]; one at least."""
+    blocks = regressors.gram_matrices.blocks
+    return floor_inflation(blocks, best.fit.mean_square, 1.0, regressors.settings)
 
-    Arguments as for `simulated_pairs`.
+
+def pair_candidates(
+    regressors: Regressors,
+    singles: Sequence[Hypothesis],
+    pool: RunPool,
+    settings: PairScreeningSettings = DEFAULT_PAIRS,
+) -> Iterator[PairCandidate]:
+    """Pairs that linear fits propose, the rankings taking turns; one may come more than once.
+
+    Arguments as for `refine_pairs`.
     """
-    orders = []
     # Another form of an effect begins nothing that the better one does not.
-    beginnings: dict[tuple[str, ...], Hypothesis] = {}
-    for each in top_ranked(singles, BEGINNINGS):
-        beginnings.setdefault(reported_names(each.names), each)
-    for propose in (_with_settled, _with_any):
-        of_each = [propose(bench, each, singles) for each in beginnings.values()]
+    firsts: dict[tuple[str, ...], Hypothesis] = {}
+    for each in top_ranked(singles, settings.max_first_effects):
+        firsts.setdefault(reported_names(each.names), each)
+    orders = []
+    for of_each in (
+        [_with_refined(regressors, each, singles, pool, settings) for each in firsts.values()],
+        [_with_any(regressors, each, singles, pool, settings.rankings) for each in firsts.values()],
+    ):
         for every in zip(*of_each, strict=True):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
@@ -120,129 +169,127 @@ def pair_candidates(bench: Regressors, singles: Sequence[Hypothesis]) -> Iterato
         yield from (each for each in turn if each is not None)
 
 
-def _with_settled(
-    bench: Regressors, first: Hypothesis, singles: Sequence[Hypothesis]
+def _with_refined(
+    regressors: Regressors,
+    first: Hypothesis,
+    singles: Sequence[Hypothesis],
+    pool: RunPool,
+    settings: PairScreeningSettings,
 ) -> list[list[PairCandidate]]:
-    """A single with each of the others, as much of it as is wanted of what that did alone."""
+    """A single with a share of each other's change of the runs, by each of the rankings."""
     others = [each for each in singles if each.is_simulated and each is not first]
     columns = [
-        np.concatenate([first.columns[run], *(_did(bench, each, run) for each in others)], axis=2)
+        np.concatenate(
+            [first.columns[run], *(_change_by(regressors, each, run) for each in others)], axis=2
+        )
         for run in range(len(first.residual))
     ]
-    products = bench.gram_matrices_of(columns, first.residual, first.log_zeta)
-    count = len(first.coordinates)
+    matrices = regressors.gram_matrices_of(columns, first.residual, first.log_zeta, pool)
+    count, weights = len(first.coordinates), regressors.settings
     found = []
-    for share in SETTLED_ORDERS:
-        coarse = floor_inflation(bench.gram_matrices.blocks, singles[0].fit.mean_square, share)
+    for share in settings.refined_floor_shares:
+        inflation = floor_inflation(matrices.blocks, singles[0].fit.mean_square, share, weights)
         order = []
         for place, other in enumerate(others):
-            one_sign = any(
-                least == 0 for each in other.model.effects for least in lower_bounds(each)
-            )
-            line = fit_linear(
-                products,
+            fit = fit_linear(
+                matrices,
                 [*range(count), count + place],
-                prior=np.r_[np.full(count, STRENGTH_BELIEF), SHARE_BELIEF],
-                least=np.r_[least_changes(first), 0.0 if one_sign else -np.inf],
-                trust=CORRECTED_ERR,
-                coarse=coarse,
+                prior=np.r_[np.full(count, weights.strength_prior), settings.share_prior],
+                lower=np.r_[least_changes(first), 0.0 if _has_one_sign(other) else -np.inf],
+                linear_error=weights.corrected_error,
+                inflation=inflation,
+                settings=weights,
             )
+            build = partial(_join_refined, regressors, first, other, fit)
             names = frozenset((*first.names, *other.names))
-            order.append(
-                PairCandidate(
-                    names, False, line.score, partial(_both_settled, bench, first, other, line)
-                )
-            )
+            order.append(PairCandidate(names, False, fit.score, build))
         found.append(order)
     return found
 
 
-def _did(bench: Regressors, single: Hypothesis, run: int) -> np.ndarray:
-    """What a settled single, its own zeta with it, changed of a run; one column."""
-    return (single.residual[run] - bench.residual[run])[:, :, None]
+def _has_one_sign(single: Hypothesis) -> bool:
+    return any(least == 0 for each in single.model.effects for least in lower_bounds(each))
 
 
-def _both_settled(
-    bench: Regressors, first: Hypothesis, other: Hypothesis, line: LinearFit
+def _change_by(regressors: Regressors, single: Hypothesis, run: int) -> np.ndarray:
+    """Change of a run by a refined single and its own zeta, shape (channels, samples, 1)."""
+    return (single.residual[run] - regressors.residual[run])[:, :, None]
+
+
+def _join_refined(
+    regressors: Regressors, first: Hypothesis, other: Hypothesis, fit: LinearFit
 ) -> Hypothesis:
-    share = line.coefficients[-1]
+    share = fit.coefficients[-1]
     shape = np.array([free.scale is None for free in other.model.free])
     null = np.where(shape, other.coordinates, 0.0)
-    zeta = line.log_zeta_change + share * (other.log_zeta - bench.log_zeta)
-    change = np.r_[line.coefficients[:-1], share * (other.coordinates - null)]
-    return _joined(first, other.model, null, other.columns, line, (zeta, change))
+    zeta = fit.log_zeta_change + share * (other.log_zeta - regressors.log_zeta)
+    change = np.r_[fit.coefficients[:-1], share * (other.coordinates - null)]
+    return _join(first, other.model, null, other.columns, fit, (zeta, change))
 
 
 def _with_any(
-    bench: Regressors, first: Hypothesis, singles: Sequence[Hypothesis]
+    regressors: Regressors,
+    first: Hypothesis,
+    singles: Sequence[Hypothesis],
+    pool: RunPool,
+    rankings: Sequence[Ranking],
 ) -> list[list[PairCandidate]]:
-    """A single with any other effect from its null, by each of the orders."""
+    """A single with any other effect from its null, by each of the rankings."""
     columns = [
         np.concatenate([mine, theirs[:, :, 1:]], axis=2)
-        for mine, theirs in zip(first.columns, bench.columns, strict=True)
+        for mine, theirs in zip(first.columns, regressors.columns, strict=True)
     ]
-    products = bench.gram_matrices_of(columns, first.residual, first.log_zeta)
-    count = len(first.coordinates)
+    matrices = regressors.gram_matrices_of(columns, first.residual, first.log_zeta, pool)
+    count, weights = len(first.coordinates), regressors.settings
     found = []
-    for share, trust in ORDERS:
-        coarse = floor_inflation(bench.gram_matrices.blocks, singles[0].fit.mean_square, share)
+    for share, linear_error in rankings:
+        inflation = floor_inflation(matrices.blocks, singles[0].fit.mean_square, share, weights)
         best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-        for variant in bench.variants:
+        for variant in regressors.variants:
             name = variant.effect.about.name
             if name in first.names:
                 continue
             taken = [*range(count), *(count + column for column in variant.columns)]
-            line = fit_linear(
-                products,
+            fit = fit_linear(
+                matrices,
                 taken,
-                prior=np.full(len(taken), STRENGTH_BELIEF),
-                least=np.r_[least_changes(first), lower_bounds(variant.effect)],
-                trust=trust,
-                coarse=coarse,
+                prior=np.full(len(taken), weights.strength_prior),
+                lower=np.r_[least_changes(first), lower_bounds(variant.effect)],
+                linear_error=linear_error,
+                inflation=inflation,
+                settings=weights,
             )
-            if name not in best or line.score > best[name][1].score:
-                best[name] = variant, line
-        found.append(
-            [
-                PairCandidate(
-                    frozenset((*first.names, name)),
-                    True,
-                    line.score,
-                    partial(_from_null, bench, first, variant, line),
-                )
-                for name, (variant, line) in best.items()
-            ]
-        )
+            if name not in best or fit.score > best[name][1].score:
+                best[name] = variant, fit
+        order = []
+        for name, (variant, fit) in best.items():
+            build = partial(_join_from_null, regressors, first, variant, fit)
+            order.append(PairCandidate(frozenset((*first.names, name)), True, fit.score, build))
+        found.append(order)
     return found
 
 
-def _from_null(
-    bench: Regressors, first: Hypothesis, variant: ShapeVariant, line: LinearFit
+def _join_from_null(
+    regressors: Regressors, first: Hypothesis, variant: ShapeVariant, fit: LinearFit
 ) -> Hypothesis:
     count = len(first.coordinates)
-    own = LinearFit(
-        line.score,
-        line.coefficients[count:],
-        line.log_zeta_change,
-        line.mean_square,
-        line.zeta_variance,
-    )
-    added = linear_start(bench, [variant], own)
+    own = replace(fit, coefficients=fit.coefficients[count:])
+    added = linear_start(regressors, [variant], own)
     assert added.proposed_step is not None
-    change = np.r_[line.coefficients[:count], added.proposed_step[1]]
-    ahead = line.log_zeta_change, change
-    return _joined(first, added.model, added.coordinates, added.columns, line, ahead)
+    change = np.r_[fit.coefficients[:count], added.proposed_step[1]]
+    step = fit.log_zeta_change, change
+    return _join(first, added.model, added.coordinates, added.columns, fit, step)
 
 
-def _joined(
+def _join(
     first: Hypothesis,
     model: AugmentedModel,
     coordinates: np.ndarray,
     columns: Sequence[np.ndarray],
-    line: LinearFit,
-    ahead: tuple[np.ndarray, np.ndarray],
+    fit: LinearFit,
+    step: tuple[np.ndarray, np.ndarray],
 ) -> Hypothesis:
-    """A settled single with another effect at its null, and the way ahead of both."""
+    """A refined single with another effect at its null, and the step that is proposed for both."""
     both = [
         np.concatenate([mine, more[:, :, 1:]], axis=2)
         for mine, more in zip(first.columns, columns, strict=True)
@@ -251,9 +298,9 @@ def _joined(
         AugmentedModel(first.model.effects + model.effects),
         first.log_zeta,
         np.r_[first.coordinates, coordinates],
-        line,
+        fit,
         both,
         first.residual,
         is_simulated=False,
-        proposed_step=ahead,
+        proposed_step=step,
     )

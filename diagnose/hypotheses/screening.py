@@ -1,75 +1,114 @@
-"""The search: which effects, alone or in pairs, explain a case."""
+"""Screening: which effects, alone or in pairs, explain the runs of a dataset.
+
+All effects are ranked by linear fits; the leading ones are refined by simulation, alone, then in
+pairs with all others.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.hypotheses.hypothesis import (
-    Hypothesis,
-    linear_fit_of,
-    linear_start,
+from diagnose.dataset import (
+    DEFAULT_INITIAL_ZETA,
+    InitialZetaSettings,
+    RigDataset,
+    match_initial_zeta,
+)
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
+from diagnose.hypotheses.pair_screening import (
+    DEFAULT_PAIRS,
+    DEFAULT_RANKINGS,
+    PairScreeningSettings,
+    Ranking,
+    refine_pairs,
+)
+from diagnose.hypotheses.refinement import (
+    DEFAULT_REFINEMENT,
+    RefinementSettings,
     predicted_score,
     refine,
     relinearize,
 )
-from diagnose.hypotheses.pair_screening import refine_pairs
-from diagnose.linear.linear_fit import FLOOR, ORDERS, LinearFit, floor_inflation
+from diagnose.linear.linear_fit import (
+    DEFAULT_LINEAR_FIT,
+    LinearFit,
+    LinearFitSettings,
+    floor_inflation,
+)
+from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict, predict_with_jacobian
+from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
+from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, strengths
-
-# Effects that straight lines put first are simulated; straight lines may order them, not decide.
-# So many are even where no line gains anything worth saying, and so many at most.
-FEWEST_SINGLES, SINGLES = 6, 16
-
-
-WORTH_SAYING = 1.5
-
-
-TURNS = 2
-
-
-# The leading ones go on, with fresh derivatives, while that gains something.
-FINISHED = 4
-
-
-REFRESHED = 2
-
-
-ROUNDS = 3
-
-
-MORE_TURNS = 5
-
-
-WORTH_A_ROUND = 3.0
-
-
-# A hypothesis this far behind the best is not taken further.
-HOPELESS = 100.0
-
-
-# Strengths far from zero are tried one by one where the gap is so many times a model's own error.
-FAR = 30.0
-
-
-# Pairs are looked for where the best single effect leaves this many times a model's own error.
-MUCH = 1.5
-
 
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True, eq=False)
-class ScreeningResult:
-    """What a search found.
+@dataclass(frozen=True)
+class ScreeningSettings:
+    """Numbers by which effects are screened.
 
     Attributes:
-        bench: The case, linearised.
-        none: The reference model with each run's own zeta, settled.
+        min_simulated: Number of effects, ranked by the linear score, that are refined by simulation
+            at least, even where no linear fit gains anything: linear fits may order effects, not
+            decide.
+        max_simulated: The same, at most.
+        min_linear_gain: Beyond `min_simulated` an effect is simulated where a linear fit with it
+            gains more log score than this over one without [-].
+        rankings: Linear fits rank effects once by each of these, which take turns.
+        reference_simulations: Simulations by which the reference model's zetas are refined.
+        first_simulations: Simulations of each single effect before the leading ones go on.
+        max_continued: Leading hypotheses that go on.
+        max_relinearized: Of these, so many go on with derivatives by the simulator itself.
+        max_rounds: Times that derivatives are computed again, at most.
+        simulations_per_round: Simulations with each, at most.
+        min_round_gain: A further round is made while the last one gained this much log score [-].
+        hopeless_deficit: A hypothesis that is this far behind the best in log score gets none [-].
+        far_from_floor: Strengths far from zero are tried one by one where the reference model
+            misses a block by more than this many model errors [-].
+        pair_floor: Pairs are looked for where the best single effect leaves more than this many
+            model errors in the slow part of a channel [-].
+        initial_zeta: Numbers of the search for the zeta where all is linearised.
+        linearization: Numbers of the linearisation.
+        linear_fit: Weights of linear fits, and of the log score.
+        refinement: Numbers of the refinement by simulation.
+        pairs: Numbers of the choice of pairs.
+    """
+
+    min_simulated: int = 6
+    max_simulated: int = 16
+    min_linear_gain: float = 1.5
+    rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
+    reference_simulations: int = 3
+    first_simulations: int = 2
+    max_continued: int = 4
+    max_relinearized: int = 2
+    max_rounds: int = 3
+    simulations_per_round: int = 5
+    min_round_gain: float = 3.0
+    hopeless_deficit: float = 100.0
+    far_from_floor: float = 30.0
+    pair_floor: float = 1.5
+    initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
+    linearization: LinearizationSettings = DEFAULT_LINEARIZATION
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
+    refinement: RefinementSettings = DEFAULT_REFINEMENT
+    pairs: PairScreeningSettings = DEFAULT_PAIRS
+
+
+DEFAULT_SCREENING = ScreeningSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class ScreeningResult:
+    """Hypotheses that a screening refined.
+
+    Attributes:
+        regressors: The runs, with the responses to all effects.
+        none: The reference model with each run's own zeta, refined.
         singles: Effects simulated alone, best first.
         pairs: Pairs simulated, best first.
     """
@@ -81,69 +120,203 @@ class ScreeningResult:
 
 
 def screen_effects(
-    case: RigDataset, effects: Sequence[type[AbstractEffect]], report: Report = lambda stage: None
+    dataset: RigDataset,
+    effects: Sequence[type[AbstractEffect]],
+    pool: RunPool,
+    report: Report = lambda stage: None,
+    settings: ScreeningSettings = DEFAULT_SCREENING,
 ) -> ScreeningResult:
-    """Screen every effect, simulate the leading ones, then pairs of them with all.
+    """Rank every effect, simulate the leading ones, then pairs of them with all.
 
     Args:
-        case: Runs of one rig.
+        dataset: Runs of one rig.
         effects: The catalogue.
+        pool: Threads.
         report: Called with what is done next.
+        settings: Numbers of the screening.
+
+    Raises:
+        InputError: where no run has a sinkage.
+        RunError: where a run cannot be simulated.
     """
     report("baseline: zeta of each run")
-    log_zeta = match_initial_zeta(case)
-    case = case.with_fewer_plates()
-    report(f"linearising {len(case.runs)} runs, and {len(effects)} effects along them")
-    bench = Regressors.of(case, log_zeta, effects)
-    none = refine(bench, linear_start(bench, []), 3)
-    report("screening")
-    ranked = _ranked(bench)
-    report(f"simulating the leading {len(ranked)} effects")
-    starts = [linear_start(bench, [variant], line) for variant, line in ranked]
-    case.precompile(predict, [each.model for each in starts])
-    singles = case.map_items(lambda each: refine(bench, each, TURNS), starts)
-    if floor_inflation(bench.gram_matrices.blocks, none.fit.mean_square, 1.0) > FAR:
-        singles = _with_far(bench, singles)
-    singles = _finished(bench, singles)
-    pairs: list[Hypothesis] = []
-    if singles and _leaves_much(bench, singles[0]):
-        report("pairs of effects")
-        pairs = _finished(bench, refine_pairs(bench, singles))
-    return ScreeningResult(bench, none, tuple(singles), tuple(pairs))
+    log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
+    dataset = dataset.with_fewer_plates()
+    report(f"linearising {len(dataset.runs)} runs, and {len(effects)} effects along them")
+    linearized = linearize_runs(dataset, log_zeta, pool, settings.linearization)
+    regressors = Regressors.of(dataset, linearized, effects, pool, settings.linear_fit)
+    return _Screening(regressors, pool, settings).run(report)
 
 
-def _with_far(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Singles, and in their place those that do better from a strength far from zero."""
-    afar = [
-        (variant, coordinate, values)
-        for variant in bench.variants
-        for coordinate, values in _far(variant.effect).items()
-    ]
-    models = [*dict.fromkeys(AugmentedModel((variant.effect,)) for variant, _, _ in afar)]
-    bench.dataset.precompile(predict, models)
-    bench.dataset.precompile(predict_with_jacobian, models)
+@dataclass(frozen=True, eq=False)
+class _Screening:
+    """The screening of one dataset.
 
-    def tried(far: tuple[ShapeVariant, int, list[float]]) -> Hypothesis:
-        variant, coordinate, values = far
-        start = linear_start(bench, [variant])
-        ways = [replace(start, ahead=_to(start, coordinate, value)) for value in values]
-        found = [refine(bench, each, 1) for each in ways]
+    Attributes:
+        regressors: The runs.
+        pool: Threads.
+        settings: Numbers of the screening.
+    """
+
+    regressors: Regressors
+    pool: RunPool
+    settings: ScreeningSettings
+
+    def run(self, report: Report) -> ScreeningResult:
+        """Rank, simulate and pair the effects."""
+        none = self.refine(linear_start(self.regressors, []), self.settings.reference_simulations)
+        report("screening")
+        ranked = self.rank()
+        report(f"simulating the leading {len(ranked)} effects")
+        singles = self.simulate_singles(ranked)
+        blocks = self.regressors.gram_matrices.blocks
+        weights = self.regressors.settings
+        miss = floor_inflation(blocks, none.fit.mean_square, 1.0, weights)
+        if miss > self.settings.far_from_floor:
+            singles = self.with_large_strengths(singles)
+        singles = self.finish(singles)
+        pairs: list[Hypothesis] = []
+        if singles and self.leaves_gap(singles[0]):
+            report("pairs of effects")
+            pairs = self.finish(self.refine_pairs(singles))
+        return ScreeningResult(self.regressors, none, tuple(singles), tuple(pairs))
+
+    def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
+        """Refine a hypothesis by so many simulations at most."""
+        return refine(self.regressors, start, simulations, self.pool, self.settings.refinement)
+
+    def refine_pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Simulate the leading pairs that begin with one of these."""
+        settings = self.settings
+        return refine_pairs(
+            self.regressors,
+            singles,
+            self.pool,
+            settings.pairs,
+            settings.refinement,
+        )
+
+    def rank(self) -> list[tuple[ShapeVariant, LinearFit]]:
+        """The leading effects' best variants by linear fits, the rankings taking turns."""
+        regressors, settings = self.regressors, self.settings
+        blocks = regressors.gram_matrices.blocks
+        reference = linear_fit_of(regressors, [])
+        orders = []
+        gaining: set[str] = set()
+        for share, linear_error in settings.rankings:
+            inflation = floor_inflation(blocks, reference.mean_square, share, regressors.settings)
+            without = linear_fit_of(regressors, [], inflation, linear_error).score
+            best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
+            for variant in regressors.variants:
+                fit = linear_fit_of(regressors, [variant], inflation, linear_error)
+                name = variant.effect.about.name
+                if name not in best or fit.score > best[name][1].score:
+                    best[name] = variant, fit
+            orders.append(sorted(best.values(), key=lambda each: -each[1].score))
+            least = without + settings.min_linear_gain
+            gaining |= {name for name, (_, fit) in best.items() if fit.score > least}
+        found: dict[str, tuple[ShapeVariant, LinearFit]] = {}
+        for turn in zip(*orders, strict=True):
+            for variant, fit in turn:
+                found.setdefault(variant.effect.about.name, (variant, fit))
+        leading = [
+            each
+            for place, (name, each) in enumerate(found.items())
+            if place < settings.min_simulated or name in gaining
+        ]
+        return leading[: settings.max_simulated]
+
+    def simulate_singles(
+        self, ranked: Sequence[tuple[ShapeVariant, LinearFit]]
+    ) -> list[Hypothesis]:
+        """Refine each of the leading effects by a few simulations."""
+        starts = [linear_start(self.regressors, [variant], fit) for variant, fit in ranked]
+        self.regressors.dataset.precompile(self.pool, predict, [each.model for each in starts])
+        simulations = self.settings.first_simulations
+        return self.pool.map_outer(lambda each: self.refine(each, simulations), starts)
+
+    def with_large_strengths(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Singles, and in their place those that do better from a strength far from zero."""
+        tries = [
+            (variant, coordinate, values)
+            for variant in self.regressors.variants
+            for coordinate, values in _large_strengths(variant.effect).items()
+        ]
+        models = [*dict.fromkeys(AugmentedModel((variant.effect,)) for variant, _, _ in tries)]
+        dataset = self.regressors.dataset
+        dataset.precompile(self.pool, predict, models)
+        dataset.precompile(self.pool, predict_with_jacobian, models)
+        found = {each.names: each for each in singles}
+        for best in self.pool.map_outer(lambda each: self.try_strengths(*each), tries):
+            better = best.names not in found or best.score > found[best.names].score
+            if best.is_simulated and better:
+                found[best.names] = best
+        return list(found.values())
+
+    def try_strengths(
+        self, variant: ShapeVariant, coordinate: int, values: Sequence[float]
+    ) -> Hypothesis:
+        """Simulate an effect at each of some strengths, and refine the best from there."""
+        start = linear_start(self.regressors, [variant])
+        starts = [
+            replace(start, proposed_step=_step_to(start, coordinate, value)) for value in values
+        ]
+        found = [self.refine(each, 1) for each in starts]
         best = max(found, key=lambda each: each.score if each.is_simulated else -np.inf)
         if not best.is_simulated:
             return best
-        # The way there was long: what it tells of the columns holds for no small step.
-        return refine(bench, relinearize(bench, best), MORE_TURNS)
+        # The way there was long: the derivatives that it corrected hold for no small step.
+        exact = relinearize(self.regressors, best, self.pool)
+        return self.refine(exact, self.settings.simulations_per_round)
 
-    found = {each.names: each for each in singles}
-    for best in bench.dataset.map_items(tried, afar):
-        better = best.names not in found or best.score > found[best.names].score
-        if best.is_simulated and better:
-            found[best.names] = best
-    return list(found.values())
+    def finish(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Refine the leading hypotheses to their end; return all of them, best first."""
+        regressors, pool, settings = self.regressors, self.pool, self.settings
+        worth = pool.map_outer(lambda each: predicted_score(regressors, each, pool), hypotheses)
+        ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
+        hypotheses = [each for _, each in ranked]
+        leading = hypotheses[: settings.max_continued]
+        hopeful = [e for e in hypotheses[: settings.max_relinearized] if self.leaves_gap(e)]
+        models = [each.model for each in hopeful]
+        regressors.dataset.precompile(pool, predict_with_jacobian, models)
+        simulations = settings.simulations_per_round
+        leading = pool.map_outer(lambda each: self.refine(each, simulations), leading)
+        done: list[Hypothesis] = []
+        for place, each in enumerate(leading):
+            best = done[0].score if done else -np.inf
+            relinearized = place < settings.max_relinearized
+            done.append(self.finish_one(each, best) if relinearized else each)
+        return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
+
+    def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:
+        """Refine a hypothesis with fresh derivatives, round by round, while that gains."""
+        settings = self.settings
+        for _ in range(settings.max_rounds):
+            if not here.is_simulated or not self.leaves_gap(here):
+                break
+            if here.score < best_score - settings.hopeless_deficit:
+                break
+            exact = relinearize(self.regressors, here, self.pool)
+            further = self.refine(exact, settings.simulations_per_round)
+            gain = further.score - here.score
+            here = further
+            if gain < settings.min_round_gain:
+                break
+        return here
+
+    def leaves_gap(self, best: Hypothesis) -> bool:
+        """Tell whether a hypothesis leaves more than the model error in a channel's slow part."""
+        blocks = self.regressors.gram_matrices.blocks
+        errors = self.regressors.settings.model_errors(blocks)
+        return any(
+            np.sqrt(left) > self.settings.pair_floor * error
+            for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
+            if kind == "slow"
+        )
 
 
-def _far(effect: type[AbstractEffect]) -> dict[int, list[float]]:
-    """The values far from zero to try [typical sizes], by the strength's place; few have any."""
+def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:
+    """Values far from zero to try [typical sizes], by the strength's place; few have any."""
     about = [field_metadata(effect)[name] for name in strengths(effect)]
     return {
         place: [value / each["typical"] for value in each["far"]]
@@ -152,77 +325,10 @@ def _far(effect: type[AbstractEffect]) -> dict[int, list[float]]:
     }
 
 
-def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """The way from a proposal's null to one strength alone."""
+def _step_to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
+    """Step from a start's null to one strength alone."""
     assert start.proposed_step is not None
     zeta, change = start.proposed_step
     there = change.copy()
     there[coordinate] = value - start.coordinates[coordinate]
     return np.zeros_like(zeta), there
-
-
-def _finished(bench: Regressors, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-    """The leading hypotheses settled to their end, all of them best first."""
-    side_by_side = bench.dataset.map_items
-    worth = side_by_side(lambda each: predicted_score(bench, each), hypotheses)
-    ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
-    hypotheses = [each for _, each in ranked]
-    done: list[Hypothesis] = []
-    hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
-    bench.dataset.precompile(predict_with_jacobian, [each.model for each in hopeful])
-    leading = side_by_side(lambda each: refine(bench, each, MORE_TURNS), hypotheses[:FINISHED])
-    for place, each in enumerate(leading):
-        for _ in range(ROUNDS):
-            if place >= REFRESHED or not each.is_simulated or not _leaves_much(bench, each):
-                break
-            if done and each.score < done[0].score - HOPELESS:
-                break
-            further = refine(bench, relinearize(bench, each), MORE_TURNS)
-            gained = further.score - each.score
-            each = further
-            if gained < WORTH_A_ROUND:
-                break
-        done.append(each)
-    return sorted(done + hypotheses[FINISHED:], key=lambda each: -each.score)
-
-
-def _ranked(bench: Regressors) -> list[tuple[ShapeVariant, LinearFit]]:
-    """The leading effects' best variants by straight lines, judged coarsely and finely.
-
-    Where the gap is large a straight line's own error hides what an effect explains; so the
-    orders take turns.
-    """
-    start = linear_fit_of(bench, [])
-    orders = []
-    telling: set[str] = set()
-    for share, trust in ORDERS:
-        coarse = floor_inflation(bench.gram_matrices.blocks, start.mean_square, share)
-        nothing = linear_fit_of(bench, [], coarse, trust).score
-        best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-        for variant in bench.variants:
-            line = linear_fit_of(bench, [variant], coarse, trust)
-            name = variant.effect.about.name
-            if name not in best or line.score > best[name][1].score:
-                best[name] = variant, line
-        orders.append(sorted(best.values(), key=lambda each: -each[1].score))
-        telling |= {n for n, (_, line) in best.items() if line.score > nothing + WORTH_SAYING}
-    found: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-    for pair in zip(*orders, strict=True):
-        for variant, line in pair:
-            found.setdefault(variant.effect.about.name, (variant, line))
-    leading = [
-        pair
-        for place, (name, pair) in enumerate(found.items())
-        if place < FEWEST_SINGLES or name in telling
-    ]
-    return leading[:SINGLES]
-
-
-def _leaves_much(bench: Regressors, best: Hypothesis) -> bool:
-    """Whether a hypothesis leaves more than a model's own error in the slow part of a channel."""
-    blocks = bench.gram_matrices.blocks
-    return any(
-        np.sqrt(left) > MUCH * FLOOR[block]
-        for block, left in zip(blocks, best.fit.mean_square, strict=True)
-        if block[1] == "slow"
-    )

@@ -1,8 +1,11 @@
-"""What an effect does to a simulated run at each of its nodes, per unit of each strength.
+r"""Derivative of a run's inputs, state and readings by the strengths of one effect, at every node.
 
-An effect changes either some of the inputs that a run is linearised by (zeta, forces, speed, the
-surface's plane), or a step as a whole (what bears on plates), or the readings. Each is
-differentiated along the run as simulated without it.
+An effect acts on some of the inputs of a linearised run (zeta, forces, speed, the surface's plane),
+on a step as a whole (effects on plates), or on the readings. Its equations are differentiated by
+each strength $\theta$ at zero, in forward mode, along the run as simulated without it. That gives
+$\partial u_k/\partial\theta$, $\partial m_k/\partial\theta$ (state at a step's end),
+$\partial f_k/\partial\theta$ (forces) and $\partial y_k/\partial\theta$ (readings) at node k, which
+`propagate` sums up along the linearised run to the response of the readings.
 """
 
 from dataclasses import replace
@@ -41,18 +44,21 @@ from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.physics.state import Output
 from drftjax.simulation.trial import Trial
 
+# Values of an effect's shapes by name, one for each variant.
 ShapeValues = dict[str, Float[Array, " variants"]]
 
 
 class InputSensitivity(eqx.Module):
-    """Derivatives along a run by strengths and variants of shape, columns last.
+    """Forcing of a linearised run per unit of strength; columns are strengths of shape variants.
 
     Attributes:
-        inputs: Of the inputs, shape (nodes, inputs, columns).
-        motion: Of a step's end, shape (nodes, 5, columns).
-        forces: Of the forces read, shape (nodes, 3, columns).
-        readings: Of (x, z, fx, fz, torque) as read at the nodes' ends, shape (nodes, 5, columns).
-        start: Of the motion that the run starts with, shape (1, 5, columns).
+        inputs: Derivative of the inputs, in the order of `INPUTS`, shape (nodes, inputs, columns).
+        motion: Of (x, z, vx, vz, angle) at the end of one step [m, m/s, rad], shape (nodes, 5,
+            columns).
+        forces: Of the measured (fx, fz, torque) [N, N m], shape (nodes, 3, columns).
+        readings: Of (x, z, fx, fz, torque) as read at the nodes' ends [m, N, N m], shape (nodes, 5,
+            columns).
+        start: Of the motion at the run's start, shape (1, 5, columns).
     """
 
     inputs: Float[Array, "nodes inputs columns"]
@@ -69,7 +75,7 @@ READINGS = ("x", "z", "fx", "fz", "torque")
 def effect_sensitivity(
     effect: type[AbstractEffect],
     trial: Trial,
-    path: LinearizedRun,
+    linearized: LinearizedRun,
     node: Float[Array, ""],
     variants: ShapeValues,
     held: Held,
@@ -78,14 +84,14 @@ def effect_sensitivity(
 
     Args:
         effect: The effect's class.
-        trial: The run as it was traced.
-        path: Its trace.
+        trial: The run as it was linearised.
+        linearized: The linearised run.
         node: Length of a node [s].
         variants: Values of the effect's shapes; may be empty.
         held: Numbers of the effect that no fit changes, by field.
 
     Returns:
-        Columns go by variant, then by strength.
+        Derivatives per unit of each strength; columns go by variant, then by strength.
     """
     names = strengths(effect)
     at_null = jnp.zeros(len(names))
@@ -93,7 +99,7 @@ def effect_sensitivity(
     def of(values: ShapeValues):
         def along(strengths_: Array):
             built = effect(**dict(zip(names, strengths_, strict=True)), **values, **held)
-            return _along(built, trial, path, node)
+            return _along(built, trial, linearized, node)
 
         return jax.vmap(lambda d: jax.jvp(along, (at_null,), (d,))[1], out_axes=-1)(
             jnp.eye(len(names))
@@ -106,45 +112,52 @@ def effect_sensitivity(
 
 
 def _along(
-    effect: AbstractEffect, trial: Trial, path: LinearizedRun, node: Float[Array, ""]
+    effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node: Float[Array, ""]
 ) -> InputSensitivity:
+    """Inputs, state and readings of the run with an effect, to be differentiated."""
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
-        kick, read = _of_a_step(effect, trial, path, node), slice(0, 2)  # forces are read in it
+        sensitivity = _through_a_step(effect, trial, linearized, node)
+        read = slice(0, 2)  # the step reads forces itself
     else:
-        kick, read = _of_its_inputs(effect, trial, path, node), slice(None)
+        sensitivity = _through_inputs(effect, trial, linearized, node)
+        read = slice(None)
     if isinstance(effect, AbstractSensor):
-        readings = kick.readings.at[:, read].set(_readings(effect, path, node)[:, read])
-        start = path.motion[0].at[:2].set(effect.started(path.motion[0, :2]))
-        kick = replace(kick, readings=readings, start=start[None])
-    return kick
+        readings = sensitivity.readings.at[:, read].set(
+            _readings(effect, linearized, node)[:, read]
+        )
+        start = linearized.motion[0].at[:2].set(effect.started(linearized.motion[0, :2]))
+        sensitivity = replace(sensitivity, readings=readings, start=start[None])
+    return sensitivity
 
 
-def _of_its_inputs(
-    effect: AbstractEffect, trial: Trial, path: LinearizedRun, node
+def _through_inputs(
+    effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node
 ) -> InputSensitivity:
+    """The same of an effect that acts on inputs of the linearised run."""
     series: dict[str, Array] = {}
-    read = jnp.zeros((path.middle_time.shape[0], len(FORCES)))
+    read = jnp.zeros((linearized.middle_time.shape[0], len(FORCES)))
     if isinstance(effect, AbstractZetaFactor):
-        series["zeta"] = _zeta(effect, trial, path, node)
+        series["zeta"] = _zeta(effect, trial, linearized, node)
     if isinstance(effect, AbstractPlane):
-        series["height"], series["rise"] = _plane(effect, trial, path, node)
+        series["height"], series["rise"] = _plane(effect, trial, linearized, node)
     if isinstance(effect, AbstractDrive):
-        series["speed"] = _speed(effect, trial, path, node)
+        series["speed"] = _speed(effect, trial, linearized, node)
     if isinstance(effect, AbstractLoad):
-        force = _force(effect, trial, path, node)
+        force = _force(effect, trial, linearized, node)
         series["force_x"], series["force_z"] = force[:, 0], force[:, 1]
         if isinstance(effect, AbstractSandLoad):
             read = read.at[:, :2].set(force)
-    return replace(_of_inputs(path, **series), forces=read)
+    return replace(_forced_inputs(linearized, **series), forces=read)
 
 
-def _of_inputs(path: LinearizedRun, **series: Float[Array, " nodes"]) -> InputSensitivity:
-    nothing = jnp.zeros_like(path.middle_time)
-    nodes = nothing.shape[0]
+def _forced_inputs(linearized: LinearizedRun, **series: Float[Array, " nodes"]) -> InputSensitivity:
+    """A forcing by some inputs alone, by their names in `INPUTS`."""
+    zeros = jnp.zeros_like(linearized.middle_time)
+    nodes = zeros.shape[0]
     return InputSensitivity(
-        jnp.stack([series.get(name, nothing) for name in INPUTS], axis=1),
+        jnp.stack([series.get(name, zeros) for name in INPUTS], axis=1),
         jnp.zeros((nodes, MOTION)),
         jnp.zeros((nodes, len(FORCES))),
         jnp.zeros((nodes, len(READINGS))),
@@ -152,131 +165,189 @@ def _of_inputs(path: LinearizedRun, **series: Float[Array, " nodes"]) -> InputSe
     )
 
 
-def _moments(trial: Trial, path: LinearizedRun, node: Float[Array, ""]) -> StepContext:
-    """What an effect may know in the middle of each node, nodes leading."""
-    commanded = jax.vmap(lambda time: command_at_time(trial, time).omega)(path.middle_time)
-    alike = jnp.ones_like(path.middle_time)
+def _contexts(trial: Trial, linearized: LinearizedRun, node: Float[Array, ""]) -> StepContext:
+    """Context of an effect in the middle of each node, leaves of shape (nodes, ...)."""
+    commanded = jax.vmap(lambda time: command_at_time(trial, time).omega)(linearized.middle_time)
+    ones = jnp.ones_like(linearized.middle_time)
     return StepContext(
-        path.middle_time,
-        node * alike,
-        path.middle_motion[:, :2],
-        path.middle_motion[:, 2:4],
-        path.middle_motion[:, 4],
-        path.middle_omega,
+        linearized.middle_time,
+        node * ones,
+        linearized.middle_motion[:, :2],
+        linearized.middle_motion[:, 2:4],
+        linearized.middle_motion[:, 4],
+        linearized.middle_omega,
         commanded,
-        trial.simulator.wheel.radius * alike,
+        trial.simulator.wheel.radius * ones,
     )
 
 
 def _zeta(
-    effect: AbstractZetaFactor, trial: Trial, path: LinearizedRun, node
+    effect: AbstractZetaFactor, trial: Trial, linearized: LinearizedRun, node
 ) -> Float[Array, " nodes"]:
-    def one(memory, moment: StepContext):
-        half = replace(moment, dt=moment.dt / 2)
+    """Logarithm of the effect's factor on zeta, in the middle of each node."""
+
+    def one(memory, context: StepContext):
+        half = replace(context, dt=context.dt / 2)
         memory = effect.advance(memory, half)
-        return effect.advance(memory, half), jnp.log(effect.factor(moment, memory))
+        return effect.advance(memory, half), jnp.log(effect.factor(context, memory))
 
-    return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
+    return jax.lax.scan(one, effect.begin(), _contexts(trial, linearized, node))[1]
 
 
-def _plane(effect: AbstractPlane, trial: Trial, path: LinearizedRun, node) -> tuple[Array, Array]:
-    def one(memory, moment: StepContext):
-        half = replace(moment, dt=moment.dt / 2)
+def _plane(
+    effect: AbstractPlane, trial: Trial, linearized: LinearizedRun, node
+) -> tuple[Array, Array]:
+    """Height [m] and rise [-] of the surface under the axle, in the middle of each node."""
+
+    def one(memory, context: StepContext):
+        half = replace(context, dt=context.dt / 2)
         memory = effect.advance(memory, half)
-        return effect.advance(memory, half), effect.plane(moment.position[0], memory)
+        return effect.advance(memory, half), effect.plane(context.position[0], memory)
 
-    return jax.lax.scan(one, effect.begin(), _moments(trial, path, node))[1]
+    return jax.lax.scan(one, effect.begin(), _contexts(trial, linearized, node))[1]
 
 
 def _force(
-    effect: AbstractLoad, trial: Trial, path: LinearizedRun, node
+    effect: AbstractLoad, trial: Trial, linearized: LinearizedRun, node
 ) -> Float[Array, "nodes 2"]:
-    def one(memory, moment: StepContext):
-        force = effect.load(moment.position, moment.velocity, moment, memory)
-        return effect.advance(memory, moment), force
+    """Force on the axle [N], in the middle of each node."""
 
-    return jax.lax.scan(one, effect.begin(path.motion[0, :2]), _moments(trial, path, node))[1]
+    def one(memory, context: StepContext):
+        force = effect.load(context.position, context.velocity, context, memory)
+        return effect.advance(memory, context), force
+
+    return jax.lax.scan(
+        one, effect.begin(linearized.motion[0, :2]), _contexts(trial, linearized, node)
+    )[1]
 
 
 def _speed(
-    effect: AbstractDrive, trial: Trial, path: LinearizedRun, node
+    effect: AbstractDrive, trial: Trial, linearized: LinearizedRun, node
 ) -> Float[Array, " nodes"]:
-    moments = _moments(trial, path, node)
+    """Angular velocity of the wheel [rad/s], in the middle of each node."""
+    contexts = _contexts(trial, linearized, node)
 
-    def one(memory, moment: StepContext):
-        before = moment.angle - node * moment.commanded
-        omega, memory = effect.turn(moment.commanded, before, node, memory)
+    def one(memory, context: StepContext):
+        before = context.angle - node * context.commanded
+        omega, memory = effect.turn(context.commanded, before, node, memory)
         return memory, omega
 
-    return jax.lax.scan(one, effect.begin(path.omega[0], path.motion[0, 4]), moments)[1]
+    return jax.lax.scan(one, effect.begin(linearized.omega[0], linearized.motion[0, 4]), contexts)[
+        1
+    ]
 
 
-def _readings(effect: AbstractSensor, path: LinearizedRun, node) -> Float[Array, "nodes 5"]:
+def _readings(effect: AbstractSensor, linearized: LinearizedRun, node) -> Float[Array, "nodes 5"]:
+    """Readings (x, z, fx, fz, torque) at the nodes' ends [m, N, N m]."""
+
     def output(time, motion, omega, forces) -> Output:
         x, z, vx, vz, angle = motion
         fx, fz, torque = forces
         nought = jnp.zeros_like(time)
         return Output(time, x, z, vx, vz, angle, omega, fx, fz, torque, nought, -z, nought)
 
-    ends = path.time[1:], path.motion[1:], path.omega[1:], path.forces
+    ends = linearized.time[1:], linearized.motion[1:], linearized.omega[1:], linearized.forces
 
     def one(memory, row):
         reading, memory = effect.read(output(*row), node, memory)
         return memory, jnp.stack([getattr(reading, name) for name in READINGS])
 
-    first = output(path.time[0], path.motion[0], path.omega[0], path.forces[0])
+    first = output(
+        linearized.time[0], linearized.motion[0], linearized.omega[0], linearized.forces[0]
+    )
     return jax.lax.scan(one, effect.begin(first), ends)[1]
 
 
-def _of_a_step(effect: AbstractEffect, trial: Trial, path: LinearizedRun, node) -> InputSensitivity:
-    """What a step in the middle of each node ends at with the effect."""
+def _through_a_step(
+    effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node
+) -> InputSensitivity:
+    """End and forces of a step in the middle of each node, with the effect."""
     plain = trial.simulator
     simulator = replace(plain, effects=(*plain.effects, effect)).prepared()
-    first = command_at_time(trial, path.time[0])
-    memory = simulator.begin(state_of(path.motion[0], path.time[0], path.omega[0]), first).memory
+    first = command_at_time(trial, linearized.time[0])
+    memory = simulator.begin(
+        state_of(linearized.motion[0], linearized.time[0], linearized.omega[0]), first
+    ).memory
 
     def one(memory, row):
         time, motion, omega = row
         start = state_of(motion, time, omega, memory)
-        after, output = simulator.step(start, command_at_time(trial, time + path.dt), path.dt)
+        after, output = simulator.step(
+            start, command_at_time(trial, time + linearized.dt), linearized.dt
+        )
         memory = simulator.step(start, command_at_time(trial, time + node), node)[0].memory
         return memory, (motion_of(after), jnp.stack([getattr(output, name) for name in FORCES]))
 
-    rows = path.middle_time, path.middle_motion, path.middle_omega
+    rows = linearized.middle_time, linearized.middle_motion, linearized.middle_omega
     motion, forces = jax.lax.scan(one, memory, rows)[1]
-    return replace(_of_inputs(path), motion=motion, forces=forces)
+    return replace(_forced_inputs(linearized), motion=motion, forces=forces)
 
 
 @eqx.filter_jit
-def propagate(path: LinearizedRun, kick: InputSensitivity) -> Float[Array, "all 5 columns"]:
-    """What a run's readings (x, z, fx, fz, torque) become at its nodes, per unit of each column."""
-    driven = jnp.einsum("nij,njc->nic", path.input_matrix, kick.inputs) + kick.motion
-    driven = jnp.einsum("nij,njc->nic", path.substep_sum, driven)
+def propagate(
+    linearized: LinearizedRun, sensitivity: InputSensitivity
+) -> Float[Array, "all 5 columns"]:
+    r"""Response of a run's readings to a forcing, at its nodes.
+
+    With $u_k$, $m_k$, $f_k$, $y_k$ the columns of `sensitivity` and A, B, C, D, n of
+    `diagnose.model.linearized_run`,
+
+    $$s_{k+1} = A_k^n s_k + \Big(\sum_{i<n} A_k^i\Big)(B_k u_k + m_k),\qquad
+      g_k = C_k s_k + D_k u_k + f_k,$$
+
+    from $s_0$ = `sensitivity.start`. Position is read as $(x, z)_k$ of $s_k$, shifted by the
+    grousers' ripple $\rho_k \varphi_k$, and everything by $y_k$.
+
+    Args:
+        linearized: The linearised run.
+        sensitivity: The forcing.
+
+    Returns:
+        Change of (x, z, fx, fz, torque) at the node times per unit of each column [m, N, N m],
+        shape (nodes + 1, 5, columns); zero at the start.
+    """
+    driven = (
+        jnp.einsum("nij,njc->nic", linearized.input_matrix, sensitivity.inputs) + sensitivity.motion
+    )
+    driven = jnp.einsum("nij,njc->nic", linearized.substep_sum, driven)
 
     def one(motion, row):
-        carry, drive, see, forces, ripple = row
-        place = motion[:2] + ripple[:, None] * motion[4]
-        return carry @ motion + drive, (place, see @ motion + forces)
+        transition, drive, by_state, forces, ripple = row
+        position = motion[:2] + ripple[:, None] * motion[4]
+        return transition @ motion + drive, (position, by_state @ motion + forces)
 
-    seen = jnp.einsum("nij,njc->nic", path.force_by_input, kick.inputs) + kick.forces
-    last, (place, forces) = jax.lax.scan(
-        one,
-        kick.start[0],
-        (path.state_transition, driven, path.force_by_state, seen, path.ripple[:-1]),
+    forcing = (
+        jnp.einsum("nij,njc->nic", linearized.force_by_input, sensitivity.inputs)
+        + sensitivity.forces
     )
-    place = jnp.concatenate([place[1:], last[None, :2]])
-    readings = jnp.concatenate([place, forces], axis=1) + kick.readings
+    last, (position, forces) = jax.lax.scan(
+        one,
+        sensitivity.start[0],
+        (
+            linearized.state_transition,
+            driven,
+            linearized.force_by_state,
+            forcing,
+            linearized.ripple[:-1],
+        ),
+    )
+    position = jnp.concatenate([position[1:], last[None, :2]])
+    readings = jnp.concatenate([position, forces], axis=1) + sensitivity.readings
     return jnp.concatenate([jnp.zeros_like(readings[:1]), readings])
 
 
-def zeta_sensitivity(path: LinearizedRun) -> InputSensitivity:
-    """The run's own log zeta as the only column."""
-    alike = jnp.ones_like(path.middle_time)
-    return jax.tree.map(lambda leaf: leaf[..., None], _of_inputs(path, zeta=alike))
+def zeta_sensitivity(linearized: LinearizedRun) -> InputSensitivity:
+    """Sensitivity to the run's own log zeta, its only column."""
+    ones = jnp.ones_like(linearized.middle_time)
+    return jax.tree.map(lambda leaf: leaf[..., None], _forced_inputs(linearized, zeta=ones))
 
 
 def shape_grid(effect: type[AbstractEffect]) -> ShapeValues:
-    """Values of an effect's shapes that together cover what a rig may show."""
+    """Grid over an effect's shapes that covers the values a rig may show.
+
+    Returns:
+        By shape, its value in each variant, shape (variants,); empty for an effect without shapes.
+    """
     about = field_metadata(effect)
     starts = [np.asarray(about[name]["starts"], float) for name in shapes(effect)]
     if not starts:

@@ -1,82 +1,141 @@
-"""How well effects explain a case, judged on straight lines through the baseline.
+r"""Fits of effects on linear responses, from Gram matrices, and the score of what they leave.
 
-Every run and block gives a matrix of products of its columns: its own zeta, every effect's
-strengths, and what the baseline leaves. All fits on straight lines then cost a few numbers each.
+Residuals are divided into blocks b, a channel's slow and fast part
+(`diagnose.linear.residual_blocks`), each with a variance of its own. A linear fit changes the
+residual of run r by its own log zeta $\zeta_r$ and by the coefficients $\theta$ that all runs
+share; with $x_r = (\zeta_r, \theta, 1)$ the sum of squares that it leaves is $x_r^T G_{rb} x_r$,
+with the Gram matrix $G_{rb} = X_{rb}^T X_{rb}$ of the columns $X_{rb}$ = (response to own log zeta,
+responses to coefficients, residual). Once these matrices are known every fit costs a few numbers.
+
+With $N_b$ samples in block b the mean square left is $s_b = \sum_r x_r^T G_{rb} x_r / N_b$, and the
+log score (profile log-likelihood, up to a constant)
+
+$$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
+  - \tfrac12 w_\zeta (R - 1) \ln(V_\zeta + \sigma_\zeta^2),$$
+
+where $\sigma_b$ is a model's own error, $e_b$ the part of the response that its linearity may be
+wrong by, $V_\zeta$ the variance of log zeta over the R runs, and $w$ the independent statements in
+a sample. The fit maximises it, with a Gaussian prior on $\theta$, by iteratively reweighted least
+squares: each iteration weighs block b by $w_b / (s_b + e_b + \sigma_b^2)$ of the one before.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
 from diagnose.linear.residual_blocks import KINDS
 
-# A model's own error, in each block, that no fit is asked to go under [m, N, N m].
-FLOOR = {
-    ("z", "slow"): 20e-6,
-    ("z", "fast"): 10e-6,
-    ("x", "slow"): 20e-6,
-    ("x", "fast"): 20e-6,
-    ("fx", "slow"): 0.3,
-    ("fx", "fast"): 0.5,
-    ("fz", "slow"): 0.3,
-    ("fz", "fast"): 0.5,
-    ("torque", "slow"): 0.03,
-    ("torque", "fast"): 0.05,
-}
+Block = tuple[str, str]
 
 
-# Scatter of log zeta from run to run that says nothing.
-ZETA_SCATTER = 0.012
+def _default_model_error() -> Mapping[Block, float]:
+    return MappingProxyType(
+        {
+            ("z", "slow"): 20e-6,
+            ("z", "fast"): 10e-6,
+            ("x", "slow"): 20e-6,
+            ("x", "fast"): 20e-6,
+            ("fx", "slow"): 0.3,
+            ("fx", "fast"): 0.5,
+            ("fz", "slow"): 0.3,
+            ("fz", "fast"): 0.5,
+            ("torque", "slow"): 0.03,
+            ("torque", "fast"): 0.05,
+        }
+    )
 
 
-# How many independent statements a block makes: per bin, and per sample.
-WORTH = {"slow": 0.1, "fast": 0.01}
+@dataclass(frozen=True)
+class LinearFitSettings:
+    """Numbers by which residuals are weighed and effects fitted on linear responses.
+
+    Attributes:
+        model_error: A model's own error in each block, by (channel, kind), that no fit is asked to
+            fall below [m, N, N m].
+        slow_worth: Independent statements in one bin of a slow part [-].
+        fast_worth: Independent statements in one sample of a fast part [-].
+        zeta_worth: Independent statements in one run's log zeta [-].
+        zeta_scatter: Scatter of log zeta from run to run that sand shows in any case [-].
+        strength_prior: Width of the prior on a strength [typical sizes].
+        shape_prior: Least width of the prior on a shape's logarithm [-]; half the range of the
+            shape's grid where that is wider.
+        linear_error: Share of an effect's response that may be wrong for being linear [-].
+        corrected_error: The same where a simulation has corrected the responses [-].
+        max_log_step: Longest step of a logarithm (of zeta, of a shape) for which a linear response
+            is trusted [-].
+        iterations: Reweightings of a fit.
+    """
+
+    model_error: Mapping[Block, float] = field(default_factory=_default_model_error)
+    slow_worth: float = 0.1
+    fast_worth: float = 0.01
+    zeta_worth: float = 0.6
+    zeta_scatter: float = 0.012
+    strength_prior: float = 5.0
+    shape_prior: float = 1.0
+    linear_error: float = 0.1
+    corrected_error: float = 0.05
+    max_log_step: float = 0.5
+    iterations: int = 8
+
+    def model_errors(self, blocks: Sequence[Block]) -> np.ndarray:
+        """A model's own error in these blocks [m, N, N m], shape (blocks,)."""
+        return np.array([self.model_error[block] for block in blocks])
+
+    def worth(self, blocks: Sequence[Block]) -> np.ndarray:
+        """Independent statements in one sample of these blocks [-], shape (blocks,)."""
+        worth = {"slow": self.slow_worth, "fast": self.fast_worth}
+        return np.array([worth[kind] for _, kind in blocks])
 
 
-ZETA_WORTH = 0.6
-
-
-TURNS = 8
-
-
-# Share of an effect's response that its straight line may be wrong by.
-LINES_ERR = 0.1
-
-
-# How straight lines are judged, order by order: the share of the worst block's distance from its
-# floor that floors are raised to, and the share of a response that a line may be wrong by. The last
-# takes lines at their word: an effect that zeta all but makes up for is small only on the whole.
-ORDERS = ((0.3, LINES_ERR), (0.1, LINES_ERR), (0.0, LINES_ERR), (0.0, 0.0))
+DEFAULT_LINEAR_FIT = LinearFitSettings()
 
 
 @dataclass(frozen=True)
 class GramMatrices:
-    """Products of columns, by run and block.
+    """Products of columns with each other, by run and block.
 
     Attributes:
         blocks: (channel, kind) of each block.
-        gram: Products of (own zeta, columns..., residual), shape (runs, blocks, n, n).
-        number: Samples in each, shape (runs, blocks).
-        log_zeta: The baseline's log zeta of each run, over one reference for all.
+        gram: Gram matrices of (own log zeta, columns..., residual), shape (runs, blocks, 2 +
+            columns, 2 + columns), in the blocks' units squared.
+        sample_count: Samples in each, shape (runs, blocks).
+        log_zeta: Log zeta of each run over one reference for all [-], where its columns begin,
+            shape (runs,).
     """
 
-    blocks: tuple[tuple[str, str], ...]
+    blocks: tuple[Block, ...]
     gram: np.ndarray
     sample_count: np.ndarray
     log_zeta: np.ndarray
 
+    def of_runs(self, runs: np.ndarray) -> "GramMatrices":
+        """Those of some runs, by number."""
+        return GramMatrices(
+            self.blocks, self.gram[runs], self.sample_count[runs], self.log_zeta[runs]
+        )
+
+    def of_columns(self, columns: Sequence[int]) -> "GramMatrices":
+        """Those of some columns beside own log zeta and residual, by number."""
+        take = np.r_[0, 1 + np.asarray(columns, int), self.gram.shape[-1] - 1]
+        runs, blocks = (np.arange(size) for size in self.gram.shape[:2])
+        gram = self.gram[np.ix_(runs, blocks, take, take)]
+        return GramMatrices(self.blocks, gram, self.sample_count, self.log_zeta)
+
 
 @dataclass(frozen=True)
 class LinearFit:
-    """A fit on straight lines.
+    """Result of a fit on linear responses, or of a simulation in its place.
 
     Attributes:
-        score: What it is worth: half the weighted sum of the logarithms of what is left, less.
-        strengths: Coordinates of the columns used.
-        zeta: Change of each run's log zeta.
-        left: Mean square left in each block.
-        scatter: Mean square of log zeta about its mean.
+        score: Log score.
+        coefficients: Of the columns used, in units of their coordinates, shape (columns,).
+        log_zeta_change: Change of each run's log zeta [-], shape (runs,).
+        mean_square: Mean square of what is left in each block, shape (blocks,), in its unit
+            squared.
+        zeta_variance: Variance of log zeta over the runs [-].
     """
 
     score: float
@@ -87,107 +146,213 @@ class LinearFit:
 
 
 def fit_linear(
-    products: GramMatrices,
+    matrices: GramMatrices,
     columns: Sequence[int],
-    runs: np.ndarray | None = None,
     prior: np.ndarray | None = None,
-    at: np.ndarray | None = None,
-    least: np.ndarray | None = None,
-    trust: float = LINES_ERR,
-    coarse: float = 1.0,
+    offset: np.ndarray | None = None,
+    lower: np.ndarray | None = None,
+    linear_error: float | None = None,
+    inflation: float = 1.0,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> LinearFit:
-    """The best fit of some columns, every block weighed by what it leaves.
+    """Maximise the log score over the coefficients of some columns and each run's log zeta.
 
     Args:
-        products: Of the case.
-        columns: Which columns act, by their number.
-        runs: Which runs count; all where none are given.
-        prior: Width of the belief about each column's coefficient; none where left out.
-        at: Values the coefficients count from, for that belief; zero where left out.
-        least: Least change of each coefficient; none where left out.
-        trust: Share of the columns' response that a straight line may be wrong by.
-        coarse: Every block's floor is taken this much higher, so that the blocks that are missed
-            by most lead.
+        matrices: Gram matrices of the runs.
+        columns: Numbers of the columns that act.
+        prior: Width of the Gaussian prior on each coefficient, shape (columns,); none where left
+            out.
+        offset: Value that each coefficient counts from, over the centre of its prior; zero where
+            left out.
+        lower: Lower bound of each coefficient; none where left out.
+        linear_error: Share of the columns' response that may be wrong for being linear [-]; that of
+            the settings where left out.
+        inflation: Factor on every block's model error [-], so that the blocks that are missed by
+            most lead.
+        settings: Weights and numbers of the fit.
     """
-    p = len(columns)
-    chosen = np.arange(len(products.gram)) if runs is None else np.flatnonzero(runs)
-    r = len(chosen)
-    take = np.r_[0, 1 + np.asarray(columns, int), products.gram.shape[-1] - 1]
-    gram = products.gram[np.ix_(chosen, np.arange(len(products.blocks)), take, take)]
-    number = products.sample_count[chosen]
-    total = number.sum(axis=0)
-    floor = (coarse * np.array([FLOOR[b] for b in products.blocks])) ** 2
-    worth = total * np.array([WORTH[kind] for _, kind in products.blocks])
-    u0 = products.log_zeta[chosen]
-    centre = np.eye(r) - 1.0 / r
-    left = gram[:, :, -1, -1].sum(axis=0) / np.maximum(total, 1)
-    scatter = float(u0 @ centre @ u0) / max(r - 1, 1)
-    zeta_worth = ZETA_WORTH * (r - 1)
-    ridge = np.zeros(p) if prior is None else 1 / np.asarray(prior) ** 2
-    here = np.zeros(p) if at is None else np.asarray(at)
-    solution = np.zeros(p + r)
-    wrong = np.zeros(len(total))
-    for _ in range(TURNS):
-        weight = worth / (np.maximum(total, 1) * (left + floor + wrong))
-        summed = np.einsum("b,rbij->rij", weight, gram)
-        normal = np.zeros((p + r, p + r))
-        right = np.zeros(p + r)
-        normal[:p, :p] = summed[:, 1:-1, 1:-1].sum(axis=0) + np.diag(ridge)
-        right[:p] = -summed[:, 1:-1, -1].sum(axis=0) - ridge * here
-        own = np.arange(p, p + r)
+    problem = _problem(matrices.of_columns(columns), prior, offset, lower, inflation, settings)
+    share = settings.linear_error if linear_error is None else linear_error
+    still = np.zeros(len(problem.log_zeta))
+    mean_square = problem.gram[:, :, -1, -1].sum(axis=0) / problem.divisor
+    variance = problem.variance(still)
+    response_error = np.zeros(len(mean_square))
+    coefficients, change = np.zeros(len(columns)), still
+    for _ in range(settings.iterations):
+        weight = problem.worth / (
+            problem.divisor * (mean_square + problem.model_error**2 + response_error)
+        )
+        coefficients, change = problem.solve(weight, variance)
+        mean_square = problem.mean_square(change, coefficients, residual=1.0)
+        response_error = share**2 * problem.mean_square(still, coefficients, residual=0.0)
+        variance = problem.variance(change)
+    score = log_score(
+        matrices.blocks,
+        matrices.sample_count.sum(axis=0),
+        mean_square + response_error,
+        variance,
+        len(change),
+        inflation,
+        settings,
+    )
+    return LinearFit(score, coefficients, change, mean_square, variance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """A linear fit's constants.
+
+    Attributes:
+        gram: Of (own log zeta, columns..., residual), shape (runs, blocks, n, n).
+        divisor: Samples in each block, one at least.
+        worth: Independent statements in each block.
+        model_error: In each block.
+        log_zeta: Log zeta of each run before the fit.
+        precision: Of the prior on each coefficient.
+        offset: Value that each coefficient counts from.
+        lower: Lower bound of each coefficient; none at all where None.
+        settings: Of the fit.
+    """
+
+    gram: np.ndarray
+    divisor: np.ndarray
+    worth: np.ndarray
+    model_error: np.ndarray
+    log_zeta: np.ndarray
+    precision: np.ndarray
+    offset: np.ndarray
+    lower: np.ndarray | None
+    settings: LinearFitSettings
+
+    @property
+    def centring(self) -> np.ndarray:
+        """Matrix that subtracts the mean over the runs."""
+        runs = len(self.log_zeta)
+        return np.eye(runs) - 1.0 / runs
+
+    def variance(self, change: np.ndarray) -> float:
+        """Variance of log zeta over the runs after a change."""
+        moved = self.log_zeta + change
+        return float(moved @ self.centring @ moved) / max(len(moved) - 1, 1)
+
+    def mean_square(
+        self, change: np.ndarray, coefficients: np.ndarray, residual: float
+    ) -> np.ndarray:
+        """Mean square in each block of the responses and so many times the residual."""
+        runs = len(change)
+        factors = np.concatenate(
+            [change[:, None], np.tile(coefficients, (runs, 1)), np.full((runs, 1), residual)],
+            axis=1,
+        )
+        total = np.einsum("ri,rbij,rj->b", factors, self.gram, factors)
+        return np.maximum(total / self.divisor, 0)
+
+    def solve(self, weight: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients and changes of log zeta for these weights of blocks."""
+        normal, right = self._normal_equations(weight, variance)
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        # A slight ridge keeps columns apart that all but coincide.
+        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(len(right))
+        solution = np.linalg.solve(scaled, right / size) / size
+        p = len(self.precision)
+        if self.lower is not None and (low := np.flatnonzero(solution[:p] < self.lower)).size:
+            # Coefficients below their bound stay at it, and the others are solved for again.
+            free = np.setdiff1d(np.arange(len(right)), low)
+            solution[low] = self.lower[low]
+            held = (right - normal[:, low] @ self.lower[low])[free]
+            inner = scaled[np.ix_(free, free)]
+            solution[free] = np.linalg.solve(inner, held / size[free]) / size[free]
+        return solution[:p], solution[p:]
+
+    def _normal_equations(
+        self, weight: np.ndarray, variance: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right side over (coefficients, changes of log zeta)."""
+        p, runs = len(self.precision), len(self.log_zeta)
+        summed = np.einsum("b,rbij->rij", weight, self.gram)
+        normal, right = np.zeros((p + runs, p + runs)), np.zeros(p + runs)
+        normal[:p, :p] = summed[:, 1:-1, 1:-1].sum(axis=0) + np.diag(self.precision)
+        right[:p] = -summed[:, 1:-1, -1].sum(axis=0) - self.precision * self.offset
+        own = np.arange(p, p + runs)
         normal[own, own] = summed[:, 0, 0]
         normal[:p, p:] = summed[:, 1:-1, 0].T
         normal[p:, :p] = summed[:, 1:-1, 0]
         right[p:] = -summed[:, 0, -1]
-        hold = zeta_worth / max(r - 1, 1) / (scatter + ZETA_SCATTER**2)
-        normal[p:, p:] += hold * centre
-        right[p:] -= hold * centre @ u0
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(p + r)
-        solution = np.linalg.solve(scaled, right / size) / size
-        if least is not None and (low := np.flatnonzero(solution[:p] < least)).size:
-            # What would fall under its least stays there, and the others are found anew.
-            free = np.setdiff1d(np.arange(p + r), low)
-            solution[low] = least[low]
-            held = (right - normal[:, low] @ least[low])[free]
-            inner = scaled[np.ix_(free, free)]
-            solution[free] = np.linalg.solve(inner, held / size[free]) / size[free]
-        full = np.concatenate(
-            [solution[p:, None], np.tile(solution[:p], (r, 1)), np.ones((r, 1))], axis=1
-        )
-        left = np.einsum("ri,rbij,rj->b", full, gram, full) / np.maximum(total, 1)
-        left = np.maximum(left, 0)
-        response = np.concatenate([full[:, :-1], np.zeros((r, 1))], axis=1)
-        response[:, 0] = 0
-        wrong = np.einsum("ri,rbij,rj->b", response, gram, response) / np.maximum(total, 1)
-        wrong = trust**2 * np.maximum(wrong, 0)
-        moved = u0 + solution[p:]
-        scatter = float(moved @ centre @ moved) / max(r - 1, 1)
-    score = log_score(products.blocks, total, left + wrong, scatter, r, coarse)
-    return LinearFit(score, solution[:p], solution[p:], left, scatter)
+        zeta_worth = self.settings.zeta_worth * (runs - 1)
+        hold = zeta_worth / max(runs - 1, 1) / (variance + self.settings.zeta_scatter**2)
+        normal[p:, p:] += hold * self.centring
+        right[p:] -= hold * self.centring @ self.log_zeta
+        return normal, right
 
 
-def floor_inflation(blocks: Sequence[tuple[str, str]], left: np.ndarray, share: float) -> float:
-    """A share of how many floors the worst block is missed by; one at least."""
-    floor = np.array([FLOOR[block] for block in blocks])
-    return max(1.0, share * float((np.sqrt(left) / floor).max()))
+def _problem(
+    matrices: GramMatrices,
+    prior: np.ndarray | None,
+    offset: np.ndarray | None,
+    lower: np.ndarray | None,
+    inflation: float,
+    settings: LinearFitSettings,
+) -> _Problem:
+    count = matrices.gram.shape[-1] - 2
+    total = matrices.sample_count.sum(axis=0)
+    return _Problem(
+        matrices.gram,
+        np.maximum(total, 1),
+        total * settings.worth(matrices.blocks),
+        inflation * settings.model_errors(matrices.blocks),
+        matrices.log_zeta,
+        np.zeros(count) if prior is None else 1 / np.asarray(prior) ** 2,
+        np.zeros(count) if offset is None else np.asarray(offset),
+        lower,
+        settings,
+    )
+
+
+def floor_inflation(
+    blocks: Sequence[Block],
+    mean_square: np.ndarray,
+    share: float,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
+) -> float:
+    """A share of the worst block's RMS in model errors [-]; one at least.
+
+    Args:
+        blocks: (channel, kind) of each block.
+        mean_square: Mean square of what is left in each, shape (blocks,).
+        share: The share [-].
+        settings: For the model errors.
+    """
+    errors = settings.model_errors(blocks)
+    return max(1.0, share * float((np.sqrt(mean_square) / errors).max()))
 
 
 def log_score(
-    blocks: Sequence[tuple[str, str]],
-    number: np.ndarray,
-    left: np.ndarray,
-    scatter: float,
+    blocks: Sequence[Block],
+    sample_count: np.ndarray,
+    mean_square: np.ndarray,
+    zeta_variance: float,
     runs: int,
-    coarse: float = 1.0,
+    inflation: float = 1.0,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> float:
-    """What a model is worth by what it leaves: mean squares by block, and the scatter of zeta."""
-    floor = (coarse * np.array([FLOOR[block] for block in blocks])) ** 2
-    worth = number * np.array([WORTH[kind] for _, kind in blocks])
-    score = -0.5 * float((worth * np.log(left + floor)).sum())
-    return score - 0.5 * ZETA_WORTH * (runs - 1) * float(np.log(scatter + ZETA_SCATTER**2))
+    """Log score of what a model leaves; see the formula at the head of this module.
+
+    Args:
+        blocks: (channel, kind) of each block.
+        sample_count: Samples in each, shape (blocks,).
+        mean_square: Mean square of what is left in each, shape (blocks,).
+        zeta_variance: Variance of log zeta over the runs [-].
+        runs: Number of runs.
+        inflation: Factor on every block's model error [-].
+        settings: Weights.
+    """
+    floor = (inflation * settings.model_errors(blocks)) ** 2
+    worth = sample_count * settings.worth(blocks)
+    score = -0.5 * float((worth * np.log(mean_square + floor)).sum())
+    scatter = float(np.log(zeta_variance + settings.zeta_scatter**2))
+    return score - 0.5 * settings.zeta_worth * (runs - 1) * scatter
 
 
-def block_names(channels: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Blocks of these channels."""
+def block_names(channels: Sequence[str]) -> tuple[Block, ...]:
+    """(channel, kind) of the blocks of these channels."""
     return tuple((channel, kind) for channel in channels for kind in KINDS)

@@ -1,12 +1,15 @@
-"""A case on the bench: every effect's columns along every run, from one linearisation."""
+"""Response of all runs to every effect, from one linearisation per run.
+
+This is the design matrix of the screening: a column for every strength of every variant of an
+effect's shapes, in units of the strength's typical size.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.linear.input_sensitivity import (
@@ -17,11 +20,18 @@ from diagnose.linear.input_sensitivity import (
     shape_grid,
     zeta_sensitivity,
 )
-from diagnose.linear.linear_fit import GramMatrices, block_names
+from diagnose.linear.linear_fit import (
+    DEFAULT_LINEAR_FIT,
+    GramMatrices,
+    LinearFitSettings,
+    block_names,
+)
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.model.linearized_run import LinearizedRun
 from diagnose.model.shared_programs import program_of
+from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.simulation.trial import Trial
@@ -29,13 +39,13 @@ from drftjax.simulation.trial import Trial
 
 @dataclass(frozen=True)
 class ShapeVariant:
-    """An effect with shapes from its grid.
+    """An effect with its shapes at one point of their grid.
 
     Attributes:
         effect: Its class.
         shapes: Value of each shape, in the effect's order.
         columns: Numbers of its columns, one for each strength.
-        near: Numbers of other variants, before and after along each shape; itself at the edge.
+        neighbours: Numbers of the variants before and after along each shape; itself at the edge.
     """
 
     effect: type[AbstractEffect]
@@ -46,16 +56,19 @@ class ShapeVariant:
 
 @dataclass(frozen=True, eq=False)
 class Regressors:
-    """Columns of a case.
+    """Responses of a dataset's runs to effects, linear about the reference model.
 
     Attributes:
-        case: Its runs.
-        log_zeta: Each run's, over its set-up's, where all is linearised.
+        dataset: The runs.
+        log_zeta: Log zeta of each run over its set-up's, where all is linearised [-], shape
+            (runs,).
         variants: Every effect with every combination of shapes.
         columns: By run: derivatives of the compared samples by (own log zeta, every column in
-            units of its typical size), shape (channels, samples, 1 + columns).
-        residual: By run: simulated less recorded there, shape (channels, samples).
-        splitters: By run.
+            units of its typical size) [m, N, N m], shape (channels, samples, 1 + columns).
+        residual: By run: simulated minus recorded there [m, N, N m], shape (channels, samples).
+        splits: By run: maps from its samples to blocks.
+        gram_matrices: Products of all columns with each other and with the residual.
+        settings: Weights of all fits of these responses.
     """
 
     dataset: RigDataset
@@ -64,106 +77,178 @@ class Regressors:
     columns: list[np.ndarray]
     residual: list[np.ndarray]
     splits: list[SlowFastSplit]
+    gram_matrices: GramMatrices = field(repr=False)
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT
 
     @classmethod
     def of(
-        cls, case: RigDataset, log_zeta: np.ndarray, effects: Sequence[type[AbstractEffect]]
+        cls,
+        dataset: RigDataset,
+        linearized: LinearizedRuns,
+        effects: Sequence[type[AbstractEffect]],
+        pool: RunPool,
+        settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
     ) -> "Regressors":
-        """The case linearised at these zetas, with these effects' columns."""
-        variants, scale = _variants(effects)
-        picked = [READINGS.index(name) for name in case.channels]
+        """Responses of linearised runs to some effects.
+
+        Args:
+            dataset: The runs.
+            linearized: The same, linearised.
+            effects: Classes of the effects.
+            pool: Threads.
+            settings: Weights of fits.
+        """
+        _compile_sensitivities(dataset, linearized, effects, pool)
+        log_zeta, variants = linearized.log_zeta, shape_variants(effects)
+        typical = _typical_sizes(variants)
 
         def of(run: int) -> tuple[np.ndarray, np.ndarray]:
-            path = case.linearized(run, log_zeta[run])
-            trial = with_zeta(case.trials[run], log_zeta[run])
-            node = jnp.asarray(case.node_interval(run))
-            found = [np.asarray(propagate(path, zeta_sensitivity(path)))]
-            for each in effects:
-                by_program = propagate(path, _sensitivity(each, trial, path, node))
-                found.append(_of_effect(np.asarray(by_program), each))
-            at_nodes = np.concatenate(found, axis=-1)[:, picked]
-            at_nodes[:, :, 1:] *= scale
-            nodes = int(path.nodes)
-            columns = _at(case.time(run), np.asarray(path.time)[: nodes + 1], at_nodes)
-            plain = case.prediction(AugmentedModel(), run, log_zeta[run], np.zeros(0))
-            return columns, plain - case.recording(run)
+            plain = dataset.prediction(AugmentedModel(), run, log_zeta[run], np.zeros(0))
+            columns = _responses(dataset, run, linearized, effects)
+            columns[:, :, 1:] *= typical
+            return columns, plain - dataset.recording(run)
 
-        # Compiled once, side by side, before every thread needs all of them.
-        first = case.linearized(0, log_zeta[0])
-        node = jnp.asarray(case.node_interval(0))
-        one_of_each = {program_of(each).effect: each for each in effects}.values()
-        list(
-            case.threads.map(
-                lambda each: _sensitivity(each, case.trials[0], first, node), one_of_each
-            )
-        )
-        both = case.map_runs(of)
-        splitters = [SlowFastSplit.of(case.time(run)) for run in range(len(case.runs))]
-        return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)
+        both = pool.map(of, dataset.run_numbers)
+        columns, residual = [c for c, _ in both], [r for _, r in both]
+        splits = [SlowFastSplit.of(dataset.time(run)) for run in dataset.run_numbers]
+        gram = _gram_matrices(dataset, splits, columns, residual, log_zeta, pool)
+        return cls(dataset, log_zeta, variants, columns, residual, splits, gram, settings)
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:
-        """Logarithm of the zeta that each run's log zeta counts from."""
-        return np.array(
-            [float(np.log(t.simulator.terrain.zeta.value)) for t in self.dataset.trials]  # pyright: ignore
-        )
-
-    @cached_property
-    def gram_matrices(self) -> GramMatrices:
-        """Products of all columns with each other and with what the baseline leaves."""
-        return self.gram_matrices_of(self.columns, self.residual, self.log_zeta)
+        """Logarithm of the zeta that each run's log zeta counts from, shape (runs,)."""
+        return _log_reference_zeta(self.dataset)
 
     @cached_property
     def noise_power(self) -> np.ndarray:
-        """Mean square of the instruments' white noise in each block."""
+        """Mean square of the instruments' white noise in each block, shape (blocks,)."""
         found = []
         for channel, kind in block_names(self.dataset.channels):
             power = []
-            for run, splitter in enumerate(self.splits):
+            for run, split in enumerate(self.splits):
                 observation = self.dataset.runs[run].observation
                 if channel not in observation.channels:
                     continue
                 sigma = float(observation.noise[observation.channels.index(channel)])
-                mean = float((splitter.bin_means**2).sum(axis=1).mean())
+                mean = float((split.bin_means**2).sum(axis=1).mean())
                 part = {"slow": mean * (2 if channel == "x" else 1), "fast": 1 - mean}[kind]
                 power.append(sigma**2 * part)
             found.append(float(np.mean(power)))
         return np.array(found)
 
     def gram_matrices_of(
-        self, columns: list[np.ndarray], residual: list[np.ndarray], log_zeta: np.ndarray
+        self,
+        columns: list[np.ndarray],
+        residual: list[np.ndarray],
+        log_zeta: np.ndarray,
+        pool: RunPool,
     ) -> GramMatrices:
-        """Products of some columns (own zeta first) and residuals, by run and block."""
+        """Gram matrices of other columns and residuals of the same runs.
 
-        def of(run: int) -> tuple[np.ndarray, np.ndarray]:
-            grams, counts = [], []
-            for index, channel in enumerate(self.dataset.channels):
-                both = np.concatenate([columns[run][index], residual[run][index][:, None]], axis=1)
-                recorded = np.isfinite(both[:, -1]).all()
-                parts = self.splits[run].split(channel, both)
-                for part in parts.values():
-                    part = part if recorded else np.zeros_like(part)
-                    grams.append(part.T @ part)
-                    counts.append(len(part) if recorded else 0)
-            return np.array(grams), np.array(counts)
+        Args:
+            columns: By run, own log zeta first, shape (channels, samples, columns).
+            residual: By run, shape (channels, samples).
+            log_zeta: Log zeta of each run over its set-up's [-], where they are taken.
+            pool: Threads.
+        """
+        return _gram_matrices(self.dataset, self.splits, columns, residual, log_zeta, pool)
 
-        found = self.dataset.map_runs(of)
-        return GramMatrices(
-            block_names(self.dataset.channels),
-            np.array([gram for gram, _ in found]),
-            np.array([count for _, count in found]),
-            log_zeta + self.log_reference_zeta,
-        )
+    def block_mean_squares(
+        self, residual: list[np.ndarray], pool: RunPool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean square of residuals in each block, and the number of values in each.
+
+        Args:
+            residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
+            pool: Threads.
+        """
+        nothing = [np.zeros((*each.shape, 0)) for each in residual]
+        matrices = self.gram_matrices_of(nothing, residual, np.zeros(len(residual)), pool)
+        count = matrices.sample_count.sum(axis=0)
+        return matrices.gram[:, :, -1, -1].sum(axis=0) / np.maximum(count, 1), count
+
+
+def _log_reference_zeta(dataset: RigDataset) -> np.ndarray:
+    return np.array(
+        [float(np.log(t.simulator.terrain.zeta.value)) for t in dataset.trials]  # pyright: ignore
+    )
+
+
+def _gram_matrices(
+    dataset: RigDataset,
+    splits: Sequence[SlowFastSplit],
+    columns: list[np.ndarray],
+    residual: list[np.ndarray],
+    log_zeta: np.ndarray,
+    pool: RunPool,
+) -> GramMatrices:
+    """Gram matrices by run and block; zero, of no samples, where a channel was not recorded."""
+
+    def of(run: int) -> tuple[np.ndarray, np.ndarray]:
+        grams, counts = [], []
+        for index, channel in enumerate(dataset.channels):
+            both = np.concatenate([columns[run][index], residual[run][index][:, None]], axis=1)
+            recorded = np.isfinite(both[:, -1]).all()
+            for part in splits[run].split(channel, both).values():
+                part = part if recorded else np.zeros_like(part)
+                grams.append(part.T @ part)
+                counts.append(len(part) if recorded else 0)
+        return np.array(grams), np.array(counts)
+
+    found = pool.map(of, dataset.run_numbers)
+    return GramMatrices(
+        block_names(dataset.channels),
+        np.array([gram for gram, _ in found]),
+        np.array([count for _, count in found]),
+        log_zeta + _log_reference_zeta(dataset),
+    )
+
+
+def _responses(
+    dataset: RigDataset,
+    run: int,
+    linearized: LinearizedRuns,
+    effects: Sequence[type[AbstractEffect]],
+) -> np.ndarray:
+    """Derivatives of one run's compared samples by own log zeta and every strength, in its unit.
+
+    Returns:
+        Shape (channels, samples, 1 + columns).
+    """
+    along = linearized.runs[run]
+    trial = with_zeta(dataset.trials[run], float(linearized.log_zeta[run]))
+    found = [np.asarray(propagate(along, zeta_sensitivity(along)))]
+    for each in effects:
+        by_program = propagate(along, _sensitivity(each, trial, along))
+        found.append(_by_own_strengths(np.asarray(by_program), each))
+    picked = [READINGS.index(name) for name in dataset.channels]
+    at_nodes = np.concatenate(found, axis=-1)[:, picked]
+    node_times = np.asarray(along.time)[: int(along.nodes) + 1]
+    return _interpolate(dataset.time(run), node_times, at_nodes)
+
+
+def _compile_sensitivities(
+    dataset: RigDataset,
+    linearized: LinearizedRuns,
+    effects: Sequence[type[AbstractEffect]],
+    pool: RunPool,
+) -> None:
+    """Compile each program once, side by side, before every thread needs all of them."""
+    one_of_each = {program_of(each).effect: each for each in effects}.values()
+    trial, first = dataset.trials[0], linearized.runs[0]
+    pool.map(lambda each: _sensitivity(each, trial, first), one_of_each)
 
 
 def _sensitivity(
-    effect: type[AbstractEffect], trial: Trial, path: LinearizedRun, node: Array
+    effect: type[AbstractEffect], trial: Trial, linearized: LinearizedRun
 ) -> InputSensitivity:
-    program = program_of(effect)
-    return effect_sensitivity(program.effect, trial, path, node, shape_grid(effect), program.held)
+    program, node = program_of(effect), jnp.asarray(linearized.node_interval)
+    return effect_sensitivity(
+        program.effect, trial, linearized, node, shape_grid(effect), program.held
+    )
 
 
-def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
+def _by_own_strengths(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
     """Columns by an effect's own strengths, variant by variant, from those of its program."""
     mix = program_of(effect).mix
     return (columns.reshape(*columns.shape[:-1], -1, len(mix)) @ mix).reshape(
@@ -171,36 +256,54 @@ def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
     )
 
 
-def _variants(
-    effects: Sequence[type[AbstractEffect]],
-) -> tuple[tuple[ShapeVariant, ...], np.ndarray]:
-    variants: list[ShapeVariant] = []
-    scale: list[float] = []
+def _typical_sizes(variants: Sequence[ShapeVariant]) -> np.ndarray:
+    """Typical size of the strength of each column, in its unit, shape (columns,)."""
+    return np.array(
+        [
+            field_metadata(variant.effect)[name]["typical"]
+            for variant in variants
+            for name in strengths(variant.effect)
+        ]
+    )
+
+
+def shape_variants(effects: Sequence[type[AbstractEffect]]) -> tuple[ShapeVariant, ...]:
+    """Every combination of shapes on each effect's grid, with columns numbered in that order."""
+    found: list[ShapeVariant] = []
+    columns = 0
     for effect in effects:
         values = {name: np.asarray(v) for name, v in shape_grid(effect).items()}
-        names = shapes(effect)
+        names, count = shapes(effect), len(strengths(effect))
         sizes = [len(field_metadata(effect)[name]["starts"]) for name in names]
-        first = len(variants)
+        first = len(found)
         for place in np.ndindex(*sizes):
             number = int(np.ravel_multi_index(place, sizes)) if sizes else 0
-            near = []
-            for axis, size in enumerate(sizes):
-                pair = []
-                for step in (-1, 1):
-                    moved = list(place)
-                    moved[axis] = min(max(place[axis] + step, 0), size - 1)
-                    pair.append(first + int(np.ravel_multi_index(moved, sizes)))
-                near.append((pair[0], pair[1]))
-            count = len(strengths(effect))
-            columns = tuple(range(len(scale), len(scale) + count))
-            scale += [field_metadata(effect)[name]["typical"] for name in strengths(effect)]
             given = tuple(float(values[name][number]) for name in names)
-            variants.append(ShapeVariant(effect, given, columns, tuple(near)))
-    return tuple(variants), np.array(scale)
+            own = tuple(range(columns, columns + count))
+            found.append(ShapeVariant(effect, given, own, _neighbours(place, sizes, first)))
+            columns += count
+    return tuple(found)
 
 
-def _at(time: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at nodes, at other times; shape (channels, samples, columns)."""
+def _neighbours(
+    place: tuple[int, ...], sizes: Sequence[int], first: int
+) -> tuple[tuple[int, int], ...]:
+    """Numbers of the variants before and after along each axis of a grid that begins at `first`."""
+
+    def moved(axis: int, step: int) -> int:
+        there = list(place)
+        there[axis] = min(max(place[axis] + step, 0), sizes[axis] - 1)
+        return first + int(np.ravel_multi_index(there, sizes))
+
+    return tuple((moved(axis, -1), moved(axis, 1)) for axis in range(len(sizes)))
+
+
+def _interpolate(time: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at node times, shape (nodes, channels, columns), linearly between these.
+
+    Returns:
+        Shape (channels, samples, columns).
+    """
     place = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, len(nodes) - 2)
     share = np.clip((time - nodes[place]) / (nodes[place + 1] - nodes[place]), 0, 1)
     share = share[:, None, None]

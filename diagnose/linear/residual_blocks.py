@@ -1,16 +1,16 @@
-"""Residuals cut into blocks that fail in their own ways: slow and fast, channel by channel.
+"""Slow and fast part of each channel's residual: the blocks that have a variance of their own.
 
-The slow part of a position reading is its mean over half a second (of travel: how that changes
-from one to the next, since an error of speed would otherwise weigh on all that follows); the fast
-part is what is left. A model that misses one block by much says nothing of the others' noise, so
-each block has a variance of its own.
+With M the means over bins of `BIN_TIME` and P the lines through the bin means, the slow part of a
+channel's samples y is M y, and the fast part y - P M y. Of travel the slow part is the difference
+of successive bin means, as an error of speed would otherwise weigh on all bins that follow. A model
+that misses one block by much says nothing of the others' noise.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-# Length of the bins [s] that part slow from fast.
+# Length of the bins that separate slow from fast [s].
 BIN_TIME = 0.5
 
 
@@ -22,8 +22,8 @@ class SlowFastSplit:
     """Linear maps from one run's samples to its blocks.
 
     Attributes:
-        mean: Bin means from samples, shape (bins, samples).
-        back: Samples of the line through the bin means, shape (samples, bins).
+        bin_means: M, means over bins, shape (bins, samples).
+        interpolation: P, samples of the line through bin means, shape (samples, bins).
     """
 
     bin_means: np.ndarray
@@ -31,7 +31,7 @@ class SlowFastSplit:
 
     @classmethod
     def of(cls, time: np.ndarray) -> "SlowFastSplit":
-        """For samples at these times [s]."""
+        """Maps for samples at some times [s], shape (samples,)."""
         place = np.floor((time - time[0]) / BIN_TIME + 1e-9).astype(int)
         used, place = np.unique(place, return_inverse=True)
         bins = len(used)
@@ -39,11 +39,19 @@ class SlowFastSplit:
         mean[place, np.arange(len(time))] = 1
         mean /= mean.sum(axis=1, keepdims=True)
         centre = mean @ time
-        back = np.stack([np.interp(time, centre, unit) for unit in np.eye(bins)], axis=1)
-        return cls(mean, back)
+        lines = np.stack([np.interp(time, centre, unit) for unit in np.eye(bins)], axis=1)
+        return cls(mean, lines)
 
     def split(self, channel: str, values: np.ndarray) -> dict[str, np.ndarray]:
-        """Slow and fast part of columns of samples, shape (samples, columns)."""
+        """Slow and fast part of some columns of samples.
+
+        Args:
+            channel: Name of the channel.
+            values: Shape (samples, columns).
+
+        Returns:
+            By kind, shape (bins, columns), one fewer of travel, and (samples, columns).
+        """
         means = self.bin_means @ values
         fast = values - self.interpolation @ means
         slow = np.diff(means, axis=0) if channel == "x" else means

@@ -1,4 +1,4 @@
-"""What a model with some effects gives for every run, and how that changes with its numbers.
+"""The reference model with effects added: its prediction of a run, and the Jacobian of that.
 
 One compiled program for each choice of effects serves every step of a fit and every set of runs of
 about the same size. Programs of different effects run side by side in threads.
@@ -20,20 +20,22 @@ from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
 
-# Past this share of the sinkage that a wheel's plates are carried for a model gives no numbers, as
-# its own surface or radius may bring other plates into the sand.
-COVERED = 0.85
+# Past this share of the sinkage that a wheel's plates are carried for [-] a prediction is NaN, as a
+# model's own surface or radius may bring other plates into the sand.
+MAX_COVERED_SHARE = 0.85
 
 
 @dataclass(frozen=True)
 class FreeField:
-    """A number of an effect that is fitted.
+    """A number of an effect that is fitted, by its coordinate.
+
+    A strength is its coordinate times its typical size; a shape is the exponential of its
+    coordinate.
 
     Attributes:
         index: Place of the effect among those added.
         field: The number's name.
-        scale: A strength's typical size, one unit of its coordinate; None for a shape, whose
-            coordinate is its logarithm.
+        scale: A strength's typical size, in its unit; None for a shape.
     """
 
     index: int
@@ -41,11 +43,11 @@ class FreeField:
     scale: float | None
 
     def value(self, coordinate):
-        """The number, from its coordinate."""
+        """The number, in its unit, from its coordinate."""
         return jnp.exp(coordinate) if self.scale is None else self.scale * coordinate
 
     def coordinate(self, value: float) -> float:
-        """The coordinate of a number."""
+        """The coordinate of a number given in its unit."""
         return float(np.log(value) if self.scale is None else value / self.scale)
 
 
@@ -55,7 +57,7 @@ class AugmentedModel:
 
     Attributes:
         effects: Classes of the effects.
-        shaped: Whether their shapes are free, or stay at what they are given.
+        shapes_are_free: Shapes are fitted too, or stay at what they are given.
     """
 
     effects: tuple[type[AbstractEffect], ...] = ()
@@ -63,6 +65,7 @@ class AugmentedModel:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
         return tuple(each.about.name for each in self.effects)
 
     @cached_property
@@ -77,14 +80,19 @@ class AugmentedModel:
         return tuple(found)
 
     def null(self) -> np.ndarray:
-        """Coordinates at which no effect acts, shapes at their defaults."""
+        """Coordinates at which no effect acts, shapes at their defaults, shape (free,)."""
         return np.array(
             [0.0 if f.scale is not None else f.coordinate(self._default(f)) for f in self.free]
         )
 
     @cached_property
     def program(self) -> tuple["AugmentedModel", tuple[Held, ...], np.ndarray]:
-        """What is compiled: a model, its numbers that no fit changes, its coordinates by these."""
+        """The model that is compiled in place of this one.
+
+        Returns:
+            That model, its numbers that no fit changes by effect, and its coordinates as a linear
+            map of this model's, shape (its free numbers, free numbers).
+        """
         programs = [program_of(each) for each in self.effects]
         general = AugmentedModel(tuple(each.effect for each in programs), self.shapes_are_free)
         mix = np.zeros((len(general.free), len(self.free)))
@@ -105,11 +113,16 @@ class AugmentedModel:
         return float(getattr(self.effects[free.index](), free.field))
 
     def build(self, coordinates, held: Sequence[Held] = ()) -> tuple[AbstractEffect, ...]:
-        """The effects with these coordinates; `held` gives numbers that are not free."""
-        values: list[dict] = [dict(each) for each in held] or [{} for _ in self.effects]
+        """The effects with numbers.
+
+        Args:
+            coordinates: Free numbers, shape (free,).
+            held: By effect, numbers that are not free.
+        """
+        numbers: list[dict] = [dict(each) for each in held] or [{} for _ in self.effects]
         for free, coordinate in zip(self.free, coordinates, strict=True):
-            values[free.index][free.field] = free.value(coordinate)
-        return tuple(effect(**given) for effect, given in zip(self.effects, values, strict=True))
+            numbers[free.index][free.field] = free.value(coordinate)
+        return tuple(effect(**given) for effect, given in zip(self.effects, numbers, strict=True))
 
 
 def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
@@ -118,32 +131,34 @@ def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
     return replace(trial, simulator=simulator)
 
 
-def _predicted(
+def _simulate(
     model: AugmentedModel,
     held: Sequence[Held],
     channels: tuple[str, ...],
     trial: Trial,
     observed: PaddedObservations,
     log_zeta: Array,
-    at: Array,
+    coordinates: Array,
 ) -> Array:
     zeta = trial.simulator.terrain.zeta.value * jnp.exp(log_zeta)  # pyright: ignore
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
-    trial = with_effects(trial, model.build(at, held))
+    trial = with_effects(trial, model.build(coordinates, held))
     table = trial.run_to(observed.compared_rows, channels)
-    return between_rows(_covered(table, channels, trial), observed)
+    return between_rows(_nan_past_coverage(table, channels, trial), observed)
 
 
-def _covered(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
+def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
     """The channels of a run, or no numbers where its wheel sinks past the plates it carries."""
     if "z" not in channels:
         return table
     cut = trial.simulator.wheel.cut()
-    limit = jnp.where(cut.sinkage_limit < cut.radius, COVERED * cut.sinkage_limit, jnp.inf)
+    limit = jnp.where(
+        cut.sinkage_limit < cut.radius, MAX_COVERED_SHARE * cut.sinkage_limit, jnp.inf
+    )
     return jnp.where(jnp.max(-table[channels.index("z")]) > limit, jnp.nan, table)
 
 
-_predict = eqx.filter_jit(_predicted)
+_simulate_compiled = eqx.filter_jit(_simulate)
 
 
 def predict(
@@ -154,21 +169,21 @@ def predict(
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
 ) -> Float[Array, "channels samples"]:
-    """One run's channels at its recorded times, with effects.
+    """Simulate one run with effects, at its recorded times.
 
     Args:
         model: Effects added (static).
         channels: Which channels (static).
-        trial, observed: The run, padded like the others of its set.
-        log_zeta: Logarithm of its zeta over its set-up's.
+        trial, observed: The run, padded like the others of its dataset.
+        log_zeta: Logarithm of its zeta over its set-up's [-].
         coordinates: Free numbers of the effects, shape (free,).
 
     Returns:
-        Simulated channels [m, N, N m].
+        Simulated channels [m, N, N m]; NaN where the wheel sinks past the plates it carries.
     """
     program, held, mix = model.program
     at = jnp.asarray(mix @ coordinates, float)
-    return _predict(program, held, channels, trial, observed, log_zeta, at)
+    return _simulate_compiled(program, held, channels, trial, observed, log_zeta, at)
 
 
 def predict_with_jacobian(
@@ -179,7 +194,19 @@ def predict_with_jacobian(
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `predict`, with the exact derivative by log zeta and the coordinates, last."""
+    """Simulate one run with effects, and differentiate it in forward mode.
+
+    Args:
+        model: Effects added (static).
+        channels: Which channels (static).
+        trial, observed: The run, padded like the others of its dataset.
+        log_zeta: Logarithm of its zeta over its set-up's [-].
+        coordinates: Free numbers of the effects, shape (free,).
+
+    Returns:
+        Simulated channels [m, N, N m], shape (channels, samples), and their derivatives by (log
+        zeta, coordinates), shape (channels, samples, 1 + free).
+    """
     program, held, mix = model.program
     at = jnp.asarray(mix @ coordinates, float)
     value, slope = _predict_with_jacobian(program, held, channels, trial, observed, log_zeta, at)
@@ -198,7 +225,7 @@ def _predict_with_jacobian(
     coordinates: Float[Array, " free"],
 ) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples all"]]:
     def values(both: Array) -> tuple[Array, Array]:
-        found = _predicted(model, held, channels, trial, observed, both[0], both[1:])
+        found = _simulate(model, held, channels, trial, observed, both[0], both[1:])
         return found, found
 
     both = jnp.concatenate([log_zeta[None], coordinates])

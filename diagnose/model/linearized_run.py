@@ -1,11 +1,22 @@
-"""A simulated run and its linearisation: what any small unknown input would change.
+r"""A simulated run and its linearisation: a linear time-varying model along one run.
 
-The run is cut into nodes of about `NODE` seconds. At each node one step is differentiated by the
-wheel's motion and by the inputs of `diagnose.model.unknown_inputs`; the node's map is that step's,
-as often as it fits. From there every response to anything small is a matter of matrices.
+The run is divided into nodes of n steps, about `LinearizationSettings.node_time` long. In the
+middle of each node one integrator step $s' = F(s, u)$, with sand forces $f = G(s, u)$, is
+differentiated by the state $s = (x, z, v_x, v_z, \varphi)$ and by the inputs $u$ of
+`diagnose.model.unknown_inputs`:
+
+$$A = \partial F/\partial s,\quad B = \partial F/\partial u,\quad
+  C = \partial G/\partial s,\quad D = \partial G/\partial u.$$
+
+A node repeats that step n times. With small inputs $\delta u_k$ that are constant over node k,
+
+$$\delta s_{k+1} = A_k^n\,\delta s_k + \Big(\sum_{i<n} A_k^i\Big) B_k\,\delta u_k,\qquad
+  \delta f_k = C_k\,\delta s_k + D_k\,\delta u_k,$$
+
+so the response to anything small is a product of matrices.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -19,42 +30,55 @@ from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import Trial
 
-NODE = 0.01
-
-
-# The motion that is linearised: x, z, vx, vz, angle; and what else is read: fx, fz, torque.
+# Length of the state that is linearised: x, z, vx, vz, angle.
 MOTION = 5
 
 
-# Growth of a motion over a node that no wheel on sand shows.
-LARGEST_GROWTH = 1.02
-
-
-# Points in which a grouser's ripple is drawn.
-RIPPLE_POINTS = 48
-
-
+# What else is linearised.
 FORCES = ("fx", "fz", "torque")
 
 
-class LinearizedRun(eqx.Module):
-    """A run at its nodes, and the run's linear map from one to the next.
+@dataclass(frozen=True)
+class LinearizationSettings:
+    """Numbers by which a run is linearised.
 
     Attributes:
-        nodes: Number of true nodes; the rest are padding.
+        node_time: Length of a node, within which one step's derivative holds [s].
+        max_growth: Largest growth of a motion over a node, as an eigenvalue of its map [-]; no
+            wheel on sand grows faster, so that a larger one comes from a corner of the stress law.
+        ripple_points: Points per grouser at which the ripple of (x, z) is sampled.
+    """
+
+    node_time: float = 0.01
+    max_growth: float = 1.02
+    ripple_points: int = 48
+
+
+DEFAULT_LINEARIZATION = LinearizationSettings()
+
+
+class LinearizedRun(eqx.Module):
+    r"""A run at its nodes, and the linear map from each node to the next.
+
+    Rows past `nodes` are padding.
+
+    Attributes:
+        nodes: Number of nodes K.
         dt: Integrator step [s].
-        steps: Steps in a node.
-        time: Node times [s], shape (nodes + 1,).
-        motion: (x, z, vx, vz, angle) there, shape (nodes + 1, 5).
-        omega: Angular velocity there [rad/s].
-        middle_time, middle, middle_omega: Likewise in the middle of each node.
-        forces: (fx, fz, torque) in the middle of a node, shape (nodes, 3).
-        carry: Derivative of a node's end by its start, shape (nodes, 5, 5).
-        gather: Sum of the powers of a step's map over a node: what a kick at every step becomes.
-        enter: Derivative of one step by the inputs, shape (nodes, 5, inputs).
-        forces_carry, forces_enter: Derivatives of the forces, shape (nodes, 3, ...).
+        steps: Steps in a node, n.
+        time: Node times [s], shape (K + 1,).
+        motion: (x, z, vx, vz, angle) there [m, m/s, rad], shape (K + 1, 5).
+        omega: Angular velocity there [rad/s], shape (K + 1,).
+        middle_time, middle_motion, middle_omega: Likewise in the middle of each node.
+        forces: (fx, fz, torque) in the middle of each node [N, N m], shape (K, 3).
+        state_transition: $A^n$, derivative of a node's end by its start, shape (K, 5, 5).
+        substep_sum: $\sum_{i<n} A^i$: maps a forcing that is constant over a node to the state at
+            its end, shape (K, 5, 5).
+        input_matrix: $B$, derivative of one step by the inputs, shape (K, 5, inputs).
+        force_by_state: $C$, derivative of the forces by the state, shape (K, 3, 5).
+        force_by_input: $D$, derivative of the forces by the inputs, shape (K, 3, inputs).
         ripple: Derivative of the grousers' ripple of (x, z) by the wheel angle [m/rad], shape
-            (nodes + 1, 2); see `steadied`.
+            (K + 1, 2); zero until `repair_outlier_maps`.
     """
 
     nodes: Int[Array, ""]
@@ -74,6 +98,11 @@ class LinearizedRun(eqx.Module):
     force_by_input: Float[Array, "nodes 3 inputs"]
     ripple: Float[Array, "all 2"]
 
+    @property
+    def node_interval(self) -> float:
+        """Length of a node [s]."""
+        return float(self.dt) * int(self.steps)
+
 
 def state_of(
     motion: Float[Array, "5"], time: Float[Array, ""], omega: Float[Array, ""], memory=()
@@ -83,7 +112,7 @@ def state_of(
 
 
 def motion_of(state: State) -> Float[Array, "5"]:
-    """(x, z, vx, vz, angle) of a state."""
+    """Motion (x, z, vx, vz, angle) of a state."""
     return jnp.concatenate([state.position, state.velocity, state.angle[None]])
 
 
@@ -93,68 +122,30 @@ def command_at_time(trial: Trial, time: Float[Array, ""]) -> Command:
     return Command(omega, jnp.interp(time, trial.time, trial.vx), jnp.zeros_like(omega))
 
 
-def steps_per_node(trial: Trial) -> int:
-    """Steps that make a node of about `NODE` seconds."""
-    return max(1, round(NODE / float(trial.step)))
+def steps_per_node(trial: Trial, node_time: float = DEFAULT_LINEARIZATION.node_time) -> int:
+    """Integrator steps that come closest to `node_time` [s]."""
+    return max(1, round(node_time / float(trial.step)))
 
 
 @eqx.filter_jit
 def linearize(
     trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int
 ) -> LinearizedRun:
-    """Simulate a run and linearise it.
+    """Simulate a run and linearise it at every node, without ripple or repair.
 
     Args:
         trial: The run.
         steps: Steps in a node.
-        nodes: Nodes to make.
-        size: Room for nodes.
+        nodes: Number of nodes.
+        size: Number of nodes that arrays have room for (static).
     """
     simulator: Simulator = trial.simulator.prepared()
     commands = trial.commands()
     room = commands.omega.shape[0]
-    command = lambda k: jax.tree.map(lambda c: c[jnp.minimum(k, room - 1)], commands)  # noqa: E731
-    state = simulator.remembered(trial.start, command(0))
     dt = trial.step
 
-    def varied(motion, inputs, state, command):
-        plus = replace(simulator, effects=simulator.effects + unknown_inputs(inputs))
-        memory = (*state.memory, *((),) * 4)
-        start = state_of(motion, state.time, state.omega + inputs[3], memory)
-        after, output = plus.step(start, command, dt)
-        return jnp.concatenate(
-            [motion_of(after), jnp.stack([getattr(output, name) for name in FORCES])]
-        )
-
-    def advanced(number, state):
-        return simulator.step(state, command(number), dt)[0]
-
-    directions = jnp.eye(MOTION + len(INPUTS))
-
-    def linearised(number, begun, within):
-        """A node's row, from the state it begins with and the one in its middle."""
-        middle = number * steps + steps // 2
-        values, along = jax.linearize(
-            lambda motion, inputs: varied(motion, inputs, within, command(middle)),
-            motion_of(within),
-            jnp.zeros(len(INPUTS)),
-        )
-        slopes = jax.vmap(along, out_axes=1)(directions[:, :MOTION], directions[:, MOTION:])
-        carry, gather = _powers(slopes[:MOTION, :MOTION], steps)
-        return (
-            begun.time,
-            motion_of(begun),
-            begun.omega,
-            within.time,
-            motion_of(within),
-            within.omega,
-            values[MOTION:],
-            carry,
-            gather,
-            slopes[:MOTION, MOTION:],
-            slopes[MOTION:, :MOTION],
-            slopes[MOTION:, MOTION:],
-        )
+    def command(step):
+        return jax.tree.map(lambda c: c[jnp.minimum(step, room - 1)], commands)
 
     # By half nodes, so that the step stands in the program once.
     def half(count, carried):
@@ -164,20 +155,22 @@ def linearize(
         state = jax.lax.fori_loop(
             first + second * (steps // 2),
             first + jnp.where(second, steps, steps // 2),
-            advanced,
+            lambda step, state: simulator.step(state, command(step), dt)[0],
             begun,
         )
 
-        def kept(table):
-            row = linearised(number, begun, state)
+        def write_row(table):
+            middle = command(first + steps // 2)
+            row = _node_row(simulator, begun, state, middle, dt, steps)
             return jax.tree.map(lambda t, r: t.at[number].set(r), table, row)
 
-        return state, jax.lax.cond(second, lambda table: table, kept, table)
+        return state, jax.lax.cond(second, lambda table: table, write_row, table)
 
     inputs = len(INPUTS)
     shapes = [(), (5,), (), (), (5,), (), (3,), (5, 5), (5, 5), (5, inputs), (3, 5), (3, inputs)]
     table = tuple(jnp.zeros((size, *shape)) for shape in shapes)
-    state, table = jax.lax.fori_loop(0, 2 * nodes, half, (state, table))
+    start = simulator.remembered(trial.start, command(0))
+    state, table = jax.lax.fori_loop(0, 2 * nodes, half, (start, table))
     time, motion, omega, *rest = table
 
     def ended(rows, last):
@@ -195,81 +188,147 @@ def linearize(
     )
 
 
-def _powers(step: Float[Array, "5 5"], count: Int[Array, ""]):
-    """The map of `count` equal steps, and the sum of the powers below it."""
+def _node_row(
+    simulator: Simulator,
+    begun: State,
+    middle: State,
+    command: Command,
+    dt: Float[Array, ""],
+    steps: Int[Array, ""],
+) -> tuple[Array, ...]:
+    """A node's row of the table, in the order of `LinearizedRun`'s fields.
+
+    Args:
+        simulator: Of the run.
+        begun, middle: State at the node's start and in its middle.
+        command: In its middle.
+        dt: Integrator step [s].
+        steps: Steps in a node.
+    """
+
+    def step(motion, inputs):
+        plus = replace(simulator, effects=simulator.effects + unknown_inputs(inputs))
+        memory = (*middle.memory, *((),) * 4)
+        start = state_of(motion, middle.time, middle.omega + inputs[3], memory)
+        after, output = plus.step(start, command, dt)
+        return jnp.concatenate(
+            [motion_of(after), jnp.stack([getattr(output, name) for name in FORCES])]
+        )
+
+    values, along = jax.linearize(step, motion_of(middle), jnp.zeros(len(INPUTS)))
+    directions = jnp.eye(MOTION + len(INPUTS))
+    slopes = jax.vmap(along, out_axes=1)(directions[:, :MOTION], directions[:, MOTION:])
+    transition, substep_sum = _powers(slopes[:MOTION, :MOTION], steps)
+    return (
+        begun.time,
+        motion_of(begun),
+        begun.omega,
+        middle.time,
+        motion_of(middle),
+        middle.omega,
+        values[MOTION:],
+        transition,
+        substep_sum,
+        slopes[:MOTION, MOTION:],
+        slopes[MOTION:, :MOTION],
+        slopes[MOTION:, MOTION:],
+    )
+
+
+def _powers(
+    step: Float[Array, "5 5"], count: Int[Array, ""]
+) -> tuple[Float[Array, "5 5"], Float[Array, "5 5"]]:
+    r"""$A^n$ and $\sum_{i<n} A^i$ of a step's map A, for n = `count`."""
     one = jnp.eye(MOTION)
 
-    def again(_, both):
+    def multiply(_, both):
         power, total = both
         return step @ power, total + power
 
-    return jax.lax.fori_loop(0, count, again, (one, jnp.zeros_like(one)))
+    return jax.lax.fori_loop(0, count, multiply, (one, jnp.zeros_like(one)))
 
 
-def repair_outlier_maps(path: LinearizedRun, pitch: float) -> LinearizedRun:
-    """The path made fit for sums over many nodes.
+def repair_outlier_maps(
+    linearized: LinearizedRun,
+    pitch: float,
+    settings: LinearizationSettings = DEFAULT_LINEARIZATION,
+) -> LinearizedRun:
+    """Replace a linearised run's outlier maps and its derivatives by the wheel angle.
 
     Where a plate crosses a corner of the stress law just as a step is differentiated, the step's
     map is that corner's and no other step's: maps that grow are replaced by their nearest
     neighbours'. For the same reason no sum of derivatives by the wheel angle is right: the forces
-    jump with it. The angle is therefore taken out of the maps, and what it does in the end is
-    read off the run itself: it shifts the grousers' ripple along.
+    jump with it. The angle is therefore taken out of the maps, and its effect in the end is read
+    off
+    the run itself: it shifts the grousers' ripple along.
 
     Args:
-        path: As traced.
+        linearized: By `linearize`.
         pitch: Angle between two grousers [rad]; infinite without any.
+        settings: Largest growth, and points of the ripple.
     """
-    nodes = int(path.nodes)
-    carry = np.array(path.state_transition)
-    carry[:, :4, 4] = 0
-    forces_carry = np.array(path.force_by_state)
-    forces_carry[:, :, 4] = 0
-    path = replace(
-        path, state_transition=carry, force_by_state=forces_carry, ripple=_ripple(path, pitch)
+    nodes = int(linearized.nodes)
+    transition = np.array(linearized.state_transition)
+    transition[:, :4, 4] = 0
+    force_by_state = np.array(linearized.force_by_state)
+    force_by_state[:, :, 4] = 0
+    repaired = replace(
+        linearized,
+        state_transition=transition,
+        force_by_state=force_by_state,
+        ripple=_ripple_slope(linearized, pitch, settings.ripple_points),
     )
-    moving = carry[:nodes, 1:4, 1:4]
+    moving = transition[:nodes, 1:4, 1:4]
     largest = np.abs(np.linalg.eigvals(np.where(np.isfinite(moving), moving, 1e9))).max(axis=1)
-    good = np.flatnonzero(largest < LARGEST_GROWTH)
+    good = np.flatnonzero(largest < settings.max_growth)
     if len(good) in (0, nodes):
-        return path
-    place = np.clip(np.searchsorted(good, np.arange(nodes)), 1, len(good) - 1)
-    before, after = good[place - 1], good[place]
-    number = np.arange(nodes)
-    nearest = np.where(number - before <= after - number, before, after)
-    index = np.r_[nearest, nodes : len(carry)]
-    maps = (
-        "state_transition",
-        "substep_sum",
-        "input_matrix",
-        "force_by_state",
-        "force_by_input",
+        return repaired
+    index = np.r_[_nearest(good, nodes), nodes : len(transition)]
+    return replace(
+        repaired,
+        state_transition=transition[index],
+        substep_sum=repaired.substep_sum[index],
+        input_matrix=repaired.input_matrix[index],
+        force_by_state=force_by_state[index],
+        force_by_input=repaired.force_by_input[index],
     )
-    return replace(path, **{name: getattr(path, name)[index] for name in maps})
 
 
-def _ripple(path: LinearizedRun, pitch: float) -> np.ndarray:
-    nodes = int(path.nodes)
-    slope = np.zeros((path.motion.shape[0], 2))
-    motion = np.asarray(path.motion)[: nodes + 1]
+def _nearest(good: np.ndarray, count: int) -> np.ndarray:
+    """Nearest of some sorted indices to each index below `count`; the earlier one of two."""
+    number = np.arange(count)
+    place = np.clip(np.searchsorted(good, number), 1, len(good) - 1)
+    before, after = good[place - 1], good[place]
+    return np.where(number - before <= after - number, before, after)
+
+
+def _ripple_slope(linearized: LinearizedRun, pitch: float, points: int) -> np.ndarray:
+    """Derivative of the ripple of (x, z) by the wheel angle [m/rad], shape (size + 1, 2)."""
+    nodes = int(linearized.nodes)
+    slope = np.zeros((linearized.motion.shape[0], 2))
+    motion = np.asarray(linearized.motion)[: nodes + 1]
     turned = np.diff(motion[:, 4], append=motion[-1, 4])
     for part, sense in split_at_reversals(np.sign(np.where(np.abs(turned) > 1e-9, turned, 0))):
-        slope[: nodes + 1][part] = _ripple_one_way(motion[part], pitch, sense)
+        slope[: nodes + 1][part] = _ripple_slope_one_way(motion[part], pitch, sense, points)
     return slope
 
 
-def _ripple_one_way(motion: np.ndarray, pitch: float, sense: int) -> np.ndarray:
-    """Derivative of the ripple of (x, z) by the angle of a wheel that turns on, 1, or back, -1."""
+def _ripple_slope_one_way(motion: np.ndarray, pitch: float, sense: int, points: int) -> np.ndarray:
+    """The same while the wheel turns forward (`sense` 1) or backward (-1).
+
+    The ripple is what remains of (x, z) over the angle beyond its mean over one pitch; the first
+    and the last pitch, which such a mean does not cover, have none.
+    """
     slope = np.zeros((len(motion), 2))
     angle = sense * motion[:, 4]
     if not np.isfinite(pitch) or angle[-1] - angle[0] < 2 * pitch:
         return slope
     moving = np.r_[True, np.diff(angle) > 1e-9]
-    grid = np.arange(angle[0] - pitch, angle[-1] + pitch, pitch / RIPPLE_POINTS)
+    grid = np.arange(angle[0] - pitch, angle[-1] + pitch, pitch / points)
+    whole = (angle > angle[0] + pitch) & (angle < angle[-1] - pitch)
     for column in range(2):
         along = np.interp(grid, angle[moving], motion[moving, column])
-        box = np.ones(RIPPLE_POINTS) / RIPPLE_POINTS
-        ripple = along - np.convolve(along, box, mode="same")
+        ripple = along - np.convolve(along, np.ones(points) / points, mode="same")
         rate = np.gradient(ripple, grid)
-        whole = (angle > angle[0] + pitch) & (angle < angle[-1] - pitch)
         slope[:, column] = np.where(whole, sense * np.interp(angle, grid, rate), 0)
     return slope

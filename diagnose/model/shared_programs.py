@@ -1,8 +1,8 @@
-"""Curves while they are fitted: one compiled program serves all curves of a stage.
+"""One compiled program for all corrections of a stage while they are fitted.
 
-A correction's knots and variable belong to its class, so that every curve would compile anew. In a
+A correction's knots and variable belong to its class, so that every curve would be compiled. In a
 fit they are numbers: the program of a stage holds a row of knots, long enough for each of its
-curves, and is told on which variable they stand.
+curves, and a number for each variable that says whether the knots lie on it.
 """
 
 from collections.abc import Mapping
@@ -25,18 +25,18 @@ Number = Float[Array, ""]
 Held = Mapping[str, ArrayLike]
 
 
-# Knots in a program's row at least: a curve's own, and one more to close it around a turn.
-SHORTEST_ROW = 17
+# Knots in a program's row at least: a curve's own sixteen, and one more to close it around a turn.
+MIN_KNOT_COUNT = 17
 
 
 @dataclass(frozen=True, eq=False)
 class SharedProgram:
-    """What an effect is compiled as.
+    """The class that an effect is compiled as.
 
     Attributes:
         effect: The class to compile.
         held: Its numbers that no fit changes, by field.
-        mix: Its strengths by the effect's own, shape (strengths, own strengths).
+        mix: Its strengths as a linear map of the effect's own, shape (strengths, own strengths).
     """
 
     effect: type[AbstractEffect]
@@ -46,28 +46,28 @@ class SharedProgram:
 
 @cache
 def program_of(effect: type[AbstractEffect]) -> SharedProgram:
-    """What an effect is compiled as: itself, but for a curve."""
+    """Program of an effect: its own class, but for a curve that of its stage."""
     if not issubclass(effect, Curve):
         return SharedProgram(effect, {}, np.eye(len(strengths(effect))))
-    knots, values = _open(effect)
-    beyond = max(SHORTEST_ROW - len(knots), 0)
+    knots, values = _unrolled(effect)
+    beyond = max(MIN_KNOT_COUNT - len(knots), 0)
     # Beyond its last knot a curve is level.
     knots = np.r_[knots, knots[-1] + np.arange(1.0, beyond + 1)]
     values = np.r_[values, np.repeat(values[-1:], beyond, axis=0)]
     picked = np.array([float(name == effect.variable) for name in VARIABLES])
     held = {"places": knots, "over": picked}
-    return SharedProgram(_of_any_knots(effect.stage, len(knots)), held, values)
+    return SharedProgram(_curve_of_stage(effect.stage, len(knots)), held, values)
 
 
 def in_modes(
     kind: type[Curve], modes: Float[np.ndarray, "knots modes"], typical: float
 ) -> type[Curve]:
-    """Class of the same correction as a sum of curves, with their amplitudes as strengths.
+    """Class of a correction as a sum of curves, with their amplitudes as strengths.
 
     Args:
-        kind: By `correction`.
-        modes: The curves, one a column, by their values at its knots.
-        typical: Size that the amplitudes may well have.
+        kind: The correction's class.
+        modes: The curves, one a column, by their values at its knots, in the correction's unit.
+        typical: Typical size of the amplitudes [-].
     """
     names = [f"mode_{k}" for k in range(modes.shape[1])]
 
@@ -78,8 +78,11 @@ def in_modes(
     return curve_class(kind.stage, kind.variable, kind.knots, {**amplitudes, "values": values})
 
 
-def _open(kind: type[Curve]) -> tuple[np.ndarray, np.ndarray]:
-    """A curve's knots, and its values there by each strength; one around a turn goes on to it."""
+def _unrolled(kind: type[Curve]) -> tuple[np.ndarray, np.ndarray]:
+    """A curve's knots, and its values there by each strength, shape (knots, strengths).
+
+    One around a turn gets its last knot before its first, and its first behind its last.
+    """
     names = strengths(kind)
     values = np.stack(
         [np.asarray(kind(**{n: float(n == one) for n in names}).values()) for one in names], axis=1
@@ -92,7 +95,7 @@ def _open(kind: type[Curve]) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _of_any_knots(stage: str, count: int) -> type[Curve]:
+def _curve_of_stage(stage: str, count: int) -> type[Curve]:
     """Class of a stage's curves with knots at `places`, on the variable that `over` picks."""
 
     def along(self, known: Mapping[str, Number]) -> Number:

@@ -1,4 +1,4 @@
-"""Errors at one place of the simulation, constant over a step: what an unknown effect would be."""
+"""Inputs of a linearised run: an unknown error in each stage of a step, constant over the step."""
 
 from typing import ClassVar
 
@@ -24,7 +24,7 @@ Pair = Float[Array, "2"]
 
 
 class ZetaError(MemorylessZetaFactor):
-    """zeta is off by a factor."""
+    """zeta multiplied by exp(error)."""
 
     about: ClassVar = EffectInfo(
         "zeta_error", "terrain", "ζ = ζ exp(error)", "an unknown zeta factor"
@@ -36,7 +36,7 @@ class ZetaError(MemorylessZetaFactor):
 
 
 class ForceError(MemorylessLoad):
-    """A force is missing."""
+    """A force on the axle beside those of the model."""
 
     about: ClassVar = EffectInfo("force_error", "rig", "F = F + (x, z)", "an unknown force")
     x: Number = strength("N", 5.0, "horizontal force")
@@ -47,7 +47,7 @@ class ForceError(MemorylessLoad):
 
 
 class SpeedError(MemorylessDrive):
-    """The wheel turns at another speed than commanded."""
+    """A wheel speed that exceeds the commanded one."""
 
     about: ClassVar = EffectInfo(
         "speed_error", "drive", "ω = ω + error", "an unknown drive speed error"
@@ -59,7 +59,7 @@ class SpeedError(MemorylessDrive):
 
 
 class HeightError(AbstractPlane, MemorylessSurface):
-    """The surface lies higher, and rises along x."""
+    """A surface that lies higher under the axle, and rises along x."""
 
     about: ClassVar = EffectInfo(
         "height_error", "terrain", "h = h + error + rise ahead", "an unknown surface height"
@@ -71,14 +71,16 @@ class HeightError(AbstractPlane, MemorylessSurface):
         return self.error, self.rise
 
 
-# The inputs of a linearised run, in order.
+# Names of the inputs of a linearised run, in order.
 INPUTS = ("zeta", "force_x", "force_z", "speed", "height", "rise")
 
 
 def unknown_inputs(inputs: Float[Array, "6"]) -> tuple:
-    """Effects that carry these inputs.
+    """Effects that apply the inputs of a linearised run.
 
-    They are log zeta [-], forces [N], speed [rad/s], height [m] and rise of the surface [-].
+    Args:
+        inputs: In the order of `INPUTS`: logarithm of a factor on zeta [-], horizontal and vertical
+            force [N], speed [rad/s], height [m] and rise of the surface [-].
     """
     zeta, force_x, force_z, speed, height, rise = inputs
     return (

@@ -1,8 +1,8 @@
-"""What to run or record next, so that explanations of the same runs part.
+"""Design of the next run: the one on which hypotheses that explain the same runs differ most.
 
-They are simulated, with the numbers fitted to the runs there are, on variations of those runs. The
-one to make is where the first one's readings and those of its nearest rival differ by most noise
-floors.
+Hypotheses are simulated, with the numbers fitted to the runs there are, on variations of those
+runs. The run to make is the one on which the readings of the first hypothesis and those of its
+nearest rival differ by most noise floors.
 """
 
 import math
@@ -17,44 +17,60 @@ import numpy as np
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel, with_effects
+from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
 from drftjax.recorded.observation import SHOWN, comparable_channels
-from drftjax.recorded.prepared_run import STEPS_A_ROW
+from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
 from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.trial import Trial
 
-# What the instruments of a wheel test bed can be trusted to, of channels not recorded [m, N, N m].
-TRUSTED = {"x": 5e-5, "z": 2e-5, "fx": 1.0, "fz": 1.0, "torque": 0.1}
+
+@dataclass(frozen=True)
+class NextRunSettings:
+    """Runs that may be proposed, and the difference that makes one worth proposing.
+
+    Attributes:
+        instrument_noise: Noise floor of channels not recorded, by what the instruments of a wheel
+            test bed can be trusted to [m, N, N m].
+        max_omega: Fastest angular velocity of the wheel [rad/s].
+        speed_factors: Speeds that are tried, over that of the run varied [-].
+        load_factors: Vertical masses that are tried, likewise [-].
+        hold: Time for which the wheel stands, or holds its speed, in stop and go [s].
+        min_floors: A smaller difference does not tell hypotheses apart [noise floors].
+        log_zeta_step: Step of log zeta by which the change of sinkage is taken [-].
+        max_log_zeta_step: Largest change of log zeta by which the mean sinkages of two hypotheses
+            are made equal [-].
+    """
+
+    instrument_noise: tuple[tuple[str, float], ...] = (
+        ("x", 5e-5),
+        ("z", 2e-5),
+        ("fx", 1.0),
+        ("fz", 1.0),
+        ("torque", 0.1),
+    )
+    max_omega: float = float(np.deg2rad(300.0))
+    speed_factors: tuple[float, ...] = (0.5, 2.0, 4.0, 8.0)
+    load_factors: tuple[float, ...] = (0.7, 1.3)
+    hold: float = 0.5
+    min_floors: float = 2.0
+    log_zeta_step: float = 0.01
+    max_log_zeta_step: float = 0.2
 
 
-# A rig's limits: fastest wheel [rad/s], and the load over the one that was run.
-FASTEST = np.deg2rad(300.0)
-
-
-SPEEDS = (0.5, 2.0, 4.0, 8.0)
-
-
-LOADS = (0.7, 1.3)
-
-
-# Stop and go: how long the wheel stands, or holds its speed, each time [s].
-HELD = 0.5
-
-
-# Differences under so many floors part nothing.
-TELLING = 2.0
+DEFAULT_NEXT_RUN = NextRunSettings()
 
 
 @dataclass(frozen=True)
 class NextRun:
-    """A run, and how far two explanations part on it.
+    """A run, and the difference of two hypotheses on it.
 
     Attributes:
         run: The run in words.
-        channel: The channel in which they part most.
-        difference: Root mean square of how they differ there, in `unit`.
+        channel: The channel in which they differ.
+        difference: RMS difference there, in `unit`.
         unit: Of the difference.
         floors: The same in noise floors.
     """
@@ -77,37 +93,50 @@ class NextRun:
 
 
 def next_run(
-    case: RigDataset, first: Hypothesis, others: Sequence[Hypothesis], floors: Mapping[str, float]
+    dataset: RigDataset,
+    first: Hypothesis,
+    others: Sequence[Hypothesis],
+    floors: Mapping[str, float],
+    pool: RunPool,
+    settings: NextRunSettings = DEFAULT_NEXT_RUN,
 ) -> dict:
-    """The variation of a run that parts hypotheses, and the channel that would part them now.
+    r"""Choose the run, and the channel, that would tell hypotheses apart.
+
+    The run v and channel c with the largest $\min_k \mathrm{rms}(y_1 - y_k) / n_c$, over the
+    readings y of the first hypothesis and of its rivals k, with the noise floor n.
 
     Args:
-        case: The runs there are.
-        first, others: Hypotheses settled on them, the likeliest first: one is to be told from all
-            others, or, where no variation does that, from the likeliest of them.
+        dataset: The runs there are.
+        first, others: Hypotheses fitted to them, the most probable first: the first one is to be
+            told from all others, or, where no variation does that, from the most probable of them.
         floors: Noise floor of each recorded channel [m, N, N m].
+        pool: Threads.
+        settings: Runs that may be proposed.
 
     Returns:
-        Plain values: `tells` the hypotheses apart, `run` to make, and `channel` to record on a run
-        as made, among those that a diagnosis compares; either is None where nothing helps.
+        Plain values: `tells`, the hypotheses told apart; `run` to make; and `channel` to record on
+        a run as made, among those that a diagnosis compares. Either is None where nothing helps.
     """
-    base = _typical(case)
-    variations = _variations(case, base)
-    # Compiled by the run as it was, before every thread needs the programs.
-    parted = [_separation(variations[0], base, first, others)]
-    parted += case.threads.map(lambda each: _separation(each, base, first, others), variations[1:])
-    floor = TRUSTED | dict(floors)
-    driven = case.runs[base].setup.rig.carriage == "driven"
+    base = _typical_run(dataset)
+    variations = _variations(dataset, base, settings)
+
+    def differences(variation: Variation) -> list[dict[str, float]]:
+        return _differences(variation, base, first, others, settings)
+
+    # The run as it was is simulated first, so that its programs are compiled once.
+    by_variation = [differences(variations[0])]
+    by_variation += pool.map(differences, variations[1:])
+    floor = dict(settings.instrument_noise) | dict(floors)
+    compared = comparable_channels(dataset.runs[base].setup.rig.carriage == "driven")
     advice = {}
     for count in sorted({len(others), 1}, reverse=True):
         proposals = []
-        for variation, apart in zip(variations, parted, strict=True):
-            proposals += _proposals(
-                variation.words, apart[:count], comparable_channels(driven), floor
-            )
-        told = (first, *others[:count])
-        advice = {"tells": ["+".join(reported_names(each.names) or ("none",)) for each in told]}
-        advice |= _best_of(proposals, variations[0].words, set(case.channels))
+        for variation, found in zip(variations, by_variation, strict=True):
+            proposals += _proposals(variation.words, found[:count], compared, floor)
+        hypotheses = (first, *others[:count])
+        names = ["+".join(reported_names(each.names) or ("none",)) for each in hypotheses]
+        as_made, recorded = variations[0].words, set(dataset.channels)
+        advice = {"tells": names} | _best_of(proposals, as_made, recorded, settings.min_floors)
         if advice["run"] or advice["channel"]:
             break
     return advice
@@ -115,38 +144,48 @@ def next_run(
 
 def _proposals(
     words: str,
-    apart: Sequence[Mapping[str, float]],
+    differences: Sequence[Mapping[str, float]],
     compared: Sequence[str],
     floor: Mapping[str, float],
 ) -> list[NextRun]:
-    """A run, by channel, with how far it parts the one of several that it parts least."""
-    if not all(apart):
+    """A run by channel, with its smallest difference from several hypotheses.
+
+    Args:
+        words: The run in words.
+        differences: By hypothesis and channel [m, N, N m]; empty where one cannot be simulated.
+        compared: Channels that a diagnosis compares.
+        floor: Noise floor by channel [m, N, N m].
+    """
+    if not all(differences):
         return []
     found = []
     for channel in compared:
-        difference = min(each[channel] for each in apart)
+        difference = min(each[channel] for each in differences)
         unit, scale = SHOWN[channel]
         floors = difference / floor[channel]
         found.append(NextRun(words, channel, scale * difference, unit, floors))
     return found
 
 
-def _best_of(proposals: Sequence[NextRun], as_it_was: str, recorded: set[str]) -> dict:
+def _best_of(
+    proposals: Sequence[NextRun], as_made: str, recorded: set[str], min_floors: float
+) -> dict:
     """The run to make, and the channel to record on a run as made."""
-    told = [p.floors for p in proposals if p.channel in recorded and p.run == as_it_was]
+    already = [p.floors for p in proposals if p.channel in recorded and p.run == as_made]
     new = [
         p
         for p in proposals
-        # What parts them no better than a run that is there tells nothing new.
-        if p.channel in recorded and p.run != as_it_was and p.floors > max(told, default=0.0)
+        # A run that tells them apart no better than one that is there shows nothing new.
+        if p.channel in recorded and p.run != as_made and p.floors > max(already, default=0.0)
     ]
-    now = [p for p in proposals if p.channel not in recorded and p.run == as_it_was]
-    return {"run": _best(new), "channel": _best(now)}
+    now = [p for p in proposals if p.channel not in recorded and p.run == as_made]
+    return {"run": _best(new, min_floors), "channel": _best(now, min_floors)}
 
 
-def _best(proposals: Sequence[NextRun]) -> dict | None:
+def _best(proposals: Sequence[NextRun], min_floors: float) -> dict | None:
+    """The proposal of the largest difference, if that is large enough."""
     best = max(proposals, key=lambda each: each.floors, default=None)
-    return best.document() if best is not None and best.floors >= TELLING else None
+    return best.document() if best is not None and best.floors >= min_floors else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,145 +195,198 @@ class Variation:
     Attributes:
         words: The run in words.
         trial: The run, padded.
-        lasts: Time over which it is simulated [s].
+        duration: Time over which it is simulated [s].
     """
 
     words: str
     trial: Trial
-    lasts: float
+    duration: float
 
 
-def _upto(variation: Variation, lasts: float = np.inf) -> Variation:
-    """The same over so much time [s] at most, which the words say where it cuts the run short.
+def _shortened(variation: Variation, duration: float = np.inf) -> Variation:
+    """The same over `duration` [s] at most, and no longer than its padded rows last.
 
-    Nor is it longer than the rows there are, which a shorter step makes shorter.
+    The words say so where that shortens the run.
     """
     trial = variation.trial
-    lasts = min(lasts, trial.rows * STEPS_A_ROW * float(trial.step))
-    if lasts >= variation.lasts:
+    duration = min(duration, trial.rows * STEPS_A_ROW * float(trial.step))
+    if duration >= variation.duration:
         return variation
-    return Variation(f"{variation.words}, its first {lasts:.1f} s", trial, lasts)
+    return Variation(f"{variation.words}, its first {duration:.1f} s", trial, duration)
 
 
-def _scaled(trial: Trial, factor: float) -> Trial:
-    """The same command at so many times the speed, the carriage's too."""
+def _with_speed_scaled(trial: Trial, factor: float) -> Trial:
+    """The same command with the speeds of wheel and carriage times `factor`."""
     return replace(trial, omega=trial.omega * factor, vx=trial.vx * factor)
 
 
-def _goes(trial: Trial) -> float:
-    """How far rim or, where the wheel never turns, carriage go [m], negative backward."""
+def _commanded_travel(trial: Trial) -> float:
+    """Travel of the rim or, where the wheel never turns, of the carriage [m], negative backward."""
     omega = np.asarray(trial.omega)
     speed = omega * float(trial.simulator.wheel.radius) if omega.any() else np.asarray(trial.vx)
     return float(np.trapezoid(speed, np.asarray(trial.time)))
 
 
-def _ways(trial: Trial) -> np.ndarray:
-    """The longer way of rim and carriage up to each knot [m], either way round."""
+def _path_lengths(trial: Trial) -> np.ndarray:
+    """Path up to each knot of the faster of rim and carriage [m], never falling, shape (knots,)."""
     time, radius = np.asarray(trial.time), float(trial.simulator.wheel.radius)
     speed = np.maximum(radius * np.abs(np.asarray(trial.omega)), np.abs(np.asarray(trial.vx)))
     return np.append(0.0, np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2))
 
 
-def _typical(case: RigDataset) -> int:
-    """The run of middling top speed."""
-    tops = [float(np.abs(np.asarray(c.trial.omega)).max()) for c in case.runs]
+def _typical_run(dataset: RigDataset) -> int:
+    """Index of the run of median top speed."""
+    tops = [float(np.abs(np.asarray(each.trial.omega)).max()) for each in dataset.runs]
     return int(np.argsort(tops)[len(tops) // 2])
 
 
-def _variations(case: RigDataset, base: int) -> list[Variation]:
-    candidate = case.runs[base]
-    trial, lasted = case.trials[base], _end(candidate.trial)
-    found = [Variation(f"{candidate.name} as it was", trial, lasted)]
+def _variations(
+    dataset: RigDataset, base: int, settings: NextRunSettings = DEFAULT_NEXT_RUN
+) -> list[Variation]:
+    """The run as it was, at other speeds, in the other direction, stop and go, other loads."""
+    run, trial = dataset.runs[base], dataset.trials[base]
+    duration = _end_of_motion(run.trial)
+    as_made = Variation(f"{run.name} as it was", trial, duration)
     top = float(np.abs(np.asarray(trial.omega)).max())
-    made = [each.trial for each in case.runs]
-    farthest = max(float(_ways(each)[-1]) for each in made)
-    for factor in SPEEDS:
-        if 0 < top * factor <= FASTEST:
-            faster = _steady(_scaled(trial, factor))
-            lasts = float(np.interp(farthest, _ways(faster), np.asarray(faster.time)))
-            words = f"{candidate.name} at {np.rad2deg(top * factor):.0f} deg/s"
-            found.append(_upto(Variation(words, faster, lasted), lasts))
-    # A run that goes the other way has been made where any has.
-    if len({np.sign(_goes(each)) for each in made}) == 1:
-        way = "backward" if _goes(candidate.trial) > 0 else "forward"
-        found.append(Variation(f"{candidate.name} {way}", _scaled(trial, -1.0), lasted))
-    if top > 0:
-        words = f"{candidate.name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
-        starts_and_stops = _stop_and_go(trial, top)
-        found.append(_upto(Variation(words, starts_and_stops, _end(starts_and_stops))))
-    for factor in LOADS:
-        mass = float(trial.simulator.rig.mass_z) * factor
-        heavier = eqx.tree_at(
-            lambda t: (t.simulator.rig.mass_z, t.start.position),
-            trial,
-            (
-                as_real(mass),
-                trial.start.position.at[1].multiply(factor),
-            ),
-        )
-        found.append(Variation(f"{candidate.name} with {mass:.1f} kg", heavier, lasted))
+    return [
+        as_made,
+        *_faster_and_slower(dataset, as_made, run.name, top, settings),
+        *_other_way(dataset, as_made, run),
+        *_started_and_stopped(as_made, run.name, top, settings),
+        *_other_loads(as_made, run.name, settings),
+    ]
+
+
+def _faster_and_slower(
+    dataset: RigDataset, as_made: Variation, name: str, top: float, settings: NextRunSettings
+) -> list[Variation]:
+    """The run at other speeds, no farther than the longest run so far."""
+    farthest = max(float(_path_lengths(each.trial)[-1]) for each in dataset.runs)
+    found = []
+    for factor in settings.speed_factors:
+        if not 0 < top * factor <= settings.max_omega:
+            continue
+        scaled = _with_allowed_step(_with_speed_scaled(as_made.trial, factor))
+        duration = float(np.interp(farthest, _path_lengths(scaled), np.asarray(scaled.time)))
+        words = f"{name} at {np.rad2deg(top * factor):.0f} deg/s"
+        found.append(_shortened(Variation(words, scaled, as_made.duration), duration))
     return found
 
 
-def _stop_and_go(trial: Trial, top: float) -> Trial:
-    """The same wheel started and stopped over and over, as sharply as the shortest step allows."""
+def _other_way(dataset: RigDataset, as_made: Variation, run: PreparedRun) -> list[Variation]:
+    """The run in the other direction, where all runs so far went in one."""
+    if len({np.sign(_commanded_travel(each.trial)) for each in dataset.runs}) > 1:
+        return []
+    direction = "backward" if _commanded_travel(run.trial) > 0 else "forward"
+    reversed_trial = _with_speed_scaled(as_made.trial, -1.0)
+    return [Variation(f"{run.name} {direction}", reversed_trial, as_made.duration)]
+
+
+def _started_and_stopped(
+    as_made: Variation, name: str, top: float, settings: NextRunSettings
+) -> list[Variation]:
+    if not top > 0:
+        return []
+    words = f"{name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
+    trial = _stop_and_go(as_made.trial, top, settings.hold)
+    return [_shortened(Variation(words, trial, _end_of_motion(trial)))]
+
+
+def _other_loads(as_made: Variation, name: str, settings: NextRunSettings) -> list[Variation]:
+    """The run with other vertical masses, which start proportionally deeper."""
+    trial, found = as_made.trial, []
+    for factor in settings.load_factors:
+        mass = float(trial.simulator.rig.mass_z) * factor
+        loaded = eqx.tree_at(
+            lambda t: (t.simulator.rig.mass_z, t.start.position),
+            trial,
+            (as_real(mass), trial.start.position.at[1].multiply(factor)),
+        )
+        found.append(Variation(f"{name} with {mass:.1f} kg", loaded, as_made.duration))
+    return found
+
+
+def _stop_and_go(trial: Trial, top: float, hold: float = DEFAULT_NEXT_RUN.hold) -> Trial:
+    """The wheel started and stopped over and over, as sharply as the shortest step allows.
+
+    Args:
+        trial: The run that is varied.
+        top: Angular velocity between the ramps [rad/s].
+        hold: Time at it, and at rest [s].
+    """
     ramp = top / sharpest_ramp(float(trial.simulator.wheel.radius))
-    held = np.cumsum(np.resize([HELD, ramp], len(trial.time) - 1))
+    ends = np.cumsum(np.resize([hold, ramp], len(trial.time) - 1))
     speeds = np.resize([0.0, 0.0, top, top], len(trial.time))
-    # A driven carriage goes as it did beside the wheel at its fastest.
+    # A driven carriage keeps the ratio that it had to the wheel at its fastest.
     fastest = int(np.argmax(np.abs(np.asarray(trial.omega))))
     vx = float(trial.vx[fastest] / trial.omega[fastest]) * speeds
-    time = jnp.append(0.0, held)
-    return _steady(replace(trial, time=time, omega=jnp.asarray(speeds), vx=jnp.asarray(vx)))
+    time = jnp.append(0.0, ends)
+    return _with_allowed_step(
+        replace(trial, time=time, omega=jnp.asarray(speeds), vx=jnp.asarray(vx))
+    )
 
 
-def _steady(trial: Trial) -> Trial:
-    """The same at a step that its command allows."""
+def _with_allowed_step(trial: Trial) -> Trial:
+    """The same with the longest time step that its command allows."""
     radius = float(trial.simulator.wheel.radius)
     step = steady_step(radius, np.asarray(trial.time), np.asarray(trial.omega))
     return replace(trial, step=as_real(step))
 
 
 @eqx.filter_jit
-def _simulated(model: AugmentedModel, trial: Trial, coordinates, rows):
+def _simulate(model: AugmentedModel, trial: Trial, coordinates, rows):
     return with_effects(trial, model.build(coordinates)).run_to(rows, CHANNELS)
 
 
-def _separation(
-    variation: Variation, base: int, first: Hypothesis, others: Sequence[Hypothesis]
+def _differences(
+    variation: Variation,
+    base: int,
+    first: Hypothesis,
+    others: Sequence[Hypothesis],
+    settings: NextRunSettings,
 ) -> list[dict[str, float]]:
-    """Root mean square of how each of the others' readings differ, by channel [m, N, N m].
+    """RMS difference of the readings of each other hypothesis from the first's, by channel.
 
-    Its zeta is moved so that both sink alike on the mean: a new run has its own. Nothing is told of
-    one that cannot be simulated.
+    A new run has its own zeta: that of each hypothesis is changed so that its mean sinkage is the
+    first one's.
+
+    Args:
+        variation: The run.
+        base: Index of the run that it is a variation of.
+        first, others: Hypotheses.
+        settings: Steps of log zeta.
+
+    Returns:
+        By hypothesis [m, N, N m]; empty for one that cannot be simulated.
     """
     trial = variation.trial
-    rows = min(trial.rows, math.ceil(variation.lasts / (STEPS_A_ROW * float(trial.step))))
+    rows = min(trial.rows, math.ceil(variation.duration / (STEPS_A_ROW * float(trial.step))))
 
-    def of(hypothesis: Hypothesis, more: float = 0.0) -> np.ndarray:
-        scaled = with_zeta(trial, hypothesis.log_zeta[base] + more)
+    def readings(hypothesis: Hypothesis, log_zeta_change: float = 0.0) -> np.ndarray:
+        scaled = with_zeta(trial, hypothesis.log_zeta[base] + log_zeta_change)
         at = jnp.asarray(hypothesis.coordinates, float)
-        found = _simulated(hypothesis.model, scaled, at, jnp.asarray(rows))
+        found = _simulate(hypothesis.model, scaled, at, jnp.asarray(rows))
         return np.asarray(jax.block_until_ready(found))[:, : rows + 1]
 
-    z = CHANNELS.index("z")
-    one = of(first)
+    z, step, longest = CHANNELS.index("z"), settings.log_zeta_step, settings.max_log_zeta_step
+    of_first = readings(first)
 
-    def apart(other: Hypothesis) -> dict[str, float]:
-        two, moved = of(other), of(other, 0.01)
-        slope = (moved[z].mean() - two[z].mean()) / 0.01
+    def difference(hypothesis: Hypothesis) -> dict[str, float]:
+        found, moved = readings(hypothesis), readings(hypothesis, step)
+        slope = (moved[z].mean() - found[z].mean()) / step
         if slope > 0:
-            two = of(other, float(np.clip((one[z] - two[z]).mean() / slope, -0.2, 0.2)))
-        power = np.mean((one - two) ** 2, axis=1)
+            change = (of_first[z] - found[z]).mean() / slope
+            found = readings(hypothesis, float(np.clip(change, -longest, longest)))
+        power = np.mean((of_first - found) ** 2, axis=1)
         if not np.isfinite(power).all():
             return {}
         return dict(zip(CHANNELS, np.sqrt(power).tolist(), strict=True))
 
-    return [apart(each) for each in others]
+    return [difference(each) for each in others]
 
 
-def _end(trial: Trial) -> float:
-    """When the wheel is last asked to move [s]; the end of a command that ends in motion."""
+def _end_of_motion(trial: Trial) -> float:
+    """Time at which the wheel stops for good [s]; the end of a command that ends in motion."""
     time, omega = np.asarray(trial.time), np.asarray(trial.omega)
     moving = np.flatnonzero(omega != 0)
     return float(time[min(moving[-1] + 1, len(time) - 1)]) if moving.size else float(time[-1])

@@ -1,4 +1,4 @@
-"""Nine runs that tell effects apart: what to record for a diagnosis, where one may choose.
+"""Nine recommended runs, from which a diagnosis can tell most effects apart.
 
 Forward runs with gentle ramps leave some effects alike: a carriage that never goes backward cannot
 tell its friction from a pull, and one that never stops sharply cannot tell a late reading from a
@@ -19,25 +19,37 @@ from drftjax.setups.setup import CommandSetUp, SetUp, StartSetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.statics import standing_sinkage
 
-# Loads of the lightest and the heaviest run, as shares of the rig's own.
-LIGHT, HEAVY = 0.75, 1.25
+LIGHT_LOAD, HEAVY_LOAD = 0.75, 1.25
+"""Loads of the lightest and the heaviest run, as shares of the rig's own [-]."""
 
 
-# A run that is too long for its rail holds its speed for so long at least [s].
-SHORTEST_HOLD = 0.5
+@dataclass(frozen=True)
+class RecommendedRunSettings:
+    """Rounding and limits of the commands.
+
+    Attributes:
+        min_hold: A run that is too long for its rail holds its speed for so long at least [s].
+        time_step: Times are multiples of this [s],
+        speed_step: and speeds of this [deg/s].
+        rounding: Part of `speed_step` by which a speed may lie under a multiple and still be one.
+    """
+
+    min_hold: float = 0.5
+    time_step: float = 0.01
+    speed_step: float = 0.1
+    rounding: float = 1e-6
 
 
-# Times [s] and speeds [deg/s] are multiples of these; what rounding leaves of a multiple is one.
-TIMES, SPEEDS, ROUNDING = 0.01, 0.1, 1e-6
+DEFAULT_RECOMMENDED_RUNS = RecommendedRunSettings()
 
 
 @dataclass(frozen=True)
 class RecommendedRun:
-    """A run that tells effects apart.
+    """Command and load of one recommended run.
 
     Attributes:
         name: The run, in a word or two.
-        tells: What it is there for.
+        tells: Purpose of the run.
         time: Knots of its command [s].
         speed: Wheel speed at the knots, linear in between, negative backward [deg/s].
         load: Vertical mass as a share of the rig's own.
@@ -65,31 +77,36 @@ def _stop_and_go(name: str, tells: str, speed: float, ramp: float, held: float) 
     return RecommendedRun(name, tells, time, (0.0, 0.0, *(3 * [speed, speed, 0.0, 0.0])))
 
 
-TELLING = (
+RECOMMENDED_RUNS = (
     _held("paper", "the paper's run, the one that others are held against", 30.0, 5.0, 10.0),
     _held("again", "the same again: noise floor, and how far zeta scatters", 30.0, 5.0, 10.0),
     _held("backward", "a pull, a slope or a spring from friction", -60.0, 4.0, 6.0),
-    _stop_and_go("stop_and_go", "late from slow from filtered; play", 45.0, 0.25, 0.5),
-    _held("swift", "what grows with speed, over a long way", 90.0, 3.0, 4.0),
-    _held("light", "loads from readings", 30.0, 5.0, 10.0, LIGHT),
-    _held("heavy", "how stress grows with depth", 60.0, 2.0, 5.0, HEAVY),
-    _held("fast_light", "momentum of the sand from its lost height", 200.0, 2.0, 2.0, LIGHT),
-    _held("fast_heavy", "the same, under more load", 200.0, 2.0, 2.0, HEAVY),
+    _stop_and_go("stop_and_go", "late, slow and filtered readings; backlash", 45.0, 0.25, 0.5),
+    _held("swift", "what grows with speed, over a long travel", 90.0, 3.0, 4.0),
+    _held("light", "loads from readings", 30.0, 5.0, 10.0, LIGHT_LOAD),
+    _held("heavy", "how stress grows with depth", 60.0, 2.0, 5.0, HEAVY_LOAD),
+    _held("fast_light", "momentum of the sand from its lost height", 200.0, 2.0, 2.0, LIGHT_LOAD),
+    _held("fast_heavy", "the same, under more load", 200.0, 2.0, 2.0, HEAVY_LOAD),
 )
 
 
 def recommended_runs(
-    like: SetUp, max_speed: float | None = None, max_travel: float | None = None
+    like: SetUp,
+    max_speed: float | None = None,
+    max_travel: float | None = None,
+    settings: RecommendedRunSettings = DEFAULT_RECOMMENDED_RUNS,
 ) -> Iterator[tuple[RecommendedRun, SetUp]]:
-    """The nine runs for a rig.
+    """The nine runs for a rig, each with its set-up.
 
     Args:
-        like: Its wheel, sand and loads; start and command are not used.
+        like: Set-up of the rig: wheel, sand and loads; its start and command are not used.
         max_speed: Largest speed of the wheel [deg/s]; faster runs are slowed down to it.
-        max_travel: Longest way of the carriage [m]; longer runs hold their speed for less long.
+        max_travel: Longest travel of the carriage [m]; longer runs hold their speed for less long.
+        settings: Rounding and limits of the commands.
 
     Raises:
-        InputError: where a limit leaves no run, or the sand does not bear the wheel.
+        InputError: where the carriage is driven, a limit leaves no run, or the sand does not bear
+            the wheel.
     """
     if like.rig.carriage != "free":
         raise InputError("the carriage of the rig is driven; these runs are of one that is free")
@@ -97,42 +114,49 @@ def recommended_runs(
         require_between("the largest speed", max_speed, 1.0, 3000.0, " deg/s")
     if max_travel is not None:
         require_between("the longest way", max_travel, 0.01, 1000.0, " m")
-    for run in TELLING:
+    for run in RECOMMENDED_RUNS:
         setup = copy.deepcopy(like)
-        time, speed = _within(run, like.wheel.radius, max_speed, max_travel)
+        time, speed = _within(run, like.wheel.radius, max_speed, max_travel, settings)
         setup.command = CommandSetUp(time, speed, omega_unit="deg/s")
         setup.title = f"{run.name}: {run.tells}"
         setup.rig.mass_z = round(like.rig.mass_z * run.load, 3)
         setup.start = StartSetUp()
-        setup.start.sinkage = _standing(setup)
+        setup.start.sinkage = _standing_sinkage(setup)
         yield run, setup
 
 
 def _within(
-    run: RecommendedRun, radius: float, max_speed: float | None, max_travel: float | None
+    run: RecommendedRun,
+    radius: float,
+    max_speed: float | None,
+    max_travel: float | None,
+    settings: RecommendedRunSettings,
 ) -> tuple[list[float], list[float]]:
     """Knots [s] and speeds [deg/s] inside the limits: held for less long first, then slower."""
     time, speed = np.array(run.time), np.array(run.speed)
     if max_speed is not None:
         speed *= min(1.0, max_speed / np.abs(speed).max())
     if max_travel is not None:
+        step = settings.time_step
         farthest = np.degrees(max_travel / radius)
         top = np.abs(speed).max()
         held = np.diff(time) * (np.abs(speed[1:]) == top) * (np.abs(speed[:-1]) == top)
         longest = int(np.argmax(held))
-        excess = math.ceil(max(0.0, _turned(time, speed) - farthest) / top / TIMES) * TIMES
-        time[longest + 1 :] -= min(excess, max(0.0, held[longest] - SHORTEST_HOLD))
+        excess = math.ceil(max(0.0, _turned(time, speed) - farthest) / top / step) * step
+        time[longest + 1 :] -= min(excess, max(0.0, held[longest] - settings.min_hold))
         speed *= min(1.0, farthest / _turned(time, speed))
     # Towards rest, so that no rounding passes a limit.
-    speed = np.trunc(speed / SPEEDS + np.sign(speed) * ROUNDING) * SPEEDS
+    steps = speed / settings.speed_step
+    speed = np.trunc(steps + np.sign(steps) * settings.rounding) * settings.speed_step
     return np.round(time, 2).tolist(), np.round(speed, 1).tolist()
 
 
 def _turned(time: np.ndarray, speed: np.ndarray) -> float:
+    """Angle turned in both directions [deg]."""
     return float(np.trapezoid(np.abs(speed), time))
 
 
-def _standing(setup: SetUp) -> float:
+def _standing_sinkage(setup: SetUp) -> float:
     """Sinkage at which the wheel stands under this load [m]."""
     zeta = setup.terrain.zeta
     first = zeta.value[0] if isinstance(zeta, ZetaKnots) else zeta

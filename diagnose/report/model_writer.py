@@ -1,4 +1,4 @@
-"""A diagnosis as a model: a set-up file with the effects that were found."""
+"""Model file of a diagnosis: a set-up file with the effects that were found."""
 
 import copy
 from collections.abc import Mapping
@@ -17,19 +17,19 @@ from drftjax.recorded.repeats import group_by_condition
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.setup_toml import setup_toml
 
-# What every model file's first comment begins with.
-MARK = "From a diagnosis of"
+MODEL_FILE_MARK = "From a diagnosis of"
+"""Beginning of the first comment of every model file."""
 
 
 def model_toml(found: Diagnosis) -> str:
-    """The model with what was found, as a set-up file.
+    """Text of the set-up file with the effects that were found.
 
-    Wheel, rig, start and command are those of the first run. zeta is the mean over the runs. The
-    effects stand with their numbers, and these with their standard errors in comments.
+    Wheel, rig, start and command are those of the first run; zeta is the mean over the runs.
+    Standard errors of the effects' numbers stand in comments.
     """
-    candidates = found.dataset.runs
-    setup = copy.deepcopy(candidates[0].setup)
-    zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
+    runs = found.dataset.runs
+    setup = copy.deepcopy(runs[0].setup)
+    zeta = np.array([float(each.setup.terrain.zeta) for each in runs])  # pyright: ignore
     zeta = zeta * np.exp(found.selected.log_zeta)
     setup.title = f"{printable(setup.title)}, with what a diagnosis found"
     setup.command = decimate_command(setup.command)
@@ -44,7 +44,7 @@ def model_toml(found: Diagnosis) -> str:
 
 
 def _comments(found: Diagnosis, effect: AbstractEffect) -> dict[str, str]:
-    """What stands beside an effect's numbers, by field."""
+    """Comments beside an effect's numbers, by field."""
     offered = found.correction
     if offered is None:
         numbers = found.parameters[reported_name(effect.about.name)]
@@ -60,8 +60,9 @@ def estimate_in_words(number: ParameterEstimate) -> str:
 
 
 def _head(found: Diagnosis) -> list[str]:
+    """Comment lines at the top of the file."""
     names = ", ".join(printable(each.name) for each in found.dataset.runs)
-    lines = [f"{MARK} {names}."]
+    lines = [f"{MODEL_FILE_MARK} {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
@@ -95,6 +96,7 @@ def _head(found: Diagnosis) -> list[str]:
 
 
 def _in_floors(gaps: Mapping[str, Gap]) -> str:
+    """Gaps before and after, in noise floors."""
     return ", ".join(
         f"{channel} from {gap.before / gap.floor:.1f} to {gap.after / gap.floor:.1f}"
         for channel, gap in gaps.items()
@@ -102,6 +104,7 @@ def _in_floors(gaps: Mapping[str, Gap]) -> str:
 
 
 def _scatter(zeta: np.ndarray) -> str:
+    """Comment on the zetas of the runs, shape (runs,)."""
     if len(zeta) == 1:
         return "of the one run"
     return f"mean of {len(zeta)} runs, which scatter by {zeta.std(ddof=1) / zeta.mean():.2%}"

@@ -1,6 +1,7 @@
-"""A diagnosis told: in sentences and tables for a terminal, and as files for a folder."""
+"""A diagnosis in words: sentences and tables for a terminal, and the files of its folder."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ from rich.table import Table
 
 from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
-from diagnose.localization import localization as location
+from diagnose.localization.localization import localization_sentence
 from diagnose.report.figures import as_source, at_a_glance, residuals, unknown_signal, weights
-from diagnose.report.model_writer import MARK, estimate_in_words, model_toml
+from diagnose.report.model_writer import MODEL_FILE_MARK, estimate_in_words, model_toml
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax import __version__
@@ -26,26 +27,36 @@ from drftjax.recorded.observation import SHOWN
 from drftjax.recorded.repeats import group_by_condition
 from drftjax.setups.generated_files import replace_own_setup
 
-# So many noise floors off, a run is plainly not followed.
-PLAIN = 3.0
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """Thresholds of the sentences.
+
+    Attributes:
+        min_floors: The reference model misses the runs by far where the gap of a channel is so many
+            noise floors [-].
+        min_weight: Smaller weights are left out of the list of weights [-].
+    """
+
+    min_floors: float = 3.0
+    min_weight: float = 0.01
 
 
-# Weights under this are not told.
-TOLD = 0.01
+DEFAULT_REPORT = ReportSettings()
 
 
-def in_words(found: Diagnosis) -> list[Table | str]:
-    """Everything that was found, as it is read from top to bottom."""
-    return [verdict(found), gap_table(found), *paragraphs(found)]
+def in_words(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[Table | str]:
+    """The whole diagnosis as sentences and tables, from top to bottom."""
+    return [verdict(found, settings), gap_table(found), *paragraphs(found, settings)]
 
 
-def verdict(found: Diagnosis) -> str:
-    """What was found, in one sentence."""
+def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
+    """The verdict in one or two sentences."""
     weight = certainty_in_words(found)
     alone = len(found.dataset.runs) == 1
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
-        if missed := _missed_by_far(found):
+        if missed := _large_gaps(found, settings.min_floors):
             tell = "tells" if alone else "tell"
             return (
                 f"The reference model misses {runs} by {missed}, but {runs} {tell} too little of "
@@ -82,28 +93,29 @@ def verdict(found: Diagnosis) -> str:
     return f"These runs show {effects}, with weight {percent(weight)}."
 
 
-def _missed_by_far(found: Diagnosis) -> str:
-    """In which channels the reference model lies plainly off, and by how much; empty for none."""
+def _large_gaps(found: Diagnosis, min_floors: float) -> str:
+    """Channels whose gap is large, with its size; empty for none."""
     floors = {channel: gap.before / gap.floor for channel, gap in found.gap.items() if gap.floor}
     return " and ".join(
-        f"{size:.0f} noise floors in {channel}" for channel, size in floors.items() if size >= PLAIN
+        f"{size:.0f} noise floors in {channel}"
+        for channel, size in floors.items()
+        if size >= min_floors
     )
 
 
 def certainty_in_words(found: Diagnosis) -> float:
-    """Weight of the verdict, or of the least sure part of it."""
+    """Weight of the verdict; of two effects, the smaller one [-]."""
     return min(found.weights.get(name, 0.0) for name in found.verdict)
 
 
-def paragraphs(found: Diagnosis) -> list[str]:
-    """All else that was found, in sentences."""
-    others = [w for w in found.weights.items() if w[1] >= TOLD]
-    told_weights = ", ".join(f"{name} {percent(weight)}" for name, weight in others)
-    lines = [f"weights: {told_weights}"]
+def paragraphs(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[str]:
+    """The rest of the diagnosis, in sentences."""
+    weighty = [each for each in found.weights.items() if each[1] >= settings.min_weight]
+    lines = ["weights: " + ", ".join(f"{name} {percent(weight)}" for name, weight in weighty)]
     lines += group_sentences(found)
     lines += gap_sentences(found)
     if found.verdict != (NONE,):
-        lines.append(location.localization_sentence(found.localization))
+        lines.append(localization_sentence(found.localization))
     lines += parameter_sentences(found)
     lines += [f"note: {note}" for note in found.notes]
     lines += next_sentences(found)
@@ -111,7 +123,7 @@ def paragraphs(found: Diagnosis) -> list[str]:
 
 
 def group_sentences(found: Diagnosis) -> list[str]:
-    """What these runs cannot tell apart."""
+    """Effects that these runs cannot tell apart, in sentences."""
     sentences = []
     for group in found.groups:
         first, others = group[0], " or ".join(map(_worded, group[1:]))
@@ -131,7 +143,7 @@ def _worded(name: str) -> str:
 
 
 def shrinkage_in_words(gap: Gap) -> str:
-    """How far a gap shrinks; with the interval, where there are conditions to draw from."""
+    """Shrinkage of a gap, with its interval where there is one."""
     if not gap.is_reducible:
         return "at the floor"
     if gap.interval is None:
@@ -141,24 +153,24 @@ def shrinkage_in_words(gap: Gap) -> str:
 
 
 def gap_sentences(found: Diagnosis) -> list[str]:
-    """On what the gap was measured, and how far it shrinks."""
+    """Shrinkage of the gap, and the runs on which it was measured, in sentences."""
     if found.verdict == (NONE,):
         return []
     if found.verdict == (UNKNOWN,):
-        return [_stand_in_sentence(found)]
-    least = " and ".join(found.verdict)
+        return [_substitute_sentence(found)]
+    effects = " and ".join(found.verdict)
     shares = _shrunk_by(found)
     on = _measured_on(found, "its curve was" if found.correction else "the effect's numbers were")
     if not shares:
-        return [f"There is no gap above the noise floor that {least} could shrink."]
+        return [f"There is no gap above the noise floor that {effects} could shrink."]
     return [
-        f"With {least} the gap above the noise floor shrinks by {shares}, {on}.",
+        f"With {effects} the gap above the noise floor shrinks by {shares}, {on}.",
         *step_sentences(found),
     ]
 
 
-def _stand_in_sentence(found: Diagnosis) -> str:
-    """What stands for an effect that is not known, and how far the gap shrinks with it."""
+def _substitute_sentence(found: Diagnosis) -> str:
+    """The model offered in place of an unknown effect, and how far the gap shrinks with it."""
     if not found.selected.effects:
         return "Nothing tried in its place shrinks the gap; model.toml holds the reference model."
     if found.correction is not None:
@@ -175,7 +187,7 @@ def _stand_in_sentence(found: Diagnosis) -> str:
 
 
 def step_sentences(found: Diagnosis) -> list[str]:
-    """How far the gap shrinks as effects are added one by one, where there are several."""
+    """Shrinkage as two effects are added one by one; empty without two."""
     if not found.stepwise:
         return []
     steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.stepwise]
@@ -183,6 +195,7 @@ def step_sentences(found: Diagnosis) -> list[str]:
 
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
+    """Shrinkage of every reducible gap."""
     gaps = found.gap if gaps is None else gaps
     return ", ".join(
         f"{channel} {shrinkage_in_words(gap)}" for channel, gap in gaps.items() if gap.is_reducible
@@ -190,13 +203,14 @@ def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
 
 
 def _measured_on(found: Diagnosis, what: str) -> str:
+    """Runs on which the shrinkage was measured; `what` ends in a verb."""
     if len(group_by_condition(found.dataset.runs)) > 1:
         return f"on runs left out while {what} found"
-    return f"on the very runs that {what} found on, which flatters it"
+    return f"on the same runs that {what} found on, which overstates it"
 
 
 def parameter_sentences(found: Diagnosis) -> list[str]:
-    """The effects' numbers with errors and units."""
+    """Numbers of the effects with standard errors and units, in sentences."""
     head = ""
     if found.verdict == (UNKNOWN,) and found.parameters:
         head = "the likeliest effect that is known, which does not explain the runs: "
@@ -208,30 +222,31 @@ def parameter_sentences(found: Diagnosis) -> list[str]:
 
 
 def next_sentences(found: Diagnosis) -> list[str]:
-    """What to run next, so that what cannot be told apart can be."""
+    """The run or channel that would tell the hypotheses apart, in one sentence."""
     advice = dict[str, Any](found.next_run)
     if not advice:
         return []
     first, *others = (" with ".join(map(_worded, each.split("+"))) for each in advice["tells"])
     second = " and from ".join(others)
-    ways = []
+    proposals = []
     for key, words in (("run", "run {run}"), ("channel", "record {channel} on {run}")):
-        way = advice.get(key)
-        if isinstance(way, dict):
-            ways.append(
-                f"{words.format(**way)}, where {way['channel']} differs by "
-                f"{way['difference']:.3g} {way['unit']} ({way['floors']:.1f} noise floors)"
+        proposal = advice.get(key)
+        if isinstance(proposal, dict):
+            proposals.append(
+                f"{words.format(**proposal)}, where {proposal['channel']} differs by "
+                f"{proposal['difference']:.3g} {proposal['unit']} "
+                f"({proposal['floors']:.1f} noise floors)"
             )
-    if not ways:
+    if not proposals:
         return [f"No variation of these runs would tell {first} from {second}."]
-    return [f"To tell {first} from {second}: {'; or '.join(ways)}."]
+    return [f"To tell {first} from {second}: {'; or '.join(proposals)}."]
 
 
 # Tables -------------------------------------------------------------------------------------------
 
 
 def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
-    """By channel: unit, before, after, floor, both in floors, shrinkage and its interval."""
+    """Rows of the table of gaps: channel, before, after, floor, both in floors, shrinkage."""
     rows = []
     for channel, gap in found.gap.items():
         unit, scale = SHOWN[channel]
@@ -252,7 +267,7 @@ GAP_COLUMNS = ("gap", "before", "after", "noise floor", "in floors", "shrinkage 
 
 
 def gap_table(found: Diagnosis) -> Table:
-    """The gap before and after, against the noise floor."""
+    """Table of the gap before and after, against the noise floor."""
     table = Table()
     for name in GAP_COLUMNS:
         table.add_column(name, justify="left" if name == "gap" else "right")
@@ -262,7 +277,7 @@ def gap_table(found: Diagnosis) -> Table:
 
 
 def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
-    """By run: name, title, duration, zeta, and the gap before and after by channel."""
+    """Rows of the table of runs: name, title, duration, zeta, gap before and after by channel."""
     rows = []
     for number, each in enumerate(found.dataset.runs):
         zeta = float(each.setup.terrain.zeta) * np.exp(found.selected.matches[number].log_zeta)  # pyright: ignore
@@ -287,6 +302,7 @@ def _rms_pair(before: np.ndarray, after: np.ndarray, channel: str) -> str:
 
 
 def run_columns(found: Diagnosis) -> tuple[str, ...]:
+    """Headings of the table of runs."""
     channels = (f"{c} [{SHOWN[c][0]}]" for c in found.dataset.channels)
     return ("run", "title", "compared [s]", "zeta", *channels)
 
@@ -295,7 +311,7 @@ def run_columns(found: Diagnosis) -> tuple[str, ...]:
 
 
 def page(found: Diagnosis) -> str:
-    """The report: one page that needs nothing else."""
+    """The report as one HTML page that refers to no other file."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("diagnose.report"),
         autoescape=True,
@@ -309,11 +325,7 @@ def page(found: Diagnosis) -> str:
         sentences=[
             *group_sentences(found),
             *gap_sentences(found),
-            *(
-                [location.localization_sentence(found.localization)]
-                if found.verdict != (NONE,)
-                else []
-            ),
+            *([localization_sentence(found.localization)] if found.verdict != (NONE,) else []),
         ],
         glance=as_source(at_a_glance(found)),
         weights=as_source(weights(found)),
@@ -333,7 +345,7 @@ def page(found: Diagnosis) -> str:
 
 
 def _signal(found: Diagnosis) -> dict[str, Any] | None:
-    """What an effect that nobody has written looks like, for the page."""
+    """The disturbance and the correction, for the page; None where none was sought."""
     if found.unknown_effect is None:
         return None
     offered = found.correction
@@ -370,7 +382,7 @@ def write(found: Diagnosis, folder: Path) -> list[Path]:
     numbers, setup, shown = as_json(found.document()), model_toml(found), page(found)
     make_folder(folder)
     # First, as it may be refused: all three stay as they were then.
-    replace_own_setup(model, setup, MARK)
+    replace_own_setup(model, setup, MODEL_FILE_MARK)
     replace_file(document, numbers)
     replace_file(report, shown.encode())
     return [document, model, report]

@@ -1,17 +1,34 @@
-"""Weights over effects, pairs of them, none and unknown.
+r"""Weights of effects, pairs of them, none and unknown: approximate posterior probabilities.
 
-A hypothesis is judged by what it leaves on runs it was not fitted to and on those it was, block by
-block, each block with a variance of its own: half its worth times the logarithm of what is left, on
-top of a model's own error. Prediction alone would condemn a right effect where the one run that
-shows it best is the one left out, as what the others know of its numbers is then far from certain;
-the fit alone would reward what bends to every run. `unknown` stands for a model that nobody has
-written: it is taken to leave a small share of what the reference model leaves, so that a listed
-effect must explain nearly all of a gap to be believed. The numbers in `WeightSettings` were chosen
-on 120 sets of our own generator (`drft blind make --seed 7301`, sets 051 to 171), where they gave the
-truth most weight: chosen on either half, they served the other half better than those before.
-`none` was chosen later, on 138 sets more (seeds 9110 and 9112, up to 078), by how often what has a
-weight is right. They are no part of any single case. Of `form` the sets say little between 0.005
-and 0.1; a share that pardons a second effect is too large.
+A hypothesis h with k free numbers is scored by the mean squares $s_b$ that it leaves in the blocks
+b of the residuals, each with a variance of its own. With $N_b$ samples in a block and R runs, the
+evidence is
+
+$$E(s, V) = -\tfrac12 \sum_b w_b N_b \ln(s_b + a_b)
+  - \tfrac12 w_\zeta (R - 1) \ln(V + \sigma_\zeta^2),$$
+
+with V the variance of log zeta over the runs, $w$ the independent statements in a sample, and $a_b$
+the mean square that is not held against a model: its own error $(c\,\sigma_b)^2$, what repeats
+differ by beyond noise, and a share $\epsilon^2$ of what the reference model leaves beyond all
+these. The log weight is
+
+$$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V_h) + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h)
+  - \kappa k_h + \ln \pi_h,$$
+
+on runs that h was not fitted to and on those it was. Prediction alone would condemn a right effect
+where the one run that shows it best is the one left out, as the others know little of its numbers;
+the fit alone would reward what bends to every run.
+
+`unknown` is a model outside the catalogue: it is taken to leave a share $\rho$ (in amplitude) of
+what the reference model leaves beyond noise and $a_b$, with three free numbers, so that a listed
+effect must explain nearly all of a gap to be believed.
+
+The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
+--seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
+served the other half better than those before. The prior of `none` was chosen later, on 138 sets
+more (seeds 9110 and 9112, up to 078), by how often what has a weight is right. They are no part of
+any single dataset. Of `formula_error_share` the sets say little between 0.005 and 0.1; a share that
+pardons a second effect is too large.
 """
 
 from collections.abc import Sequence
@@ -19,25 +36,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.linear.linear_fit import FLOOR, ZETA_SCATTER
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, Block, LinearFitSettings
 
 NONE, UNKNOWN = "none", "unknown"
 
 
 @dataclass(frozen=True)
 class WeightSettings:
-    """What evidence is worth.
+    r"""Numbers by which hypotheses are weighed; see the head of this module for their choice.
 
     Attributes:
-        slow, fast: Worth of a bin of the slow part, and of a sample of the fast part.
-        zeta: Worth of a run's log zeta.
-        floor: What a model's own error is taken for, over `FLOOR`.
-        form: Share of the reference model's residual (in amplitude) that a right effect may leave
-            because no rig follows a formula exactly.
-        unseen: Share of the evidence that prediction of runs left out has; the fit has the rest.
-        number: Cost of each free number.
-        reached: Share of the reference model's residual (in amplitude) that `unknown` leaves.
-        none, unknown, pair: Logarithms of what is believed before any run, over a single effect.
+        slow_worth: $w_b$, independent statements in a bin of a slow part [-].
+        fast_worth: $w_b$, independent statements in a sample of a fast part [-].
+        zeta_worth: $w_\zeta$, independent statements in a run's log zeta [-].
+        model_error_factor: $c$, factor on `LinearFitSettings.model_error` [-].
+        formula_error_share: $\epsilon$, share of the reference model's residual (in amplitude) that
+            a right effect may leave, because no rig follows a formula exactly [-].
+        held_out_share: $u$, share of the evidence that prediction of held-out runs has; the fit has
+            the rest [-].
+        parameter_cost: $\kappa$, log weight that each free number costs [-].
+        unknown_residual_share: $\rho$, share of the reference model's residual (in amplitude) that
+            `unknown` leaves [-].
+        unknown_parameters: Free numbers that `unknown` is charged for.
+        log_prior_none: $\ln \pi$ of the reference model, over a single effect's [-].
+        log_prior_unknown: $\ln \pi$ of `unknown`, over a single effect's [-].
+        log_prior_pair: $\ln \pi$ of a pair of effects, over a single effect's [-].
     """
 
     slow_worth: float = 0.05
@@ -48,24 +71,35 @@ class WeightSettings:
     held_out_share: float = 0.5
     parameter_cost: float = 1.5
     unknown_residual_share: float = 0.15
+    unknown_parameters: int = 3
     log_prior_none: float = 0.5
     log_prior_unknown: float = 1.0
     log_prior_pair: float = -4.0
 
+    def worth(self, blocks: Sequence[Block]) -> np.ndarray:
+        """Independent statements in one sample of these blocks [-], shape (blocks,)."""
+        worth = {"slow": self.slow_worth, "fast": self.fast_worth}
+        return np.array([worth[kind] for _, kind in blocks])
 
-SCALE = WeightSettings()
+    def log_prior(self, effect_count: int) -> float:
+        """Logarithm of the prior of a hypothesis of so many effects, over a single effect's [-]."""
+        return {0: self.log_prior_none, 1: 0.0}.get(effect_count, self.log_prior_pair)
+
+
+DEFAULT_WEIGHTS = WeightSettings()
 
 
 @dataclass(frozen=True)
 class ScoredHypothesis:
-    """A hypothesis as far as its weight goes.
+    """The numbers of a hypothesis that its weight depends on.
 
     Attributes:
         names: Its effects; none for the reference model.
-        left: Mean square left in each block on runs it was not fitted to.
-        fitted: The same on the runs it was fitted to.
-        scatter: Mean square of log zeta about its mean.
-        numbers: How many numbers it has free.
+        held_out_power: Mean square left in each block on runs it was not fitted to, shape
+            (blocks,), in the block's unit squared.
+        fitted_power: The same on the runs it was fitted to.
+        zeta_variance: Variance of log zeta over the runs [-].
+        parameter_count: Number of its free numbers.
     """
 
     names: tuple[str, ...]
@@ -76,70 +110,83 @@ class ScoredHypothesis:
 
 
 def log_weights(
-    judged: Sequence[ScoredHypothesis],
-    blocks: Sequence[tuple[str, str]],
-    number: np.ndarray,
-    noise: np.ndarray,
+    scored: Sequence[ScoredHypothesis],
+    blocks: Sequence[Block],
+    sample_count: np.ndarray,
+    noise_power: np.ndarray,
     runs: int,
-    scale: WeightSettings = SCALE,
-    chance: np.ndarray | float = 0.0,
+    settings: WeightSettings = DEFAULT_WEIGHTS,
+    repeat_power: np.ndarray | float = 0.0,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> tuple[np.ndarray, float]:
-    """Logarithms of the weights, not yet summing to one: of each hypothesis, and of unknown.
+    """Log weights, up to a common constant, of each hypothesis and of unknown.
 
     Args:
-        judged: Hypotheses, the reference model first.
-        blocks: Blocks of `left`.
-        number: Values in each block.
-        noise: Mean square of the instruments' white noise in each block.
+        scored: Hypotheses, the reference model first.
+        blocks: (channel, kind) of each block.
+        sample_count: Values in each block, shape (blocks,).
+        noise_power: Mean square of the instruments' white noise in each block, shape (blocks,).
         runs: Number of runs.
-        scale: What evidence is worth.
-        chance: Mean square of what repeats differ by in each block. What of it is beyond noise and
-            a model's own error is neither held against a model nor for `unknown` to explain.
+        settings: Numbers of the weights.
+        repeat_power: Mean square of what repeats differ by in each block. What of it is beyond
+            noise and a model's own error is neither held against a model nor for `unknown` to
+            explain.
+        linear_fit: For a model's own error and the scatter of zeta.
     """
-    floor = (scale.model_error_factor * np.array([FLOOR[block] for block in blocks])) ** 2
-    by_chance = np.maximum(chance - noise - floor, 0)
-    beyond = np.maximum(judged[0].held_out_power - noise - floor - by_chance, 0)
-    allowed = floor + by_chance + scale.formula_error_share**2 * beyond
-    worth = number * np.array([getattr(scale, f"{kind}_worth") for _, kind in blocks])
-    zeta = scale.zeta_worth * max(runs - 1, 0)
+    floor = (settings.model_error_factor * linear_fit.model_errors(blocks)) ** 2
+    by_chance = np.maximum(repeat_power - noise_power - floor, 0)
+    reference = scored[0]
+    beyond = np.maximum(reference.held_out_power - noise_power - floor - by_chance, 0)
+    allowed = floor + by_chance + settings.formula_error_share**2 * beyond
+    worth = sample_count * settings.worth(blocks)
+    zeta_worth = settings.zeta_worth * max(runs - 1, 0)
 
-    def evidence(left: np.ndarray, scatter: float) -> float:
-        explained = -0.5 * float((worth * np.log(left + allowed)).sum())
-        return explained - 0.5 * zeta * float(np.log(scatter + ZETA_SCATTER**2))
+    def evidence(power: np.ndarray, zeta_variance: float) -> float:
+        explained = -0.5 * float((worth * np.log(power + allowed)).sum())
+        scatter = float(np.log(zeta_variance + linear_fit.zeta_scatter**2))
+        return explained - 0.5 * zeta_worth * scatter
 
     found = []
-    for each in judged:
-        before = {0: scale.log_prior_none, 1: 0.0}.get(len(each.names), scale.log_prior_pair)
-        predicted, fitted = (
-            evidence(left, each.zeta_variance) for left in (each.held_out_power, each.fitted_power)
+    for each in scored:
+        held_out, fitted = (
+            evidence(power, each.zeta_variance)
+            for power in (each.held_out_power, each.fitted_power)
         )
-        told = scale.held_out_share * predicted + (1 - scale.held_out_share) * fitted
-        found.append(told - scale.parameter_cost * each.parameter_count + before)
-    left = judged[0].held_out_power - (1 - scale.unknown_residual_share**2) * beyond
-    unwritten = evidence(left, judged[0].zeta_variance)
-    return np.array(found), unwritten + scale.log_prior_unknown - scale.parameter_cost * 3
+        both = settings.held_out_share * held_out + (1 - settings.held_out_share) * fitted
+        cost = settings.parameter_cost * each.parameter_count
+        found.append(both - cost + settings.log_prior(len(each.names)))
+    left = reference.held_out_power - (1 - settings.unknown_residual_share**2) * beyond
+    unknown = evidence(left, reference.zeta_variance) + settings.log_prior_unknown
+    cost = settings.parameter_cost * settings.unknown_parameters
+    return np.array(found), unknown - cost
 
 
 def weights(
-    judged: Sequence[ScoredHypothesis],
-    blocks: Sequence[tuple[str, str]],
-    number: np.ndarray,
-    noise: np.ndarray,
+    scored: Sequence[ScoredHypothesis],
+    blocks: Sequence[Block],
+    sample_count: np.ndarray,
+    noise_power: np.ndarray,
     runs: int,
-    scale: WeightSettings = SCALE,
-    chance: np.ndarray | float = 0.0,
+    settings: WeightSettings = DEFAULT_WEIGHTS,
+    repeat_power: np.ndarray | float = 0.0,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> dict[tuple[str, ...], float]:
-    """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too."""
-    known, unwritten = log_weights(judged, blocks, number, noise, runs, scale, chance)
-    logs = np.r_[known, unwritten]
+    """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too.
+
+    Arguments as for `log_weights`.
+    """
+    known, unknown = log_weights(
+        scored, blocks, sample_count, noise_power, runs, settings, repeat_power, linear_fit
+    )
+    logs = np.r_[known, unknown]
     share = np.exp(logs - logs.max())
     share /= share.sum()
-    names = [each.names or (NONE,) for each in judged] + [(UNKNOWN,)]
+    names = [each.names or (NONE,) for each in scored] + [(UNKNOWN,)]
     return dict(zip(names, share.tolist(), strict=True))
 
 
 def percent(weight: float) -> str:
-    """A weight in words: nothing is certain, nor ruled out."""
+    """A weight in words, between "under 1%" and "over 99%": nothing is certain, nor ruled out."""
     if weight > 0.99:
         return "over 99%"
     return "under 1%" if weight < 0.01 else f"{weight:.0%}"

@@ -1,88 +1,118 @@
-"""The verdict: what the weights of all explanations come to, and what cannot be told from it."""
+"""The verdict: the explanation with the most weight, and those that cannot be told from it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.selection.model_weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import reported_names
 
-# Effects are named together until this much of the weight is named.
-GROUPED = 0.9
+# Weight of each explanation, by the names of its effects; ("none",) and ("unknown",) too.
+Weights = Mapping[tuple[str, ...], float]
 
 
-# An effect of less weight than this is not named at all.
-NAMED = 0.1
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Numbers by which weights become a verdict.
+
+    Attributes:
+        group_weight: Effects are named together until this share of the weight is named [-].
+        min_named_weight: An effect of less weight than this is not named beside another [-].
+        alarm_ratio: Effects or `unknown` are named at all where they outweigh `none` by this factor
+            [-]. It holds down the rate of false alarms, and is no part of the weights, which say
+            what
+            is likely: many rigs have an effect so faint that these runs could as well have none.
+        min_competing_weight: An explanation that has less weight than this needs no run that tells
+            it from the verdict [-].
+        max_competing: One run is asked to tell the verdict from so many at most.
+    """
+
+    group_weight: float = 0.9
+    min_named_weight: float = 0.1
+    alarm_ratio: float = 4.5
+    min_competing_weight: float = 0.02
+    max_competing: int = 3
 
 
-# Effects are named at all where together they outweigh `none` by this. It holds down the rate of
-# false alarms, and is no part of the weights, which say what is likely: many rigs have an effect so
-# faint that these runs could as well have none.
-ALARM = 4.5
-
-
-# An explanation that has less weight than this needs no run that tells it from the verdict.
-RIVAL = 0.02
-
-
-# And one run is asked to tell it from so many at most.
-MOST_RIVALS = 3
+DEFAULT_VERDICT = VerdictSettings()
 
 
 def decide(
-    share: Mapping[tuple[str, ...], float],
+    share: Weights, settings: VerdictSettings = DEFAULT_VERDICT
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The explanation that stands, and the groups that cannot be told apart from it.
+    """The verdict, and the groups of names that cannot be told from each of its effects.
 
     Effects that share their weight speak together: all of them against none and unknown, then all
     pairs against all effects alone. A second effect that has many likenesses is no less there.
-    `none` stands until effects or unknown outweigh it `ALARM` times.
+    `none` stands until effects or unknown outweigh it by `settings.alarm_ratio`.
+
+    Args:
+        share: Weights that sum to one.
+        settings: Numbers of the verdict.
+
+    Returns:
+        Names of the verdict, and for each of them a group that begins with it.
     """
-    ranked = sorted(share.items(), key=lambda each: -each[1])
-    effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
-    none, unknown = ALARM * share.get((NONE,), 0.0), share.get((UNKNOWN,), 0.0)
-    if effects and _total(effects) >= max(none, unknown):
-        alone = [each for each in effects if len(each[0]) == 1]
-        pairs = [each for each in effects if len(each[0]) == 2]
-        ranked = max(alone, pairs, key=_total)
-    else:
-        stands = (NONE,) if none >= unknown else (UNKNOWN,)
-        ranked.sort(key=lambda each: each[0] != stands)
+    ranked = _speaking_together(share, settings)
     verdict, whole = ranked[0][0], _total(ranked)
     kept, total = [], 0.0
     for names, weight in ranked:
-        if kept and (total >= GROUPED * whole or weight < NAMED):
+        named_enough = total >= settings.group_weight * whole
+        if kept and (named_enough or weight < settings.min_named_weight):
             break
         kept.append(names)
         total += weight
-    groups: list[list[str]] = []
-    for first in verdict:
-        group = [first]
-        for names in kept[1:]:
-            others = [n for n in names if n not in verdict]
-            if len(names) == len(verdict):
-                same = set(names) & set(verdict)
-                if len(verdict) == 1 or (len(same) == 1 and first not in same):
-                    group += [n for n in others if n not in group]
-        groups.append(group)
-    return verdict, groups
+    return verdict, [_group(first, verdict, kept[1:]) for first in verdict]
 
 
-def reassign_unknown(
-    share: Mapping[tuple[str, ...], float], name: str
-) -> dict[tuple[str, ...], float]:
-    """The weights where what was unknown is an effect of the list in a form that nobody wrote.
+def _speaking_together(
+    share: Weights, settings: VerdictSettings
+) -> list[tuple[tuple[str, ...], float]]:
+    """The explanations of the kind that the verdict is of, heaviest first.
+
+    Where effects stand, only those of the winning number of effects; else all, with none or unknown
+    in front.
+    """
+    ranked = sorted(share.items(), key=lambda each: -each[1])
+    effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
+    none = settings.alarm_ratio * share.get((NONE,), 0.0)
+    unknown = share.get((UNKNOWN,), 0.0)
+    if effects and _total(effects) >= max(none, unknown):
+        alone = [each for each in effects if len(each[0]) == 1]
+        pairs = [each for each in effects if len(each[0]) == 2]
+        return max(alone, pairs, key=_total)
+    stands = (NONE,) if none >= unknown else (UNKNOWN,)
+    return sorted(ranked, key=lambda each: each[0] != stands)
+
+
+def _group(first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...]]) -> list[str]:
+    """Names that may stand in the place of one name of the verdict, that one first."""
+    group = [first]
+    for names in others:
+        if len(names) != len(verdict):
+            continue
+        same = set(names) & set(verdict)
+        if len(verdict) == 1 or (len(same) == 1 and first not in same):
+            group += [n for n in names if n not in verdict and n not in group]
+    return group
+
+
+def reassign_unknown(share: Weights, name: str) -> dict[tuple[str, ...], float]:
+    """Weights after that of `unknown` went to an effect of the catalogue.
+
+    Where the runs show it in a form that the catalogue lacks.
 
     Args:
-        share: By the names of the effects; of `unknown` too.
+        share: Weights with `unknown`.
         name: The effect.
     """
     moved = share.get((name,), 0.0) + share[(UNKNOWN,)]
     return {**share, (name,): moved, (UNKNOWN,): 0.0}
 
 
-def weight_by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Weight of each name: that of every hypothesis it is part of."""
+def weight_by_name(share: Weights) -> dict[str, float]:
+    """Weight of each name, summed over the explanations it is part of, heaviest first."""
     total: dict[str, float] = {}
     for names, weight in share.items():
         for name in reported_names(names):
@@ -93,10 +123,19 @@ def weight_by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
 def hypothesis_behind(
     found: ScreeningResult,
     leading: Sequence[Hypothesis],
-    share: Mapping[tuple[str, ...], float],
+    share: Weights,
     verdict: tuple[str, ...],
 ) -> Hypothesis:
-    """The hypothesis that the verdict stands for; for unknown, the likeliest written one."""
+    """Return the hypothesis of the verdict.
+
+    The reference model for "none", the most probable listed hypothesis for "unknown".
+
+    Args:
+        found: For the reference model.
+        leading: The hypotheses that were weighed beside it.
+        share: Weights.
+        verdict: By `decide`.
+    """
     if verdict == (NONE,):
         return found.none
     if verdict == (UNKNOWN,):
@@ -107,25 +146,34 @@ def hypothesis_behind(
 def competing_hypotheses(
     found: ScreeningResult,
     leading: Sequence[Hypothesis],
-    share: Mapping[tuple[str, ...], float],
+    share: Weights,
     verdict: tuple[str, ...],
+    settings: VerdictSettings = DEFAULT_VERDICT,
 ) -> list[Hypothesis]:
-    """The other explanations that a run should tell from the verdict, the likeliest first.
+    """The other explanations that a run should tell from the verdict, the most probable first.
 
-    The likeliest is one where it is likely enough to matter, more where they are named beside it.
+    The first needs `settings.min_competing_weight`, the others enough to be named beside it.
+
+    Args:
+        found: For the reference model.
+        leading: The hypotheses that were weighed beside it.
+        share: Weights.
+        verdict: By `decide`; "unknown" has no competitors.
+        settings: Numbers of the verdict.
     """
     if verdict == (UNKNOWN,):
         return []
     others = {each.names or (NONE,): each for each in (found.none, *leading)}
     # Two forms of one effect need no telling apart.
-    told, rivals = {frozenset(reported_names(verdict))}, []
+    known, competing = {frozenset(reported_names(verdict))}, []
     for names in sorted(others, key=lambda names: -share[names]):
-        if share[names] < (NAMED if rivals else RIVAL) or len(rivals) == MOST_RIVALS:
+        least = settings.min_named_weight if competing else settings.min_competing_weight
+        if share[names] < least or len(competing) == settings.max_competing:
             break
-        if frozenset(reported_names(names)) not in told:
-            told.add(frozenset(reported_names(names)))
-            rivals.append(others[names])
-    return rivals
+        if frozenset(reported_names(names)) not in known:
+            known.add(frozenset(reported_names(names)))
+            competing.append(others[names])
+    return competing
 
 
 def _total(ranked: Sequence[tuple[tuple[str, ...], float]]) -> float:

@@ -1,12 +1,14 @@
-"""Which stage of the simulation an unknown error would have to act in, to explain the runs simply.
+r"""Smooth unknown input in each stage of the simulation, estimated from the gap.
 
-For each stage in turn an error that varies smoothly in time is estimated through the simulation's
-own derivatives: a factor on zeta, a force, an error of the drive's speed, the surface's height, an
-error of a reading.
-The stage whose error explains most for the simplest signal has the largest evidence.
+For each stage in turn a disturbance u(t), linear between knots, is estimated through the
+simulation's own derivatives: a factor on zeta, a force, an error of the drive's speed, the height
+of the surface, an error of a reading. With the regressors A of its knots and of each run's own zeta
+the slow part of the gap is y = A u + noise, with a smoothness prior on u
+(`diagnose.unknown.gaussian_smoother`). The stage whose disturbance explains most by the smoothest
+signal has the largest evidence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -20,46 +22,41 @@ from diagnose.linear.input_sensitivity import (
     propagate,
     zeta_sensitivity,
 )
-from diagnose.linear.linear_fit import FLOOR
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, LinearFitSettings
+from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.residual_blocks import SlowFastSplit
-from diagnose.localization.shares import (
-    PROBABILITY,
-    SEED,
-    GapShare,
-    bootstrap_counts,
-)
+from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
+from diagnose.localization.shares import GapShare, bootstrap_counts, interval_of
 from diagnose.model.augmented_model import AugmentedModel
-from diagnose.model.linearized_run import FORCES, MOTION, LinearizedRun
+from diagnose.model.linearized_run import FORCES, MOTION
 from diagnose.model.unknown_inputs import INPUTS
-from diagnose.unknown.gaussian_smoother import GramSums, SmoothedSignal, fit_zeta_only, smooth
+from diagnose.run_pool import RunPool
+from diagnose.unknown.gaussian_smoother import GramSums, fit_zeta_only, smooth
+from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
 from drftjax.effects.correction import READING, STAGES
 
-# Time between a signal's knots [s], and what their number is padded to: programs are shared.
-KNOT = 0.5
+KNOT_PADDING = 64
+"""The number of knots is padded to a multiple of this, so that programs are shared."""
 
-
-ROOM = 64
-
-
-# Stages that act within the run, and what the error is; the others are of readings.
-WITHIN = {
+INNER_STAGES = {
     "zeta": "an unknown factor on zeta (logarithm)",
     "force_x": "an unknown horizontal force",
     "force_z": "an unknown vertical force",
     "speed": "an unknown error of the drive's speed",
     "height": "an unknown height of the surface under the wheel",
 }
+"""Stages that act on the motion, and their disturbance; the others are of readings."""
 
 
 @dataclass(frozen=True, eq=False)
 class DisturbanceRegressors:
-    """A stage's columns in every run: what is compared, in floors.
+    """Response of every run to the knots of one stage's disturbance, in units of the model error.
 
     Attributes:
-        time: Times of the knots that lie in each run [s].
-        columns: By channel and run: derivatives by (own log zeta, every knot), shape (data, 1 +
-            knots); the slow part of the channel, see `diagnose.linear.residual_blocks`.
-        data: By channel and run: recorded less simulated.
+        time: By run, times of the knots that lie in it [s].
+        columns: By channel and run, derivatives by (own log zeta, every knot), shape (data, 1 +
+            knots); of the slow part of the channel, see `diagnose.linear.residual_blocks`.
+        data: By channel and run, recorded minus simulated, shape (data,).
     """
 
     time: list[np.ndarray]
@@ -69,25 +66,27 @@ class DisturbanceRegressors:
 
 @dataclass(frozen=True, eq=False)
 class Disturbance:
-    """An unknown error in one stage.
+    """Smooth unknown input in one stage.
 
     Attributes:
         name: zeta, force_x, force_z, speed, height, or "reading " and a channel.
         unit: Of the signal.
-        meaning: What the signal is.
-        evidence: Logarithm of how much more probable it makes the runs than no signal.
-        explained: Share of the squared slow part of the gap, in floors, that it takes away.
+        meaning: The signal in words.
+        evidence: Log evidence over that of no signal [-].
+        explained: Share of the squared slow part of the gap, in units of the model error, that it
+            removes [-].
         freedom: Effective number of values that make up the signal, over all runs.
-        left: What it leaves: root mean square of each channel's slow part [m, N, N m].
+        remaining: RMS of each channel's slow part that remains with it [m, N, N m].
         time: By run, times of the signal's knots [s].
         signal: By run, the signal there.
         error: By run, its standard error.
-        own: By run, change of its own log zeta that goes with it.
+        log_zeta_change: By run, change of its own log zeta that goes with it, shape (runs,).
         level: Standard deviation of the signals' level.
-        noise: By channel, the noise that goes with it, in floors.
-        columns: What it was estimated from.
-        power: By run, squares of the slow part in every half second, in floors: without the signal
-            and with it, shape (half seconds, 2).
+        noise: By channel, standard deviation of the noise that goes with it, in units of the model
+            error.
+        regressors: That it was estimated from.
+        power: By run, squares of the slow part in every half second, without the signal and with
+            it, shape (half seconds, 2).
     """
 
     name: str
@@ -96,145 +95,179 @@ class Disturbance:
     evidence: float
     explained: float
     freedom: float
-    left: dict[str, float]
+    remaining: dict[str, float]
     time: list[np.ndarray]
     signal: list[np.ndarray]
     error: list[np.ndarray]
-    own: np.ndarray
+    log_zeta_change: np.ndarray
     level: float
     noise: np.ndarray
-    columns: DisturbanceRegressors
+    regressors: DisturbanceRegressors
     power: list[np.ndarray]
 
 
 def estimate_disturbances(
-    case: RigDataset, log_zeta: np.ndarray, residual: Sequence[np.ndarray] | None = None
+    dataset: RigDataset,
+    linearized: LinearizedRuns,
+    pool: RunPool,
+    residual: Sequence[np.ndarray] | None = None,
+    settings: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT,
+    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> list[Disturbance]:
-    """The stages by evidence, best first.
+    """Disturbance of every stage, the largest evidence first.
 
     Args:
-        case: The runs.
-        log_zeta: Each run's, over its set-up's, where all is linearised.
-        residual: Simulated less recorded, shape (channels, samples): the reference model's where
-            none is given, or what some explanation leaves.
+        dataset: The runs.
+        linearized: The same, linearised along the reference model.
+        pool: Threads.
+        residual: By run, simulated minus recorded, shape (channels, samples): of a hypothesis, or
+            of the reference model where none is given.
+        settings: Spacing of the knots.
+        linear_fit: For a model's own error, the unit of all data here.
     """
-    names = [*WITHIN, *(READING + channel for channel in case.channels)]
-    found = case.map_runs(lambda run: _of_run(case, run, float(log_zeta[run]), residual))
+    errors = {each: linear_fit.model_error[each, "slow"] for each in dataset.channels}
+    names = [*INNER_STAGES, *(READING + channel for channel in dataset.channels)]
+
+    def of_run(run: int):
+        given = None if residual is None else residual[run]
+        return _run_regressors(dataset, run, linearized, given, settings.knot_spacing, errors)
+
+    found = pool.map(of_run, dataset.run_numbers)
     times = [time for time, _, _ in found]
     count = 1 + max(len(time) for time in times)
-    data = [[d[c] for _, _, d in found] for c in range(len(case.channels))]
+    channels = range(len(dataset.channels))
+    data = [[d[c] for _, _, d in found] for c in channels]
 
-    def of(name: str) -> Disturbance | None:
-        columns = [[a[name][c][:, :count] for _, a, _ in found] for c in range(len(case.channels))]
+    def of_stage(name: str) -> Disturbance | None:
+        columns = [[a[name][c][:, :count] for _, a, _ in found] for c in channels]
         if not any(np.any(a[:, 1:]) for runs in columns for a in runs):
             return None
-        return _stage(case, name, DisturbanceRegressors(times, columns, data))
+        return _disturbance(dataset, name, DisturbanceRegressors(times, columns, data), errors)
 
-    made = [each for each in case.threads.map(of, names) if each is not None]
+    made = [each for each in pool.map(of_stage, names) if each is not None]
     return sorted(made, key=lambda each: -each.evidence)
 
 
-def described(name: str) -> tuple[str, float, str]:
+def describe_stage(name: str) -> tuple[str, float, str]:
     """Unit, typical size and meaning of a stage's signal."""
     _, unit, typical = STAGES[name]
     of_a_reading = f"an unknown error of the reading of {name.removeprefix(READING)}"
-    return unit, typical, WITHIN.get(name, of_a_reading)
+    return unit, typical, INNER_STAGES.get(name, of_a_reading)
 
 
-def floor_of(channel: str) -> float:
-    """A model's own error in the slow part of a channel [m, N, N m]."""
-    return FLOOR[channel, "slow"]
-
-
-def _stage(case: RigDataset, name: str, columns: DisturbanceRegressors) -> Disturbance:
-    unit, typical, meaning = described(name)
-    sums = GramSums.of(columns.columns, columns.data)
+def _disturbance(
+    dataset: RigDataset,
+    name: str,
+    regressors: DisturbanceRegressors,
+    errors: Mapping[str, float],
+) -> Disturbance:
+    """Estimate of one stage's signal; `errors` is the unit of each channel's data [m, N, N m]."""
+    unit, typical, meaning = describe_stage(name)
+    sums = GramSums.of(regressors.columns, regressors.data)
     nothing, fit = fit_zeta_only(sums), smooth(sums, typical)
     number = sums.number.sum(axis=1)
     before, after = float(nothing.residual_power @ number), float(fit.residual_power @ number)
-    lengths = [len(time) for time in columns.time]
+    lengths = [len(time) for time in regressors.time]
     error = np.sqrt(np.maximum(np.einsum("rii->ri", fit.covariance), 0))
     return Disturbance(
-        name,
-        unit,
-        meaning,
-        fit.evidence - nothing.evidence,
-        max(0.0, 1 - after / before) if before > 0 else 0.0,
-        fit.freedom,
-        _left(case, fit),
-        columns.time,
-        [fit.mean[r, 1 : 1 + n] for r, n in enumerate(lengths)],
-        [error[r, 1 : 1 + n] for r, n in enumerate(lengths)],
-        fit.mean[:, 0],
-        fit.level,
-        fit.noise,
-        columns,
-        [_power(columns, run, nothing.mean[run], fit.mean[run]) for run in range(len(lengths))],
+        name=name,
+        unit=unit,
+        meaning=meaning,
+        evidence=fit.evidence - nothing.evidence,
+        explained=max(0.0, 1 - after / before) if before > 0 else 0.0,
+        freedom=fit.freedom,
+        remaining={
+            channel: float(np.sqrt(left)) * errors[channel]
+            for channel, left in zip(dataset.channels, fit.residual_power, strict=True)
+        },
+        time=regressors.time,
+        signal=[fit.mean[r, 1 : 1 + n] for r, n in enumerate(lengths)],
+        error=[error[r, 1 : 1 + n] for r, n in enumerate(lengths)],
+        log_zeta_change=fit.mean[:, 0],
+        level=fit.level,
+        noise=fit.noise,
+        regressors=regressors,
+        power=[_power(regressors, r, nothing.mean[r], fit.mean[r]) for r in range(len(lengths))],
     )
 
 
 def _power(
-    columns: DisturbanceRegressors, run: int, nothing: np.ndarray, signal: np.ndarray
+    regressors: DisturbanceRegressors, run: int, zeta_only: np.ndarray, with_signal: np.ndarray
 ) -> np.ndarray:
-    """Squares that own zeta alone, and with the signal, leave in every half second of a run."""
-    left = []
-    for runs, data in zip(columns.columns, columns.data, strict=True):
-        alone = data[run] - runs[run][:, : len(nothing)] @ nothing
-        left.append(np.stack([alone, data[run] - runs[run] @ signal], axis=1) ** 2)
+    """Squares that remain in every half second of a run, shape (half seconds, 2).
+
+    Args:
+        regressors: The data.
+        run: Index of the run.
+        zeta_only, with_signal: Coefficients of the columns in both fits.
+    """
+    squares = []
+    for runs, data in zip(regressors.columns, regressors.data, strict=True):
+        without = data[run] - runs[run][:, : len(zeta_only)] @ zeta_only
+        squares.append(np.stack([without, data[run] - runs[run] @ with_signal], axis=1) ** 2)
     # A change between two half seconds counts in the later one.
-    total = np.zeros((max(map(len, left)), 2))
-    for each in left:
+    total = np.zeros((max(map(len, squares)), 2))
+    for each in squares:
         total[len(total) - len(each) :] += each
     return total
 
 
-def _left(case: RigDataset, fit: SmoothedSignal) -> dict[str, float]:
-    return {
-        channel: float(np.sqrt(left)) * floor_of(channel)
-        for channel, left in zip(case.channels, fit.residual_power, strict=True)
-    }
+def _run_regressors(
+    dataset: RigDataset,
+    run: int,
+    runs: LinearizedRuns,
+    residual: np.ndarray | None,
+    spacing: float,
+    errors: Mapping[str, float],
+) -> tuple[np.ndarray, dict[str, list[np.ndarray]], list[np.ndarray]]:
+    """Times of the knots, columns by stage and channel, and data by channel of one run.
 
-
-def _of_run(case: RigDataset, run: int, log_zeta: float, residual: Sequence[np.ndarray] | None):
-    """Knot times, columns by stage and channel, and data by channel of one run."""
-    path = case.linearized(run, log_zeta)
-    time = case.time(run)
+    Args:
+        dataset: The runs.
+        run: Index of the run.
+        runs: All runs, linearised.
+        residual: Simulated minus recorded; the reference model's for None.
+        spacing: Of the knots [s].
+        errors: Unit of each channel's data [m, N, N m].
+    """
+    linearized, log_zeta = runs.runs[run], float(runs.log_zeta[run])
+    time = dataset.time(run)
     if residual is None:
-        given = case.prediction(AugmentedModel(), run, log_zeta, np.zeros(0)) - case.recording(run)
-    else:
-        given = residual[run]
-    splitter = SlowFastSplit.of(time)
-    knots = KNOT * np.arange(int(np.ceil(time[-1] / KNOT)) + 1)
-    longest = max(float(case.time(each)[-1]) for each in range(len(case.runs)))
-    room = ROOM * int(np.ceil((longest / KNOT + 2) / ROOM))
-    hats = _hats(path, room)
-    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
-    slow = _Slow(case.channels, splitter, time, nodes, given)
-    own = slow.of(np.asarray(propagate(path, zeta_sensitivity(path))))
-    columns = {
-        name: _beside(own, slow.of(np.asarray(propagate(path, _kick(path, hats, name)))))
-        for name in WITHIN
-    }
-    at_samples = _hat(time[:, None], KNOT * np.arange(room))
-    for channel in case.channels:
-        read = [at_samples if c == channel else 0 * at_samples for c in case.channels]
+        simulated = dataset.prediction(AugmentedModel(), run, log_zeta, np.zeros(0))
+        residual = simulated - dataset.recording(run)
+    knots = spacing * np.arange(int(np.ceil(time[-1] / spacing)) + 1)
+    longest = max(float(dataset.time(each)[-1]) for each in range(len(dataset.runs)))
+    size = KNOT_PADDING * int(np.ceil((longest / spacing + 2) / KNOT_PADDING))
+    padded_knots = spacing * np.arange(size)
+    hats = jnp.asarray(_hat(np.asarray(linearized.middle_time)[:, None], padded_knots, spacing))
+    nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
+    slow = _SlowPart(dataset.channels, SlowFastSplit.of(time), time, nodes, residual, errors)
+    own = slow.of_nodes(np.asarray(propagate(linearized, zeta_sensitivity(linearized))))
+    columns = {}
+    for name in INNER_STAGES:
+        response = np.asarray(propagate(linearized, _hat_sensitivity(hats, name)))
+        columns[name] = _beside(own, slow.of_nodes(response))
+    at_samples = _hat(time[:, None], padded_knots, spacing)
+    for channel in dataset.channels:
+        read = [at_samples if c == channel else 0 * at_samples for c in dataset.channels]
         columns[READING + channel] = _beside(own, slow.of_samples(read))
-    data = [-part[:, 0] for part in slow.of_samples(list(given[:, :, None]))]
+    data = [-part[:, 0] for part in slow.of_samples(list(residual[:, :, None]))]
     return knots, columns, data
 
 
 @dataclass(frozen=True, eq=False)
-class _Slow:
-    """The slow part of every channel of a run, in floors; nothing of channels not recorded."""
+class _SlowPart:
+    """Slow part of every channel of a run, in units of the model error; empty if not recorded."""
 
     channels: tuple[str, ...]
     splitter: SlowFastSplit
     time: np.ndarray
     nodes: np.ndarray
-    given: np.ndarray
+    residual: np.ndarray
+    errors: Mapping[str, float]
 
-    def of(self, response: np.ndarray) -> list[np.ndarray]:
-        """From readings at nodes, shape (nodes, 5, columns)."""
+    def of_nodes(self, response: np.ndarray) -> list[np.ndarray]:
+        """By channel, of readings at nodes, shape (nodes, 5, columns)."""
         place = np.clip(np.searchsorted(self.nodes, self.time) - 1, 0, len(self.nodes) - 2)
         share = (self.time - self.nodes[place]) / (self.nodes[place + 1] - self.nodes[place])
         share = np.clip(share, 0, 1)[:, None]
@@ -245,13 +278,13 @@ class _Slow:
         return self.of_samples(found)
 
     def of_samples(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """From samples, shape (samples, columns) for each channel."""
+        """By channel, of values at samples, shape (samples, columns) each."""
         found = []
         for index, (channel, rows) in enumerate(zip(self.channels, values, strict=True)):
-            seen = np.isfinite(self.given[index]).all()
-            means = self.splitter.bin_means @ np.where(seen, rows, 0)
+            recorded = np.isfinite(self.residual[index]).all()
+            means = self.splitter.bin_means @ np.where(recorded, rows, 0)
             slow = np.diff(means, axis=0) if channel == "x" else means
-            found.append((slow if seen else slow[:0]) / floor_of(channel))
+            found.append((slow if recorded else slow[:0]) / self.errors[channel])
         return found
 
 
@@ -259,44 +292,46 @@ def _beside(own: list[np.ndarray], columns: list[np.ndarray]) -> list[np.ndarray
     return [np.concatenate(both, axis=1) for both in zip(own, columns, strict=True)]
 
 
-def _hat(time, knots):
-    """One at its own knot, zero from the next ones on, straight between."""
-    return np.maximum(0, 1 - np.abs(time - knots) / KNOT)
+def _hat(time: np.ndarray, knots: np.ndarray, spacing: float) -> np.ndarray:
+    """Hat functions: one at its own knot, zero from the next ones on, linear between."""
+    return np.maximum(0, 1 - np.abs(time - knots) / spacing)
 
 
-def _hats(path: LinearizedRun, room: int) -> Float[Array, "nodes knots"]:
-    return jnp.asarray(_hat(np.asarray(path.middle_time)[:, None], KNOT * np.arange(room)))
-
-
-def _kick(path: LinearizedRun, hats: Float[Array, "nodes knots"], name: str) -> InputSensitivity:
-    nodes, room = hats.shape
-    inputs = jnp.zeros((nodes, len(INPUTS), room)).at[:, INPUTS.index(name)].set(hats)
+def _hat_sensitivity(hats: Float[Array, "nodes knots"], stage: str) -> InputSensitivity:
+    """Derivative of the inputs by the knots of one stage's disturbance."""
+    nodes, knots = hats.shape
+    inputs = jnp.zeros((nodes, len(INPUTS), knots)).at[:, INPUTS.index(stage)].set(hats)
     return InputSensitivity(
         inputs,
-        jnp.zeros((nodes, MOTION, room)),
-        jnp.zeros((nodes, len(FORCES), room)),
-        jnp.zeros((nodes, len(READINGS), room)),
-        jnp.zeros((1, MOTION, room)),
+        jnp.zeros((nodes, MOTION, knots)),
+        jnp.zeros((nodes, len(FORCES), knots)),
+        jnp.zeros((nodes, len(READINGS), knots)),
+        jnp.zeros((1, MOTION, knots)),
     )
 
 
-def by_stage(found: Sequence[Disturbance]) -> list[GapShare]:
-    """What an unknown error in each stage would take away of the gap's slow part.
+def by_stage(
+    found: Sequence[Disturbance], settings: LocalizationSettings = DEFAULT_LOCALIZATION
+) -> list[GapShare]:
+    """Share of the gap's slow part that a disturbance in each stage would remove.
 
-    Each stage is taken alone, so that these shares do not add up to one.
+    Each stage is taken alone, so these shares do not add up to one.
+
+    Args:
+        found: By `estimate_disturbances`.
+        settings: Numbers of the intervals.
     """
     if not found:
         return []
     sizes = [len(each) for each in found[0].power]
-    draws = bootstrap_counts(np.random.default_rng(SEED), sizes, [0] * len(sizes))
+    random = np.random.default_rng(settings.seed)
+    draws = bootstrap_counts(random, sizes, [0] * len(sizes), settings.draws)
 
-    def of(stage: Disturbance) -> GapShare:
-        before, after = (draws @ np.concatenate(stage.power)).T
-        share = float(stage.explained)
+    def share_of(each: Disturbance) -> GapShare:
+        before, after = (draws @ np.concatenate(each.power)).T
+        share = float(each.explained)
         drawn = np.where(before > 0, 1 - after / np.maximum(before, 1e-300), share)
-        tail = 50 * (1 - PROBABILITY)
-        low, high = np.percentile(np.clip(drawn, 0, 1), [tail, 100 - tail])
-        interval = (float(min(low, share)), float(max(high, share)))
-        return GapShare("stage", f"{stage.name}: {stage.meaning}", share, interval)
+        interval = interval_of(np.clip(drawn, 0, 1), share, settings)
+        return GapShare("stage", f"{each.name}: {each.meaning}", share, interval)
 
-    return [of(each) for each in found]
+    return [share_of(each) for each in found]

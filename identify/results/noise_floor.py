@@ -1,4 +1,4 @@
-"""Noise floor of a fit: what repeats differ by, or else the white noise of its residuals."""
+"""Noise floor of a fit: the difference of repeats, or else the white noise of its residuals."""
 
 from collections.abc import Iterator, Sequence
 
@@ -44,10 +44,18 @@ def noise_floor(
     tolerances: RepeatTolerances = DEFAULT_TOLERANCES,
     settings: NoiseFloorSettings = DEFAULT_NOISE_FLOOR,
 ) -> dict[str, float]:
-    """What two repeats differ by beyond their own fitted values, per run and channel [m, N, N m].
+    """Difference of two repeats beyond their own fitted values, per run and channel [m, N, N m].
 
     See `drftjax.recorded.noise_floor`. White noise that is lost where one run is interpolated, as
-    clocks differ, is added again. Empty where no run was repeated.
+    clocks differ, is added again.
+
+    Args:
+        runs: Fitted runs.
+        tolerances: Differences that repeats may have.
+        settings: Numbers of a noise floor.
+
+    Returns:
+        By channel; empty where no run was repeated.
     """
     powers: dict[str, list[float]] = {}
     for group in repeated_runs(runs, tolerances):

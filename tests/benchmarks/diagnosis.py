@@ -47,7 +47,7 @@ def main() -> None:
     console.print(table)
 
 
-def _simulated_once(case) -> float:
+def _simulated_once(dataset) -> float:
     """Seconds that the runs take one after another, compiled; the shortest of a few."""
     import numpy as np
 
@@ -55,8 +55,8 @@ def _simulated_once(case) -> float:
 
     def once() -> float:
         begun = time.perf_counter()
-        for run in range(len(case.runs)):
-            case.prediction(AugmentedModel(), run, 0.0, np.zeros(0))
+        for run in range(len(dataset.runs)):
+            dataset.prediction(AugmentedModel(), run, 0.0, np.zeros(0))
         return time.perf_counter() - begun
 
     return min(once() for _ in range(3))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
 import drftjax
-from diagnose import api
+from diagnose import api as interface
 from diagnose.gap.cross_validation import at_mean_sinkage
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import run_rows
@@ -201,17 +201,17 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
         names: list[str]
         notes: list[str]
 
-    def search(case, effects, report):
-        names = [each.name for each in case.runs]
+    def search(dataset, effects, report, settings):
+        names = [each.name for each in dataset.runs]
         for name in names:
             if name in lost:
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
         return Found(names, ["A note."])
 
-    monkeypatch.setattr(api, "diagnose_case", search)
+    monkeypatch.setattr(interface, "diagnose_dataset", search)
     told = []
-    found = api.diagnose_gathered(
-        api.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
+    found = interface.diagnose_gathered(
+        interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
     )
     assert found.names == [name for name in runs if name not in lost]
     assert [each.removeprefix("left out: ") for each in told] == [
@@ -220,8 +220,8 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
     assert len(told) == 2
     lost |= set(runs)
     with pytest.raises(RunError, match="no zeta"):
-        api.diagnose_gathered(
-            api.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
+        interface.diagnose_gathered(
+            interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
         )
 
 
@@ -237,12 +237,12 @@ def test_a_run_log_that_cannot_be_used_is_left_out(runs):
             runs[name], measured=dataclasses.replace(measured, z=-measured.z)
         ),
     }
-    found = api.gather_inputs(given)
+    found = interface.gather_inputs(given)
     assert [each.name for each in found.runs] == [name]
     assert found.skipped["torque alone"].startswith("torque alone: nothing to compare")
     assert found.skipped["downward"].startswith("downward: measured z stands")
     with pytest.raises(InputError, match=r"torque alone: nothing to compare.*; downward: measured"):
-        api.gather_inputs({key: given[key] for key in ("torque alone", "downward")})
+        interface.gather_inputs({key: given[key] for key in ("torque alone", "downward")})
 
 
 def test_a_set_up_that_somebody_wrote_is_not_replaced(found, tmp_path):
@@ -295,8 +295,9 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
 
 
 def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatch):
-    def not_one(bench, unseen):
-        return [dataclasses.replace(each, matched=False) for each in at_mean_sinkage(bench, unseen)]
+    def not_one(regressors, prediction, pool):
+        found = at_mean_sinkage(regressors, prediction, pool)
+        return [dataclasses.replace(each, matched=False) for each in found]
 
     monkeypatch.setattr("diagnose.pipeline.at_mean_sinkage", not_one)
     found = drftjax.diagnose(runs, ["surface_slope"])

@@ -5,12 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnose.dataset import FASTEST, RigDataset, _early, decimate
-from diagnose.model.augmented_model import COVERED, AugmentedModel, predict
+from diagnose.dataset import (
+    DatasetSettings,
+    InitialZetaSettings,
+    RigDataset,
+    _early_samples,
+    decimate,
+)
+from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # A sum over plates of which some carry nothing, in another order, over a run at 0.5 rad/s [m]. At
@@ -31,7 +37,7 @@ def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(
     assert np.array_equal(seen.time, whole.time[::kept])
     assert np.array_equal(seen.values, whole.values[:, ::kept])
     assert np.array_equal(seen.counts, whole.counts[::kept])
-    assert 1 / np.diff(seen.time).min() < 2 * FASTEST
+    assert 1 / np.diff(seen.time).min() < 2 * DatasetSettings().max_sample_rate
     if kept > 1:
         assert seen.noise.tolist() == [white_noise(row) for row in seen.values]
     assert decimate(each) is each
@@ -45,21 +51,22 @@ def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
         seen, time=seen.time[late], values=seen.values[:, late], counts=seen.counts[late]
     )
     few = dataclasses.replace(rest, counts=rest.counts & (np.arange(len(rest.time)) < 1))
-    case = RigDataset.of([dataclasses.replace(each, observation=few)])
-    assert _early(case, 0).all()
-    assert len(_early(case, 0)) == 1
+    dataset = RigDataset.of([dataclasses.replace(each, observation=few)])
+    early = _early_samples(dataset, 0, InitialZetaSettings().window)
+    assert early.all()
+    assert len(early) == 1
 
 
-def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
-    case = case_with()
+def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled, pool):
+    dataset = dataset_with()
     filtering = AugmentedModel((effect_class("measurement_filter"),))
-    case.precompile(predict, [filtering])
+    dataset.precompile(pool, predict, [filtering])
     assert compiled
     compiled.clear()
-    for run in range(len(case.runs)):
+    for run in range(len(dataset.runs)):
         # As a secant step gives it, and as numpy does.
         for log_zeta in (0.0, np.float64(0.01)):
-            case.prediction(filtering, run, log_zeta, np.array([0.02]))
+            dataset.prediction(filtering, run, log_zeta, np.array([0.02]))
     assert not compiled
 
 
@@ -67,29 +74,29 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
     "name", ["loosening", "surface_slope", "grouser_height", "wheel_radius", "sinkage_gain"]
 )
 def test_plates_that_stay_above_the_sand_change_no_number(name):
-    case = case_with()
-    narrow = case.with_fewer_plates()
-    carried, whole = (each.trials[0].simulator.wheel.cut() for each in (narrow, case))
+    dataset = dataset_with()
+    narrow = dataset.with_fewer_plates()
+    carried, whole = (each.trials[0].simulator.wheel.cut() for each in (narrow, dataset))
     assert carried.outline.x.size < whole.outline.x.size
     model = AugmentedModel((effect_class(name),))
     at = model.null() + np.array([float(each.scale is not None) for each in model.free])
     for run in SLOW_RUNS:
-        ours, theirs = (each.prediction(model, run, -0.05, at) for each in (narrow, case))
+        ours, theirs = (each.prediction(model, run, -0.05, at) for each in (narrow, dataset))
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=ROUNDING)
 
 
 def test_what_sinks_past_the_plates_carried_has_no_numbers():
-    case = case_with()
-    narrow = case.with_fewer_plates()
-    limit = COVERED * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
-    z, nothing = case.channels.index("z"), np.zeros(0)
+    dataset = dataset_with()
+    narrow = dataset.with_fewer_plates()
+    limit = MAX_COVERED_SHARE * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
+    z, nothing = dataset.channels.index("z"), np.zeros(0)
     for log_zeta in (0.0, -1.0):
-        deepest = -case.prediction(AugmentedModel(), 0, log_zeta, nothing)[z].min()
+        deepest = -dataset.prediction(AugmentedModel(), 0, log_zeta, nothing)[z].min()
         told = narrow.prediction(AugmentedModel(), 0, log_zeta, nothing)
         assert np.isnan(told).all() == (deepest > limit) == (log_zeta < 0)
 
 
 def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
     each = coarse("deep", recorded(setup_of(zeta=0.2)))
-    case = RigDataset.of([each])
-    assert case.with_fewer_plates() is case
+    dataset = RigDataset.of([each])
+    assert dataset.with_fewer_plates() is dataset

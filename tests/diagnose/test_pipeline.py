@@ -9,10 +9,12 @@ import pytest
 from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.cross_validation import predict_held_out
 from diagnose.gap.gap import gaps, shrinkage
-from diagnose.hypotheses.hypothesis import linear_start, refine, relinearize
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.pair_screening import pair_candidates
+from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import screen_effects
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
+from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.pipeline import diagnose
 from diagnose.report.text import step_sentences
@@ -31,7 +33,7 @@ from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import SlipSoftening
 from drftjax.recorded.repeats import group_by_condition
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 
 # One node's map stands for several steps, which is 2 to 5 % here.
 LINES = 0.05
@@ -53,43 +55,56 @@ CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
 
 @pytest.fixture(scope="module")
 def sloping() -> RigDataset:
-    return case_with({"name": "surface_slope", "slope": 0.02})
+    return dataset_with({"name": "surface_slope", "slope": 0.02})
 
 
 @pytest.fixture(scope="module")
-def sloping_bench(sloping) -> Regressors:
-    return Regressors.of(sloping, match_initial_zeta(sloping), CATALOGUE)
+def regressors(sloping, pool) -> Regressors:
+    return regressors_of(sloping, CATALOGUE, pool)
 
 
-def variant(bench: Regressors, effect):
-    return next(v for v in bench.variants if v.effect is effect)
+def regressors_of(dataset: RigDataset, effects, pool) -> Regressors:
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
+    return Regressors.of(dataset, linearized, effects, pool)
 
 
-def test_a_lines_column_is_what_a_small_strength_does(sloping_bench):
-    case, column = sloping_bench.dataset, variant(sloping_bench, Drawbar).columns[0]
-    model = linear_start(sloping_bench, [variant(sloping_bench, Drawbar)]).model
-    for run, log_zeta in enumerate(sloping_bench.log_zeta):
-        both = [case.prediction(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
+def refined(regressors: Regressors, effect, simulations: int, pool) -> Hypothesis:
+    start = linear_start(regressors, [variant(regressors, effect)])
+    return refine(regressors, start, simulations, pool)
+
+
+def variant(regressors: Regressors, effect):
+    return next(v for v in regressors.variants if v.effect is effect)
+
+
+def test_a_lines_column_is_what_a_small_strength_does(regressors):
+    dataset, column = regressors.dataset, variant(regressors, Drawbar).columns[0]
+    model = linear_start(regressors, [variant(regressors, Drawbar)]).model
+    for run, log_zeta in enumerate(regressors.log_zeta):
+        both = [dataset.prediction(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
         change = (both[1] - both[0]) / 0.1
-        x = case.channels.index("x")
-        line = sloping_bench.columns[run][x, :, 1 + column]
+        x = dataset.channels.index("x")
+        line = regressors.columns[run][x, :, 1 + column]
         assert np.abs(line - change[x]).max() < LINES * np.abs(change[x]).max()
 
 
-def test_a_wrong_scales_column_knows_that_the_wheel_starts_elsewhere(sloping):
-    bench = Regressors.of(sloping, match_initial_zeta(sloping), (SinkageGain,))
-    start = linear_start(bench, [variant(bench, SinkageGain)])
-    exact = relinearize(bench, start)
+def test_a_wrong_scales_column_knows_that_the_wheel_starts_elsewhere(sloping, pool):
+    regressors = regressors_of(sloping, (SinkageGain,), pool)
+    start = linear_start(regressors, [variant(regressors, SinkageGain)])
+    exact = relinearize(regressors, start, pool)
     z = sloping.channels.index("z")
-    for line, true in zip(bench.columns, exact.columns, strict=True):
+    for line, true in zip(regressors.columns, exact.columns, strict=True):
         # A column that forgets the start is 23 % off.
         error = line[z, :, 1] - true[z, :, 1]
         assert np.linalg.norm(error) < LINES * np.linalg.norm(true[z, :, 1])
 
 
-def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(sloping_bench):
+def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(regressors, pool):
     slope = refine(
-        sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, SurfaceSlope)]), 8
+        regressors,
+        linear_start(regressors, [variant(regressors, SurfaceSlope)]),
+        8,
+        pool,
     )
     true = 0.02 / slope.model.free[0].scale
     assert slope.coordinates[0] == pytest.approx(true, rel=TOLD)
@@ -97,35 +112,43 @@ def test_a_settled_slope_has_its_true_value_and_leaves_the_noise(sloping_bench):
         assert np.sqrt(np.mean(residual**2)) < LEFT
 
 
-def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
+def test_left_out_runs_are_predicted_by_the_true_effect_alone(regressors, pool):
     slope, gain = (
-        refine(sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, effect)]), 8)
+        refine(
+            regressors,
+            linear_start(regressors, [variant(regressors, effect)]),
+            8,
+            pool,
+        )
         for effect in (SurfaceSlope, TravelGain)
     )
-    z = sloping_bench.dataset.channels.index("z")
+    z = regressors.dataset.channels.index("z")
 
     def missed(hypothesis) -> float:
-        unseen = predict_held_out(sloping_bench, hypothesis).residual
+        unseen = predict_held_out(regressors, hypothesis, pool).residual
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < UNSEEN < 10 * UNSEEN < missed(gain)
 
 
-def test_two_forms_of_one_effect_are_no_pair():
+def test_two_forms_of_one_effect_are_no_pair(pool):
     """The verdict would name one effect, and its numbers stand twice."""
-    case = case_with({"name": "drawbar", "force": 4.0})
+    dataset = dataset_with({"name": "drawbar", "force": 4.0})
     forms = [SpeedRipple, effect_class("speed_harmonics")]
-    assert screen_effects(case, forms).pairs == ()
-    with_another = screen_effects(case, [*forms, SurfaceSlope]).pairs
+    assert screen_effects(dataset, forms, pool).pairs == ()
+    with_another = screen_effects(dataset, [*forms, SurfaceSlope], pool).pairs
     assert with_another
     assert all("surface_slope" in each.names for each in with_another)
 
 
-def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
+def test_a_pair_starts_with_what_straight_lines_give_to_both(regressors, pool):
     gain = refine(
-        sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, TravelGain)]), 3
+        regressors,
+        linear_start(regressors, [variant(regressors, TravelGain)]),
+        3,
+        pool,
     )
-    proposal = next(pair_candidates(sloping_bench, [gain]))
+    proposal = next(pair_candidates(regressors, [gain], pool))
     assert proposal.names == {"travel_gain", "surface_slope"}
     pair = proposal.build()
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
@@ -157,8 +180,8 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
 def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
     sloping, monkeypatch
 ):
-    def lost(bench, hypothesis):
-        unseen = predict_held_out(bench, hypothesis)
+    def lost(regressors, hypothesis, pool):
+        unseen = predict_held_out(regressors, hypothesis, pool)
         if hypothesis.names != ("surface_slope",):
             return unseen
         first, *others = unseen.residual
@@ -171,7 +194,7 @@ def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
 
 
 def test_nothing_added_is_none():
-    found = diagnose(case_with(), CATALOGUE)
+    found = diagnose(dataset_with(), CATALOGUE)
     assert found.verdict == ("none",)
     assert found.parameters == {}
 
@@ -194,23 +217,23 @@ def made_products() -> GramMatrices:
 
 
 def test_a_line_takes_away_what_its_column_can():
-    line = fit_linear(made_products(), [0], trust=0.0)
+    line = fit_linear(made_products(), [0], linear_error=0.0)
     assert line.coefficients[0] == pytest.approx(2.0, rel=HELD_BACK)
     assert line.mean_square[0] == pytest.approx(0.0, abs=HELD_BACK)
 
 
 def test_a_line_stays_at_its_least():
-    line = fit_linear(made_products(), [0], least=np.array([3.0]), trust=0.0)
+    line = fit_linear(made_products(), [0], lower=np.array([3.0]), linear_error=0.0)
     assert line.coefficients[0] == pytest.approx(3.0)
     assert line.mean_square[0] == pytest.approx(1.0, rel=HELD_BACK)
 
 
-def test_a_bound_of_a_strength_counts_in_its_own_unit():
+def test_a_bound_of_a_strength_counts_in_its_own_unit(pool):
     # A loss of 0.3 is three typical sizes, and may be one, or ten sizes, at most.
-    case = case_with({"name": "slip_softening", "loss": 0.3, "half": 0.01})
-    bench = Regressors.of(case, match_initial_zeta(case), (SlipSoftening,))
-    start = linear_start(bench, [bench.variants[2]])
-    found = refine(bench, start, 4)
+    dataset = dataset_with({"name": "slip_softening", "loss": 0.3, "half": 0.01})
+    regressors = regressors_of(dataset, (SlipSoftening,), pool)
+    start = linear_start(regressors, [regressors.variants[2]])
+    found = refine(regressors, start, 4, pool)
     assert found.coordinates[0] * found.model.free[0].scale == pytest.approx(0.3, abs=STEPS)
 
 
@@ -229,21 +252,26 @@ def test_shrinkage_counts_from_the_floor():
 
 def test_weights_follow_what_is_left():
     blocks = (("z", "slow"),)
-    scale = dataclasses.replace(
-        WeightSettings(), none=0.0, number=0.0, floor=0.0, form=0.0, slow=2.0, unknown=-50.0
+    settings = WeightSettings(
+        log_prior_none=0.0,
+        parameter_cost=0.0,
+        model_error_factor=0.0,
+        formula_error_share=0.0,
+        slow_worth=2.0,
+        log_prior_unknown=-50.0,
     )
 
     def ratio(unseen: float, fitted: float) -> float:
         gap = np.array([4e-8])
         drawbar = ScoredHypothesis(("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1)
         judged = [ScoredHypothesis((), gap, gap, 0.0, 0), drawbar]
-        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, scale)
+        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, settings)
         return found[("drawbar",)] / found[("none",)]
 
     # Half of a worth of 2 by the logarithm of a quarter: four to one.
     assert ratio(1e-8, 1e-8) == pytest.approx(4.0, rel=ROUNDING)
     # Fitted to a quarter, predicted no better than nothing: the geometric mean of four and one.
-    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - scale.held_out_share), rel=ROUNDING)
+    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - settings.held_out_share), rel=ROUNDING)
 
 
 def test_effects_that_share_their_weight_speak_together():

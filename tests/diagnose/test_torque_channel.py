@@ -18,8 +18,8 @@ def weight_of_travel_gain(channels: tuple[str, ...]) -> float:
         setup = setup_of(profile)
         setup.effects = [{"name": "wheel_radius", "excess": 0.008}]
         runs.append(recorded(setup, number, channels=channels, force_noise=TORQUE_NOISE))
-    case = RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
-    found = diagnose(case, [*map(effect_class, NAMES)])
+    dataset = RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+    found = diagnose(dataset, [*map(effect_class, NAMES)])
     assert found.verdict == ("wheel_radius",)
     return found.weights.get("travel_gain", 0.0)
 

@@ -40,7 +40,7 @@ def run_with(
     return recorded(setup, seed=seed, noise=noise)
 
 
-def case_with(*effects: dict, scale: float = 1.0) -> RigDataset:
+def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
     """Runs of a rig with these effects, as entries of a set-up file.
 
     The wheel stands at rest where its sinkage reads `scale` times what it is.

@@ -23,6 +23,7 @@ from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.pipeline import diagnose
 from diagnose.result import Diagnosis
+from diagnose.run_pool import RunPool
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, effect_class
@@ -71,9 +72,9 @@ def runs(folder: Path, names: Sequence[str], effects: Sequence[dict] = ()) -> li
     return found
 
 
-def rms(case: RigDataset, residual: Sequence[np.ndarray], channel: str) -> float:
+def rms(dataset: RigDataset, residual: Sequence[np.ndarray], channel: str) -> float:
     """Of all runs together [mm]."""
-    values = [each[case.channels.index(channel)] for each in residual]
+    values = [each[dataset.channels.index(channel)] for each in residual]
     return MM * float(np.sqrt(np.mean(np.concatenate(values) ** 2)))
 
 
@@ -90,7 +91,7 @@ def numbers_of(each: Hypothesis) -> str:
 
 def explanations(found: Diagnosis) -> Table:
     """Every explanation that was simulated, as ranked, with its error on runs left out."""
-    case, bench = found.dataset, found.screening.regressors
+    dataset, regressors = found.dataset, found.screening.regressors
     table = Table(title="RMSE mm", title_justify="left")
     for column in (
         "explanation",
@@ -103,10 +104,11 @@ def explanations(found: Diagnosis) -> Table:
         table.add_column(column, justify="left" if column == "explanation" else "right")
     table.add_column("numbers")
     for each in (found.screening.none, *found.screening.singles, *found.screening.pairs):
-        unseen = predict_held_out(bench, each).residual
+        with RunPool() as pool:
+            unseen = predict_held_out(regressors, each, pool).residual
         table.add_row(
             " + ".join(each.names) or "none",
-            *(shown(rms(case, part, c)) for c in "xz" for part in (each.residual, unseen)),
+            *(shown(rms(dataset, part, c)) for c in "xz" for part in (each.residual, unseen)),
             f"{np.exp(each.log_zeta).mean():.2f}",
             numbers_of(each),
         )
@@ -118,8 +120,10 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     weights = ", ".join(f"{name} {w:.2f}" for name, w in list(found.weights.items())[:4])
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
-    bench = found.screening.regressors
-    left = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, found.chosen)))
+    regressors = found.screening.regressors
+    with RunPool() as pool:
+        held_out = predict_held_out(regressors, found.chosen, pool)
+        left = residuals_of(at_mean_sinkage(regressors, held_out, pool))
     leading = " + ".join(found.chosen.names) or "the reference model"
     added = " + ".join(each.about.name for each in found.selected.effects) or "nothing"
     for channel, gap in found.gap.items():

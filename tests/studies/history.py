@@ -18,6 +18,7 @@ from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.pipeline import diagnose
 from diagnose.result import Diagnosis
+from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue
 from drftjax.recorded.prepared_run import prepare_run
@@ -25,7 +26,7 @@ from drftjax.runlog.record import Measured, RunLog
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
 
-# Top speeds [deg/s] of the runs; two of each half a case share a command.
+# Top speeds [deg/s] of the runs; two of each half a dataset share a command.
 FAST = (60.0, 120.0, 120.0, 200.0, 300.0)
 SLOW = (15.0, 22.0, 22.0, 30.0, 30.0)
 TERMS = ("height_decrease", "momentum_flux")
@@ -82,8 +83,10 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
     """What an explanation leaves of a channel on runs left out, in noise floors; NaN untried."""
     for each in (*found.screening.singles, *found.screening.pairs):
         if set(each.names) == set(names):
-            bench = found.screening.regressors
-            unseen = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, each)))
+            regressors = found.screening.regressors
+            with RunPool() as pool:
+                held_out = predict_held_out(regressors, each, pool)
+                unseen = residuals_of(at_mean_sinkage(regressors, held_out, pool))
             index = found.dataset.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]

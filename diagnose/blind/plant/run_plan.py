@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.next_runs.recommended_runs import TELLING as RECOMMENDED
+from diagnose.next_runs.recommended_runs import RECOMMENDED_RUNS as RIG_RUNS
 from drftjax.physics.integrator import steady_step
 
 RUN_LETTERS = "abcdefghi"
@@ -128,7 +128,7 @@ PRACTICE_RUNS = (
 )
 
 RECOMMENDED_RUNS = tuple(
-    PlannedRun(run.time, run.speed, round(STANDARD_MASS * run.load, 3)) for run in RECOMMENDED
+    PlannedRun(run.time, run.speed, round(STANDARD_MASS * run.load, 3)) for run in RIG_RUNS
 )
 
 

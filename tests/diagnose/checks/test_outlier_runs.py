@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from diagnose.checks.outlier_runs import (
+    DEFAULT_OUTLIER_RUNS,
+    OutlierRunSettings,
     gap_carried_by_one_run,
     outliers_among_repeats,
     outliers_by_zeta,
@@ -18,7 +20,7 @@ from diagnose.gap.repeatability import repeat_variance, repeats
 from diagnose.linear.linear_fit import block_names
 from diagnose.localization.shares import GapShare
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 
 # Rounding of squares of misses of a millimetre.
 ROUNDING = 1e-20
@@ -30,7 +32,7 @@ NOISE = {"x": 1e-6, "z": 1e-6}
 @pytest.fixture(scope="module")
 def case() -> RigDataset:
     """Three runs, of which the first two repeat each other."""
-    return case_with()
+    return dataset_with()
 
 
 def alike(run: int) -> np.ndarray:
@@ -93,7 +95,9 @@ def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
     judged = [ScoredHypothesis((), gap, gap, 0.0, 0)]
 
     def of(by_chance: float) -> dict:
-        return weights(judged, (("z", "slow"),), number, noise, 9, chance=np.array([by_chance]))
+        return weights(
+            judged, (("z", "slow"),), number, noise, 9, repeat_power=np.array([by_chance])
+        )
 
     assert of(0.0)[(UNKNOWN,)] > SURE
     assert of(1e-12) == of(0.0)  # within noise and a model's own error
@@ -137,13 +141,15 @@ def test_a_run_that_holds_most_of_the_gap_is_named(case):
     # No other run has torque.
     before = [np.array([[2e-5] * 10, [np.nan] * 10])] * 4 + [np.full((2, 10), 1e-3)]
 
-    def of(share: float, time: float) -> list[str]:
+    def of(share: float, time: float, settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS):
         rest = [GapShare("run", f"run {n}", (1 - share) / 4, (0.0, 1.0), 0.2) for n in range(4)]
         last = GapShare("run", "run 4", share, (0.0, 1.0), time)
-        return gap_carried_by_one_run(several, [*rest, last], before, {"z": 2e-5, "torque": 0.1})
+        floors = {"z": 2e-5, "torque": 0.1}
+        return gap_carried_by_one_run(several, [*rest, last], before, floors, settings)
 
     (told,) = of(0.9, 0.2)
     assert told.startswith("run 4 holds 90% of the gap in 20% of the time")
     assert "1.0 noise floors in z. Look" in told
     assert of(0.45, 0.1) == []
     assert of(0.9, 0.4) == []
+    assert of(0.45, 0.1, OutlierRunSettings(run_share=0.4)) != []

@@ -8,7 +8,7 @@ import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.discretization_error import discretization_errors, with_finer_plates
-from diagnose.gap.gap import gaps, share_removed
+from diagnose.gap.gap import GapSettings, gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
 from diagnose.model.augmented_model import AugmentedModel
@@ -32,17 +32,17 @@ def run():
     return coarse("run", recorded(setup_of(PROFILE), rate=100.0, noise=0.0))
 
 
-def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
+def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, pool):
     case = RigDataset.of([run])
-    log_zeta = match_initial_zeta(case)
-    own = discretization_errors(case, log_zeta)
+    log_zeta = match_initial_zeta(case, pool)
+    own = discretization_errors(case, log_zeta, pool)
     values = run.observation.values.copy()
     values[:, case.counts(0)] = case.prediction(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
     fine = with_finer_plates(
         dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
     )
     assert fine.setup.wheel.plate_size == PLATE / 2
-    (left,) = match_runs(RigDataset.of([fine]), AugmentedModel(), np.zeros(0))
+    (left,) = match_runs(RigDataset.of([fine]), AugmentedModel(), np.zeros(0), pool)
     assert own == pytest.approx(
         dict(zip(("x", "z"), np.sqrt(np.mean(left.residual**2, axis=1)), strict=True)), rel=AGREE
     )
@@ -69,6 +69,15 @@ def test_an_interval_is_of_draws_in_which_something_could_shrink():
     nothing = gaps(case, after[1:] * 2, after[1:] * 2, {"x": 1.0})["x"]  # pyright: ignore
     assert not nothing.is_reducible
     assert nothing.interval == (0.0, 0.0)
+
+
+def test_the_rule_of_a_reducible_gap_can_be_varied():
+    case = recorded_runs(setup_of(PROFILE))
+    before, after = ([np.full((1, 100), each)] for each in (1.4, 1.0))
+    for settings, share in ((GapSettings(), 0.0), (GapSettings(min_excess=0.3), 1.0)):
+        gap = gaps(case, before, after, {"x": 1.0}, settings)["x"]  # pyright: ignore
+        assert gap.shrinkage == pytest.approx(share)
+        assert gap.is_reducible == (share > 0)
 
 
 def test_runs_of_one_condition_have_no_interval():
@@ -102,13 +111,13 @@ def test_an_interval_holds_what_a_few_runs_more_show():
     assert narrow == 0
 
 
-def test_without_repeats_a_wheel_that_is_read_seldom_is_no_noise():
+def test_without_repeats_a_wheel_that_is_read_seldom_is_no_noise(pool):
     """At 8 Hz the readings of a wheel that speeds up bend by far more than their noise."""
     run = coarse("run", recorded(setup_of(FAST), rate=8.0, noise=NOISE))
     case = RigDataset.of([run])
     readings = run.observation.by_channel()["x"][1]
     assert readings > MOTION * NOISE
-    (left,) = match_runs(case, AugmentedModel(), np.zeros(0))
+    (left,) = match_runs(case, AugmentedModel(), np.zeros(0), pool)
     floors, how = noise_floors(
         case, [left.residual], [left.residual], {"x": 0.0, "z": 0.0}, lambda run: np.zeros(0)
     )

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start, refine
-from diagnose.hypotheses.pair_screening import PAIRS, pair_candidates, refine_pairs
+from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
+from diagnose.hypotheses.pair_screening import (
+    PairScreeningSettings,
+    pair_candidates,
+    refine_pairs,
+)
+from diagnose.hypotheses.refinement import refine
+from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 
 # A way ahead leads each number to within a tenth, fitted alone to what both did: a start, which
 # simulation then settles to what three short runs tell of it, a per cent or two.
@@ -23,33 +29,38 @@ CANDIDATES = (
     *("measurement_delay", "surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
 )
 
-
-@pytest.fixture(scope="module")
-def bench() -> Regressors:
-    case = case_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
-    return Regressors.of(
-        case, match_initial_zeta(case), [effect_class(name) for name in CANDIDATES]
-    )
+PAIRS = PairScreeningSettings().pairs_per_round
 
 
 @pytest.fixture(scope="module")
-def singles(bench):
+def regressors(pool) -> Regressors:
+    dataset = dataset_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
+    return Regressors.of(dataset, linearized, [*map(effect_class, CANDIDATES)], pool)
+
+
+@pytest.fixture(scope="module")
+def singles(regressors, pool):
     found = {}
-    for variant in bench.variants:
+    for variant in regressors.variants:
         name = variant.effect.about.name
         found[name] = max(
-            found.get(name, variant), variant, key=lambda each: linear_fit_of(bench, [each]).score
+            found.get(name, variant),
+            variant,
+            key=lambda each: linear_fit_of(regressors, [each]).score,
         )
-    alone = [refine(bench, linear_start(bench, [each]), 4) for each in found.values()]
+    alone = [
+        refine(regressors, linear_start(regressors, [each]), 4, pool) for each in found.values()
+    ]
     return sorted(alone, key=lambda each: -each.score)
 
 
-def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
-    assert next(pair_candidates(bench, singles)).names == set(TRUTH)
+def test_what_singles_did_alone_puts_the_true_pair_first(regressors, singles, pool):
+    assert next(pair_candidates(regressors, singles, pool)).names == set(TRUTH)
 
 
-def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
-    pair = next(pair_candidates(bench, singles)).build()
+def test_the_way_ahead_of_a_pair_leads_near_both_truths(regressors, singles, pool):
+    pair = next(pair_candidates(regressors, singles, pool)).build()
     assert not pair.is_simulated
     assert pair.proposed_step is not None
     there = pair.coordinates + pair.proposed_step[1]
@@ -58,8 +69,8 @@ def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
         assert free.value(coordinate) == pytest.approx(true, rel=START)
 
 
-def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singles):
-    pairs = refine_pairs(bench, singles)
+def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(regressors, singles, pool):
+    pairs = refine_pairs(regressors, singles, pool)
     assert len({frozenset(each.names) for each in pairs}) == len(pairs) == PAIRS
     best = max(pairs, key=lambda each: each.score)
     assert set(best.names) == set(TRUTH)
@@ -70,30 +81,30 @@ def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singl
         assert np.sqrt(np.mean(residual**2)) < LEFT
 
 
-def test_a_shape_found_alone_goes_into_the_pair(bench, singles):
+def test_a_shape_found_alone_goes_into_the_pair(regressors, singles, pool):
     hardening = next(each for each in singles if each.names == ("rate_hardening",))
     pairs = [
         each.build()
-        for each in pair_candidates(bench, singles)
+        for each in pair_candidates(regressors, singles, pool)
         if each.names == {"rate_hardening", singles[0].names[0]}
     ]
     shape = next(k for k, free in enumerate(pairs[0].model.free) if free.scale is None)
     assert any(pair.coordinates[shape] in hardening.coordinates for pair in pairs)
 
 
-def test_while_the_best_pair_is_far_off_as_many_more_are_tried(bench, singles, monkeypatch):
-    def with_the_truth_late(bench, singles):
-        all_of_them = list(pair_candidates(bench, singles))
+def test_while_the_best_pair_is_far_off_as_many_more_are_tried(
+    regressors, singles, pool, monkeypatch
+):
+    def with_the_truth_late(regressors, singles, pool, settings):
+        all_of_them = list(pair_candidates(regressors, singles, pool))
         others = dict.fromkeys(each.names for each in all_of_them if each.names != set(TRUTH))
         order = [*list(others)[:PAIRS], frozenset(TRUTH), *list(others)[PAIRS:]]
         return sorted(all_of_them, key=lambda each: order.index(each.names))
 
     monkeypatch.setattr("diagnose.hypotheses.pair_screening.pair_candidates", with_the_truth_late)
-    monkeypatch.setattr("diagnose.hypotheses.pair_screening.FAR", np.inf)
-    near = refine_pairs(bench, singles)
+    near = refine_pairs(regressors, singles, pool, PairScreeningSettings(far_from_floor=np.inf))
     assert len(near) == PAIRS
     assert set(TRUTH) not in [set(each.names) for each in near]
-    monkeypatch.setattr("diagnose.hypotheses.pair_screening.FAR", 1.5)
-    far = refine_pairs(bench, singles)
+    far = refine_pairs(regressors, singles, pool, PairScreeningSettings(far_from_floor=1.5))
     assert len(far) == 2 * PAIRS
     assert set(far[0].names) == set(TRUTH)

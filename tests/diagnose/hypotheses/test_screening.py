@@ -5,20 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import RigDataset
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.hypotheses.hypothesis import top_ranked
 from diagnose.hypotheses.screening import screen_effects
 from diagnose.model.augmented_model import FreeField
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
+from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
 from drftjax.effects.drive import Backlash, SpeedHarmonics, SpeedLag, SpeedRipple
 from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
 from drftjax.effects.surface import SurfaceBump, SurfaceProfile
 from drftjax.effects.terrain import TerrainVariation, TerrainWave
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 
 # A step of 2 ms at 0.3 rad/s.
 ONE_STEP = 0.6e-3
@@ -34,9 +34,11 @@ RISE, CENTRE, WIDTH = 0.026, 1.05e-3, 0.019
 ORDER, SHARE = 0.0023, 1.6e-3
 
 
-def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way():
+def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
     # The wheel starts 0.9 s late at 0.5 rad/s: x is behind by 30 mm, a thousand times its noise.
-    found = screen_effects(case_with({"name": "backlash", "play": 0.22}), (Backlash, SpeedLag))
+    found = screen_effects(
+        dataset_with({"name": "backlash", "play": 0.22}), (Backlash, SpeedLag), pool
+    )
     best = found.singles[0]
     assert best.names == ("backlash",)
     assert best.coordinates[0] * best.model.free[0].scale == pytest.approx(0.22, abs=ONE_STEP)
@@ -47,7 +49,7 @@ def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way():
 
 def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     wave = {"name": "terrain_wave", "cosine": 0.0, "sine": 0.15, "length": 0.15}
-    found = diagnose(case_with(wave), (TerrainVariation, TerrainWave))
+    found = diagnose(dataset_with(wave), (TerrainVariation, TerrainWave))
     assert found.chosen.names == ("terrain_wave",)
     assert found.verdict == ("terrain_variation",)
     assert found.weights["terrain_variation"] > SURE
@@ -63,9 +65,9 @@ def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     assert wave.length == numbers["length"].value
 
 
-def test_a_bump_goes_by_the_name_of_the_surface():
+def test_a_bump_goes_by_the_name_of_the_surface(pool):
     bump = {"name": "surface_bump", "rise": 0.002, "centre": 0.25, "width": 0.05}
-    best = screen_effects(case_with(bump), (SurfaceProfile, SurfaceBump)).singles[0]
+    best = screen_effects(dataset_with(bump), (SurfaceProfile, SurfaceBump), pool).singles[0]
     assert best.names == ("surface_bump",)
     assert reported_names(best.names) == ("surface_profile",)
     rise, centre, width = map(FreeField.value, best.model.free, best.coordinates)
@@ -74,10 +76,10 @@ def test_a_bump_goes_by_the_name_of_the_surface():
     assert width == pytest.approx(0.05, rel=WIDTH)
 
 
-def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
+def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers(pool):
     given = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
-    case = case_with({"name": "speed_harmonics", **given})
-    singles = screen_effects(case, (SpeedRipple, SpeedHarmonics, SpeedLag)).singles
+    dataset = dataset_with({"name": "speed_harmonics", **given})
+    singles = screen_effects(dataset, (SpeedRipple, SpeedHarmonics, SpeedLag), pool).singles
     best = singles[0]
     assert best.names == ("speed_harmonics",)
     assert reported_names(best.names) == ("speed_ripple",)
@@ -94,7 +96,7 @@ def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers():
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
     # z starts where the scale says; a wheel that lies deeper or less deep travels otherwise.
     gain = {"name": "sinkage_gain", "gain": 0.06}
-    found = diagnose(case_with(gain, scale=1.06), (SinkageGain, HorizontalCoulomb))
+    found = diagnose(dataset_with(gain, scale=1.06), (SinkageGain, HorizontalCoulomb))
     assert found.verdict == ("sinkage_gain",)
     assert found.weights["sinkage_gain"] > LIKELIER
     assert found.parameters["sinkage_gain"]["gain"].value == pytest.approx(0.06, rel=GAIN)
@@ -103,10 +105,9 @@ def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
 @pytest.mark.parametrize("double", [True, False])
 def test_items_side_by_side_go_over_runs_themselves_in_the_same_precision(double):
     runs, items = range(5), range(20)
-    with jax.enable_x64(double):
-        case = RigDataset(runs, None)  # pyright: ignore[reportArgumentType]
-        found = case.map_items(
-            lambda item: case.map_runs(lambda run: jnp.asarray(float(item * run))), items
+    with jax.enable_x64(double), RunPool() as pool:
+        found = pool.map_outer(
+            lambda item: pool.map(lambda run: jnp.asarray(float(item * run)), runs), items
         )
     assert [[float(each) for each in row] for row in found] == [
         [i * r for r in runs] for i in items

@@ -8,8 +8,10 @@ import pytest
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.gap import gaps
+from diagnose.linear.linearized_runs import linearize_run
 from diagnose.localization.kinematics import PHASES, kinematics_of_run
 from diagnose.localization.localization import localization_sentence, localize
+from diagnose.localization.settings import LocalizationSettings
 from diagnose.localization.shares import GapShare, bootstrap_counts
 from drftjax.runlog.record import Measured, RecordedCommand, RunLog
 from tests.helpers.synthetic_runs import FAST, FAST_STEP, SLOW, coarse, recorded, setup_of
@@ -262,6 +264,19 @@ def test_a_sentence_names_where_the_gap_is_dense():
     assert "in z beside the changes of x (" in told
 
 
+def test_bands_and_thresholds_can_be_varied():
+    case = case_of(run_of(0.5), run_of(1.0))
+    residual = nothing(case)
+    for each in residual:
+        each[case.channels.index("z"), case.time(0) > 11.0] = 1e-3
+    settings = LocalizationSettings(frequency_edges=(0.5,), min_named_share=1.0)
+    shares = localize(case, residual, FLOOR, settings)
+    bands = [each for each in shares if each.axis == "frequency"]
+    assert [each.label for each in bands] == ["under 0.5 Hz", "over 0.5 Hz"]
+    assert sum(each.share for each in bands) == pytest.approx(1.0)
+    assert "spread about evenly" in localization_sentence(shares, settings)
+
+
 def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts_either_way():
     knots, omega = (
         np.array([0.0, 1.0, 2.0, 4.0, 8.0, 10.0]),
@@ -280,13 +295,13 @@ def test_a_wheel_that_turns_back_slows_down_and_speeds_up_and_its_turning_counts
 
 def test_a_grouser_s_ripple_is_told_of_a_wheel_that_turns_backward():
     time, omega = FAST
-    paths = []
+    along = []
     for sense in (1, -1):
         setup = setup_of((time, [sense * each for each in omega]))
         setup.integrator.step, setup.start.angle = FAST_STEP, sense * 0.1
         each = coarse("run", recorded(setup, noise=0.0), model=setup, step=FAST_STEP)
-        paths.append(RigDataset.of([each]).linearized(0, 0.0))
-    forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in paths)
+        along.append(linearize_run(RigDataset.of([each]), 0, 0.0))
+    forward, backward = (np.asarray(each.ripple)[: int(each.nodes)] for each in along)
     assert np.all(np.abs(forward).max(axis=0) > 10 * RIPPLE)
     np.testing.assert_allclose(backward * [1, -1], forward, rtol=0, atol=RIPPLE)
 

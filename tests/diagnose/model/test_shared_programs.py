@@ -15,15 +15,9 @@ from diagnose.model.augmented_model import (
     predict_with_jacobian,
     with_effects,
 )
-from diagnose.model.shared_programs import SHORTEST_ROW, in_modes, program_of
+from diagnose.model.shared_programs import MIN_KNOT_COUNT, in_modes, program_of
 from drftjax.common.arrays import as_real
-from drftjax.effects.correction import (
-    STAGES,
-    correction_class,
-    correction_variables,
-    fields,
-    with_values,
-)
+from drftjax.effects.correction import STAGES, correction_class, fields, correction_variables, with_values
 from drftjax.effects.sensor import TravelGain
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
@@ -48,7 +42,7 @@ HEIGHTS = np.array([0.5, -1.0, 0.25, 1.5])
 
 
 @cache
-def case() -> RigDataset:
+def dataset() -> RigDataset:
     setup = setup_of(([0.0, 0.25, 0.75, 2.0], [0.0, 0.0, 1.0, 1.0]), 0.75)
     setup.integrator.step = 1e-3
     return RigDataset.of([coarse("run", recorded(setup), step=1e-3)])
@@ -64,12 +58,12 @@ def zeta_of(trial: Trial):
 
 def simulated(kind, values) -> np.ndarray:
     """The run with the curve's own class in the simulator."""
-    trial = with_effects(case().trials[0], (with_values(kind, values),))
-    return np.asarray(jax.jit(of_trial)(trial, case().observations[0]))
+    trial = with_effects(dataset().trials[0], (with_values(kind, values),))
+    return np.asarray(jax.jit(of_trial)(trial, dataset().observations[0]))
 
 
 def predicted(kind, coordinates) -> np.ndarray:
-    of = case().channels, case().trials[0], case().observations[0], as_real(0.0)
+    of = dataset().channels, dataset().trials[0], dataset().observations[0], as_real(0.0)
     return np.asarray(predict(AugmentedModel((kind,)), *of, np.asarray(coordinates)))
 
 
@@ -92,17 +86,17 @@ def test_the_program_runs_as_the_curve_does(stage, variable):
 
 
 def test_curves_of_a_stage_share_one_program():
-    kinds = [correction_class("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
+    kinds = [correction("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
     kinds.append(in_modes(kinds[0], np.eye(4)[:, :2], 1.0))
     assert len({program_of(each).effect for each in kinds}) == 1
     assert len({AugmentedModel((each,)).program[0] for each in kinds}) == 1
 
 
 def test_a_curve_of_more_knots_than_the_row_has_a_longer_one():
-    knots = np.linspace(0, 0.2, SHORTEST_ROW + 3)
+    knots = np.linspace(0, 0.2, MIN_KNOT_COUNT + 3)
     kind = correction_class("zeta", "travel", knots.tolist())
     values = 0.1 * np.sin(30 * knots)
-    assert len(fields(SHORTEST_ROW + 3)) == len(program_of(kind).mix)
+    assert len(fields(MIN_KNOT_COUNT + 3)) == len(program_of(kind).mix)
     assert np.abs(predicted(kind, values / 0.1) - simulated(kind, values)).max() < ROUNDING
 
 
@@ -117,18 +111,16 @@ def test_modes_are_the_curve_that_they_add_up_to():
 
 def test_the_derivative_is_by_the_effects_own_coordinates():
     kind = in_modes(
-        correction_class("zeta", "travel", PLACES["travel"]),
-        np.array([[1.0], [0.5], [0.0], [-1.0]]),
-        0.2,
+        correction_class("zeta", "travel", PLACES["travel"]), np.array([[1.0], [0.5], [0.0], [-1.0]]), 0.2
     )
     # The gain of a reading beside it stays a number of its own.
     model = AugmentedModel((TravelGain, kind))
     at = np.array([*(0.3 for _ in range(len(model.free) - 1)), 0.5])
-    of = case().channels, case().trials[0], case().observations[0], as_real(0.01)
+    of = dataset().channels, dataset().trials[0], dataset().observations[0], as_real(0.01)
     value, slope = predict_with_jacobian(model, *of, at)
     assert slope.shape == (*value.shape, 1 + len(at))
-    trial = with_zeta(case().trials[0], 0.01)
-    observed = case().observations[0]
+    trial = with_zeta(dataset().trials[0], 0.01)
+    observed = dataset().observations[0]
 
     def of_class(both):
         scaled = eqx.tree_at(zeta_of, trial, zeta_of(trial) * jnp.exp(both[0]))

@@ -8,16 +8,17 @@ import pytest
 from diagnose.dataset import RigDataset
 from diagnose.hypotheses.screening import screen_effects
 from diagnose.next_runs.discrimination import (
-    TELLING,
-    _scaled,
+    DEFAULT_NEXT_RUN,
+    NextRunSettings,
+    _path_lengths,
     _stop_and_go,
     _variations,
-    _ways,
+    _with_speed_scaled,
     next_run,
 )
 from drftjax.effects.catalogue import effect_class
 from drftjax.physics.integrator import STEPS
-from tests.helpers.rig_datasets import case_with
+from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
 FLOORS = {"x": 80e-6, "z": 30e-6}
@@ -28,40 +29,50 @@ NAMES = ("drawbar", "horizontal_coulomb")
 
 @pytest.fixture(scope="module")
 def pulled():
-    return case_with({"name": "drawbar", "force": 4.0})
+    return dataset_with({"name": "drawbar", "force": 4.0})
 
 
 @pytest.fixture(scope="module")
-def advice(pulled):
+def advice(pulled, pool):
     # Both pull back all the while as long as the carriage only goes forward.
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
     }
     first, second = (singles[(name,)] for name in NAMES)
-    return next_run(pulled, first, [second], FLOORS)
+    return next_run(pulled, first, [second], FLOORS, pool)
 
 
 def test_it_names_the_run_that_parts_two_explanations(advice):
     assert advice["tells"] == list(NAMES)
     assert "backward" in advice["run"]["run"]
-    assert advice["run"]["floors"] > TELLING
+    assert advice["run"]["floors"] > DEFAULT_NEXT_RUN.min_floors
+
+
+def test_the_runs_that_may_be_proposed_can_be_varied(pulled):
+    light = NextRunSettings(speed_factors=(2.0,), load_factors=(0.5,))
+    words = [each.words for each in _variations(pulled, 0, light)]
+    assert sum("at " in each for each in words) == 1
+    (loaded,) = [each for each in _variations(pulled, 0, light) if each.words.endswith(" kg")]
+    mass = float(pulled.trials[0].simulator.rig.mass_z)
+    assert float(loaded.trial.simulator.rig.mass_z) == pytest.approx(0.5 * mass)
 
 
 def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
     assert advice["channel"]["channel"] == "torque"
-    assert advice["channel"]["floors"] > TELLING
+    assert advice["channel"]["floors"] > DEFAULT_NEXT_RUN.min_floors
     assert advice["channel"]["unit"] == "N m"
 
 
 def test_no_run_goes_farther_than_the_longest_so_far(pulled):
-    farthest = max(_ways(each.trial)[-1] for each in pulled.runs)
+    farthest = max(_path_lengths(each.trial)[-1] for each in pulled.runs)
     found = {each.words: each for each in _variations(pulled, 0)}
     cut = [each for words, each in found.items() if "its first" in words and "deg/s" in words]
     assert cut
     for each in found.values():
         if "deg/s" in each.words and "stop" not in each.words:
-            lasts = min(each.lasts, float(np.asarray(each.trial.time)[-1]))
-            gone = np.interp(lasts, np.asarray(each.trial.time), _ways(each.trial))
+            lasts = min(each.duration, float(np.asarray(each.trial.time)[-1]))
+            gone = np.interp(lasts, np.asarray(each.trial.time), _path_lengths(each.trial))
             assert gone <= farthest * (1 + ROUNDING)
 
 
@@ -69,7 +80,7 @@ def test_no_run_outlasts_a_command_that_ends_in_motion(pulled):
     (end,) = {float(each.trial.time[-1]) for each in pulled.runs[:2]}
     assert pulled.trials[0].time[-1] > end
     for each in _variations(pulled, 0):
-        assert each.lasts <= end, each.words
+        assert each.duration <= end, each.words
 
 
 def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
@@ -77,7 +88,7 @@ def test_a_run_the_other_way_is_asked_for_where_none_was_made(pulled):
         return [v.words for v in _variations(case, 0) if v.words.endswith(("backward", "forward"))]
 
     def turned(each):
-        return dataclasses.replace(each, trial=_scaled(each.trial, -1.0))
+        return dataclasses.replace(each, trial=_with_speed_scaled(each.trial, -1.0))
 
     name = pulled.runs[0].name
     assert ways(pulled) == [f"{name} backward"]
@@ -91,7 +102,11 @@ def test_a_driven_carriage_goes_with_its_wheel(pulled):
     slip = 0.2
     vx = (1 - slip) * float(trial.simulator.wheel.radius) * trial.omega
     driven = dataclasses.replace(trial, vx=vx)
-    for each in (_scaled(driven, 2.0), _scaled(driven, -1.0), _stop_and_go(driven, 0.8)):
+    for each in (
+        _with_speed_scaled(driven, 2.0),
+        _with_speed_scaled(driven, -1.0),
+        _stop_and_go(driven, 0.8),
+    ):
         expected = (1 - slip) * float(trial.simulator.wheel.radius) * np.asarray(each.omega)
         np.testing.assert_allclose(np.asarray(each.vx), expected, rtol=0, atol=ROUNDING)
 
@@ -108,7 +123,7 @@ def test_stop_and_go_is_as_sharp_as_fits_can_step(pulled):
 
 
 @pytest.mark.parametrize("channels", [("z",), ("z", "fz")])
-def test_runs_without_travel_are_advised_too(channels):
+def test_runs_without_travel_are_advised_too(channels, pool):
     vx = [0.0, 0.0, 0.05, 0.05] if "fz" in channels else None
     runs = [
         coarse(
@@ -117,34 +132,38 @@ def test_runs_without_travel_are_advised_too(channels):
         for n, zeta in enumerate((0.75, 0.76))
     ]
     case = RigDataset.of(runs)
-    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")])
+    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")], pool)
     floors = dict.fromkeys(case.channels, 1e-9)
     first, second = found.none, found.singles[0]
-    told = next_run(case, first, [second], floors)
+    told = next_run(case, first, [second], floors, pool)
     compared = {"z", "fx", "fz", "torque"} if "fz" in channels else {"x", "z", "torque"}
     asked = [each for each in (told["run"], told["channel"]) if each is not None]
     assert told["tells"] == ["none", *second.names]
     assert {each["channel"] for each in asked} <= compared
 
 
-def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled):
+def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled, pool):
     names = ("drawbar", "horizontal_coulomb", "bulldozing")
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, names)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, names)], pool).singles
     }
     first, second, third = (singles[(name,)] for name in names)
-    both = next_run(pulled, first, [second, third], FLOORS)
-    each = [next_run(pulled, first, [rival], FLOORS)["run"]["floors"] for rival in (second, third)]
+    both = next_run(pulled, first, [second, third], FLOORS, pool)
+    each = [
+        next_run(pulled, first, [rival], FLOORS, pool)["run"]["floors"] for rival in (second, third)
+    ]
     assert both["tells"] == [*names]
     # What parts two rivals parts each of them, and no better than the run that is best for it.
-    assert TELLING < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
+    assert DEFAULT_NEXT_RUN.min_floors < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
 
 
-def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled):
+def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled, pool):
     singles = {
-        each.names: each for each in screen_effects(pulled, [*map(effect_class, NAMES)]).singles
+        each.names: each
+        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
     }
     first, second = (singles[(name,)] for name in NAMES)
     # Nothing parts an explanation from itself.
-    told = next_run(pulled, first, [second, first], FLOORS)
-    assert told == next_run(pulled, first, [second], FLOORS)
+    told = next_run(pulled, first, [second, first], FLOORS, pool)
+    assert told == next_run(pulled, first, [second], FLOORS, pool)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnose.blind.plant import run_plan
 from diagnose.blind.plant.plant import DEFAULT_PLANT
+from diagnose.blind.plant.run_plan import RECOMMENDED_RUNS as BLIND_RUNS
 from diagnose.commands.protocol import app
-from diagnose.next_runs.recommended_runs import TELLING, recommended_runs
+from diagnose.next_runs.recommended_runs import RECOMMENDED_RUNS, recommended_runs
 from drftjax.commands.options import USUAL_OMEGA_MAX
 from drftjax.common.errors import InputError
 from drftjax.common.packages import data_file
@@ -27,7 +27,7 @@ RIG = read_setup(data_file("paper.toml"))
 
 def test_they_go_backward_stop_and_repeat_one():
     runs = {run.name: (run, setup.command.build()) for run, setup in recommended_runs(RIG)}
-    assert len(runs) == len(TELLING) == 9
+    assert len(runs) == len(RECOMMENDED_RUNS) == 9
     assert [name for name, (_, each) in runs.items() if each.omega.min() < 0] == ["backward"]
     assert runs["paper"][0].speed == runs["again"][0].speed
     stop = runs["stop_and_go"][1]
@@ -72,7 +72,9 @@ def test_limits_are_kept():
 
 
 def test_ramps_stay_as_they_are_where_only_the_way_is_limited():
-    for (run, setup), limit in zip(recommended_runs(RIG, max_travel=1.4), TELLING, strict=True):
+    for (run, setup), limit in zip(
+        recommended_runs(RIG, max_travel=1.4), RECOMMENDED_RUNS, strict=True
+    ):
         assert np.allclose(setup.command.omega, limit.speed), run.name
 
 
@@ -91,7 +93,7 @@ def test_sand_that_does_not_bear_the_wheel_is_refused():
 
 
 def test_the_blind_sets_are_of_the_same_runs():
-    for run, blind in zip(TELLING, run_plan.RECOMMENDED_RUNS, strict=True):
+    for run, blind in zip(RECOMMENDED_RUNS, BLIND_RUNS, strict=True):
         assert blind.time == run.time
         assert blind.speed == run.speed
         row_interval = DEFAULT_PLANT.steps_per_row * blind.steady_step() / 2
@@ -106,7 +108,7 @@ def test_the_command_writes_nine_set_ups(tmp_path):
     written = sorted(folder.iterdir())
     assert all(f" {each.name} " in result.output for each in written)
     assert [each.name for each in written] == [
-        f"{n}_{t.name}.toml" for n, t in enumerate(TELLING, 1)
+        f"{n}_{t.name}.toml" for n, t in enumerate(RECOMMENDED_RUNS, 1)
     ]
     for path, (_, setup) in zip(written, recommended_runs(RIG), strict=True):
         assert read_setup(path) == setup

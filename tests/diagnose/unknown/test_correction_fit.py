@@ -97,8 +97,8 @@ def leaving(found: Diagnosis, share: float) -> SelectedEffects:
 
 def test_the_simplest_signal_is_a_zeta_that_follows_the_sinkage(found):
     assert found.verdict == ("unknown",)
-    assert found.unknown_effect.stage.name == "zeta"
-    (first, share), *_ = found.unknown_effect.follows
+    assert found.unknown_effect.disturbance.name == "zeta"
+    (first, share), *_ = found.unknown_effect.dependence
     assert first == "sinkage"
     assert share > NEARLY_ALL
     assert any("one of zeta" in note and "it follows sinkage" in note for note in found.notes)
@@ -173,8 +173,8 @@ def test_what_does_not_help_is_not_offered_and_the_page_says_so(found):
     useless = leaving(found, 1.0)
     reference = dataclasses.replace(useless, effects=())
     assert best_selection([useless], reference) is reference
-    tried = dataclasses.replace(found.unknown_effect.tried, added=useless)
-    signal = dataclasses.replace(found.unknown_effect, tried=tried)
+    tried = dataclasses.replace(found.unknown_effect.best_correction, selection=useless)
+    signal = dataclasses.replace(found.unknown_effect, best_correction=tried)
     (_, said) = signal.sentences(offered=False)
     left = f"{useless.before:.1f} of {useless.before:.1f} noise floors are left"
     assert "over sinkage was tried and is not offered: " + left in said
@@ -214,17 +214,19 @@ def test_promise_is_of_what_the_model_file_holds(found, files, packing, tmp_path
 
 
 def test_what_follows_nothing_is_said_to(found):
-    nothing = dataclasses.replace(found.unknown_effect, follows=[("travel", 0.2)], tried=None)
+    nothing = dataclasses.replace(
+        found.unknown_effect, dependence=[("travel", 0.2)], best_correction=None
+    )
     (said,) = nothing.sentences(offered=False)
     assert "it follows none of the variables known" in said
-    fast = dataclasses.replace(nothing, too_fast=0.8)
+    fast = dataclasses.replace(nothing, fast_share=0.8)
     assert fast.sentences(offered=False)[1].startswith("80% of the gap is faster than such")
 
 
 def test_slow_gap_is_not_too_fast_for_a_signal(found):
     by_hertz = {each.label: each.share for each in found.localization if each.axis == "frequency"}
     over = by_hertz["1 to 3 Hz"] + by_hertz["3 to 10 Hz"] + by_hertz["over 10 Hz"]
-    assert found.unknown_effect.too_fast == pytest.approx(over)
+    assert found.unknown_effect.fast_share == pytest.approx(over)
     assert 0 < over < 0.5
 
 

@@ -10,16 +10,17 @@ from jaxtyping import Array, Float
 
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.linear.input_sensitivity import READINGS, effect_sensitivity, propagate
+from diagnose.linear.linearized_runs import linearize_run, linearize_runs
 from diagnose.model.augmented_model import AugmentedModel
+from diagnose.run_pool import RunPool
 from diagnose.unknown.dependence import (
-    CURVES,
-    TIED,
     choose_disturbance,
     fit_curve,
     rank_dependence,
     signal_against,
 )
 from diagnose.unknown.disturbances import Disturbance, estimate_disturbances
+from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT
 from drftjax.common.errors import InputError
 from drftjax.effects.base import (
     AbstractPlane,
@@ -30,7 +31,7 @@ from drftjax.effects.base import (
     strength,
 )
 from drftjax.effects.catalogue import field_metadata
-from drftjax.effects.correction import correction_class, correction_variables, fields
+from drftjax.effects.correction import correction_class, fields, correction_variables
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
@@ -55,7 +56,7 @@ SIGMAS, NEARLY_EVERYWHERE = 3.0, 0.9
 
 
 @cache
-def case() -> RigDataset:
+def dataset() -> RigDataset:
     runs = []
     for speed in (0.8, 1.0, 1.4):
         profile = ([0.0, 0.25, 1.25, 3.5, 4.5], [0.0, 0.0, speed, speed, 0.2 * speed])
@@ -66,7 +67,7 @@ def case() -> RigDataset:
 
 
 @cache
-def driven_case() -> RigDataset:
+def driven_dataset() -> RigDataset:
     profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
     setup = setup_of(profile, TRUE_ZETA, vx=[0.0, 0.0, 0.1, 0.1])
     run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
@@ -74,13 +75,14 @@ def driven_case() -> RigDataset:
 
 
 def log_zeta() -> np.ndarray:
-    return np.full(len(case().runs), np.log(TRUE_ZETA / BELIEVED_ZETA))
+    return np.full(len(dataset().runs), np.log(TRUE_ZETA / BELIEVED_ZETA))
 
 
 @cache
 def plain() -> list[np.ndarray]:
     return [
-        case().prediction(AugmentedModel(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())
+        dataset().prediction(AugmentedModel(), run, z, np.zeros(0))
+        for run, z in enumerate(log_zeta())
     ]
 
 
@@ -88,7 +90,7 @@ def with_(effect: type, **values: float) -> list[np.ndarray]:
     """What every run would record with an effect, but for noise."""
     model = AugmentedModel((effect,))
     at = [f.coordinate(values[f.field]) if f.field in values else 0.0 for f in model.free]
-    return [case().prediction(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
+    return [dataset().prediction(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
 
 
 def left(recorded: list[np.ndarray], seed: int = 0) -> list[np.ndarray]:
@@ -99,9 +101,16 @@ def left(recorded: list[np.ndarray], seed: int = 0) -> list[np.ndarray]:
     ]
 
 
+def disturbances_of(residual: list[np.ndarray], of: RigDataset | None = None) -> list[Disturbance]:
+    runs = dataset() if of is None else of
+    with RunPool() as pool:
+        linearized = linearize_runs(runs, log_zeta()[: len(runs.runs)], pool)
+        return estimate_disturbances(runs, linearized, pool, residual)
+
+
 @cache
 def of_gain() -> list[Disturbance]:
-    return estimate_disturbances(case(), log_zeta(), left(with_(SpeedGain, gain=0.05)))
+    return disturbances_of(left(with_(SpeedGain, gain=0.05)))
 
 
 def named(found: list[Disturbance], name: str) -> Disturbance:
@@ -113,7 +122,7 @@ def values_of(values) -> dict[str, float]:
 
 
 def test_noise_needs_no_stage():
-    found = estimate_disturbances(case(), log_zeta(), left(plain()))
+    found = disturbances_of(left(plain()))
     assert max(each.evidence for each in found) < 3
     assert max(each.explained for each in found) < NEXT_TO_NOTHING
 
@@ -121,49 +130,49 @@ def test_noise_needs_no_stage():
 def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed():
     found = of_gain()
     assert found[0].name == "speed"
-    assert found[0].evidence > found[1].evidence + TIED
+    assert found[0].evidence > found[1].evidence + DEFAULT_UNKNOWN_EFFECT.tied_evidence
     assert found[0].explained > 0.95  # of the gap: noise is under a per mille of it
     ranked = [
-        (v, s) for v, s in rank_dependence(case(), found[0]) if v in correction_variables("speed")
+        (v, s) for v, s in rank_dependence(dataset(), found[0]) if v in correction_variables("speed")
     ]
     assert ranked[0][0] == "angular velocity"
     assert ranked[0][1] > NEARLY_ALL
 
 
-@pytest.mark.parametrize("which", range(len(CURVES)))
+@pytest.mark.parametrize("which", range(len(DEFAULT_UNKNOWN_EFFECT.curves)))
 def test_a_curve_in_its_place_closes_the_gap(which):
-    found = fit_curve(case(), of_gain()[0], "angular velocity")[which]
-    knots, values = np.asarray(found.kind.knots), found.values
+    found = fit_curve(dataset(), of_gain()[0], "angular velocity")[which]
+    knots, values = np.asarray(found.effect_type.knots), found.values
     assert np.polyfit(knots, values, 1)[0] == pytest.approx(0.05, abs=SLOPE)
     before = with_(SpeedGain, gain=0.05)
-    after = with_(found.kind, **values_of(values))
+    after = with_(found.effect_type, **values_of(values))
     for run, (truth, corrected) in enumerate(zip(before, after, strict=True)):
-        x = case().channels.index("x")
+        x = dataset().channels.index("x")
         gap = np.abs(truth[x] - plain()[run][x])[-1]
         assert np.abs(truth[x] - corrected[x])[-1] < CLOSED * gap
 
 
 def test_sand_that_loosens_is_an_unknown_zeta_that_follows_the_turning():
-    found = estimate_disturbances(case(), log_zeta(), left(with_(Loosening, loss=0.15, decay=1.5)))
+    found = disturbances_of(left(with_(Loosening, loss=0.15, decay=1.5)))
     zeta = named(found, "zeta")
     # A slow change of the load sinks the wheel alike.
     assert found[0].name in ("zeta", "force_z")
-    assert zeta.evidence > found[0].evidence - TIED
-    assert zeta.evidence > named(found, "speed").evidence + TIED
-    shares = dict(rank_dependence(case(), zeta))
+    assert zeta.evidence > found[0].evidence - DEFAULT_UNKNOWN_EFFECT.tied_evidence
+    assert zeta.evidence > named(found, "speed").evidence + DEFAULT_UNKNOWN_EFFECT.tied_evidence
+    shares = dict(rank_dependence(dataset(), zeta))
     assert max(shares["turning"], shares["travel"]) > NEARLY_ALL
     assert max(shares, key=lambda each: shares[each]) in ("turning", "travel")
-    first, followed = choose_disturbance(case(), found)
+    first, followed = choose_disturbance(dataset(), found)
     assert first.name in ("zeta", "force_z")
     assert followed[0][0] in ("turning", "travel")
-    (where, signal), *_ = signal_against(case(), zeta, "turning")
+    (where, signal), *_ = signal_against(dataset(), zeta, "turning")
     assert where.shape == signal.shape
     assert signal[0] > signal[-2]
 
 
 def test_a_slope_is_an_unknown_height_that_follows_the_travel():
-    found = estimate_disturbances(case(), log_zeta(), left(with_(SurfaceSlope, slope=0.02)))
-    first, followed = choose_disturbance(case(), found)
+    found = disturbances_of(left(with_(SurfaceSlope, slope=0.02)))
+    first, followed = choose_disturbance(dataset(), found)
     # Rising slowly, the surface and a reading of z differ by the slope's pull alone.
     assert first.name in ("height", "reading z")
     assert {"travel", "turning"} == {name for name, _ in followed[:2]}
@@ -173,14 +182,14 @@ def test_a_known_force_is_recovered_within_its_error():
     knots = np.linspace(0, 5, KNOTS)
     truth = np.array([0.0, 0.0, -4.0, -4.0, 2.0, 2.0])
     kind = correction_class("force_x", "time", knots.tolist())
-    found = estimate_disturbances(case(), log_zeta(), left(with_(kind, **values_of(truth))))
+    found = disturbances_of(left(with_(kind, **values_of(truth))))
     assert found[0].name == "force_x"
     inside = []
     for time, signal, error in zip(found[0].time, found[0].signal, found[0].error, strict=True):
         away = np.abs(signal - np.interp(time, knots, truth))
         inside.append(away < SIGMAS * error)
     assert np.concatenate(inside).mean() > NEARLY_EVERYWHERE
-    assert dict(rank_dependence(case(), found[0]))["time"] > NEARLY_ALL
+    assert dict(rank_dependence(dataset(), found[0]))["time"] > NEARLY_ALL
 
 
 @pytest.mark.parametrize(
@@ -199,14 +208,14 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
         assert np.array_equal(null, reference)
     small = 0.01 * field_metadata(kind)["at_1"]["typical"]
     moved = with_(kind, at_1=small)[0]
-    trial = with_zeta(case().trials[0], float(log_zeta()[0]))
-    path = case().linearized(0, float(log_zeta()[0]))
-    of = effect_sensitivity(kind, trial, path, jnp.asarray(case().node_interval(0)), {}, {})
-    slope = np.asarray(propagate(path, of))
-    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    trial = with_zeta(dataset().trials[0], float(log_zeta()[0]))
+    linearized = linearize_run(dataset(), 0, float(log_zeta()[0]))
+    of = effect_sensitivity(kind, trial, linearized, jnp.asarray(linearized.node_interval), {}, {})
+    slope = np.asarray(propagate(linearized, of))
+    nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
     z = slope[: len(nodes), READINGS.index("z"), 1]
-    line = small * np.interp(case().time(0), nodes, z)
-    row = case().channels.index("z")
+    line = small * np.interp(dataset().time(0), nodes, z)
+    row = dataset().channels.index("z")
     exact = moved[row] - plain()[0][row]
     assert np.abs(exact).max() > 0
     assert np.abs(exact - line).max() < LINES_ERR * np.abs(exact).max()
@@ -228,20 +237,20 @@ class LooserAndLower(MemorylessZetaFactor, AbstractPlane):
 
 @pytest.mark.parametrize(("field", "small"), [("loss", 2e-4), ("lower", 2e-5)])
 def test_an_effect_that_acts_in_two_places_is_seen_in_both(field, small):
-    trial = with_zeta(case().trials[0], float(log_zeta()[0]))
-    path = case().linearized(0, float(log_zeta()[0]))
+    trial = with_zeta(dataset().trials[0], float(log_zeta()[0]))
+    linearized = linearize_run(dataset(), 0, float(log_zeta()[0]))
     slope = np.asarray(
         propagate(
-            path,
+            linearized,
             effect_sensitivity(
-                LooserAndLower, trial, path, jnp.asarray(case().node_interval(0)), {}, {}
+                LooserAndLower, trial, linearized, jnp.asarray(linearized.node_interval), {}, {}
             ),
         )
     )
-    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
     column = slope[: len(nodes), READINGS.index("z"), ("loss", "lower").index(field)]
-    line = small * np.interp(case().time(0), nodes, column)
-    row = case().channels.index("z")
+    line = small * np.interp(dataset().time(0), nodes, column)
+    row = dataset().channels.index("z")
     exact = with_(LooserAndLower, **{field: small})[0][row] - plain()[0][row]
     assert np.abs(exact).max() > 0
     assert np.abs(exact - line).max() < LINES_ERR * np.abs(exact).max()
@@ -267,15 +276,17 @@ class StrongerAndReadSo(AbstractStressFactor, AbstractSensor):
 
 def test_an_effect_on_plates_and_on_a_scale_is_read_once():
     more = 2e-4
-    driven = driven_case()
+    driven = driven_dataset()
     at = log_zeta()[0]
     trial = with_zeta(driven.trials[0], float(at))
-    path = driven.linearized(0, float(at))
-    node = jnp.asarray(driven.node_interval(0))
+    linearized = linearize_run(driven, 0, float(at))
+    node = jnp.asarray(linearized.node_interval)
     slope = np.asarray(
-        propagate(path, effect_sensitivity(StrongerAndReadSo, trial, path, node, {}, {}))
+        propagate(
+            linearized, effect_sensitivity(StrongerAndReadSo, trial, linearized, node, {}, {})
+        )
     )
-    nodes = np.asarray(path.time)[: int(path.nodes) + 1]
+    nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
     fz = slope[: len(nodes), READINGS.index("fz"), 0]
     line = more * np.interp(driven.time(0), nodes, fz)
     model = AugmentedModel((StrongerAndReadSo,))
@@ -302,21 +313,23 @@ def test_a_correction_refuses_what_its_stage_cannot_know():
 
 
 def test_one_run_alone_is_described():
-    one = RigDataset.of(case().runs[:1])
-    found = estimate_disturbances(one, log_zeta()[:1], left(with_(SpeedGain, gain=0.05))[:1])
+    one = RigDataset.of(dataset().runs[:1])
+    found = disturbances_of(left(with_(SpeedGain, gain=0.05))[:1], one)
     assert found[0].name == "speed"
     assert rank_dependence(one, found[0])[0][1] > NEARLY_ALL
 
 
 def test_a_driven_carriage_has_stages_too():
-    driven = driven_case()
+    driven = driven_dataset()
     at = log_zeta()[:1]
     reference = driven.prediction(AugmentedModel(), 0, at[0], np.zeros(0))
     shifted = reference.copy()
     growing = 2.0 * np.clip(driven.time(0) - 1, 0, 2)
     shifted[driven.channels.index("torque")] += growing
-    found = estimate_disturbances(driven, at, [reference - shifted])
+    found = disturbances_of([reference - shifted], driven)
     assert found[0].name == "reading torque"
     # A bend's corner lies between two knots: a little of it, beside the error.
     assert found[0].signal[0][6] == pytest.approx(4.0, abs=SIGMAS * found[0].error[0][6] + 0.05)
-    assert "force_x" not in {each.name for each in found if each.evidence > TIED}
+    assert "force_x" not in {
+        each.name for each in found if each.evidence > DEFAULT_UNKNOWN_EFFECT.tied_evidence
+    }

@@ -17,12 +17,8 @@ from diagnose.report.text import paragraphs, verdict, write
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import gather_runs
 from diagnose.selection.verdict import reassign_unknown, weight_by_name
-from diagnose.unknown.correction_fit import (
-    BOTH_WAYS,
-    Correction,
-    equivalent_effect,
-    match_listed_effect,
-)
+from diagnose.unknown.correction_fit import Correction, equivalent_effect, match_listed_effect
+from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
 from drftjax.effects.base import EffectInfo, MemorylessZetaFactor, strength
 from drftjax.effects.catalogue import catalogue
 from drftjax.effects.correction import Curve, correction_class, with_values
@@ -114,10 +110,18 @@ def test_it_must_explain_as_much_as_unknown_is_taken_to():
     assert equivalent_effect(curve("zeta", "travel", left=3.1)) is None
 
 
+def test_the_thresholds_of_a_place_can_be_varied():
+    half = curve("zeta", "travel", left=8.0)
+    assert equivalent_effect(half) is None
+    assert equivalent_effect(half, UnknownEffectSettings(max_floors=8.0)) == "terrain_variation"
+    falling = curve("zeta", "travel", (0.05, 0.03, 0.01, 0.0, -0.01))
+    assert equivalent_effect(falling, UnknownEffectSettings(min_return=0.0)) is not None
+
+
 def test_what_only_falls_may_be_wear():
     falling = (0.05, 0.03, 0.01, 0.0, -0.01)
     assert equivalent_effect(curve("zeta", "travel", falling)) is None
-    back = (*falling[:-1], BOTH_WAYS * 0.05 + 0.003)
+    back = (*falling[:-1], DEFAULT_UNKNOWN_EFFECT.min_return * 0.05 + 0.003)
     assert equivalent_effect(curve("zeta", "travel", back)) == "terrain_variation"
 
 
@@ -132,7 +136,7 @@ def test_it_must_be_told_from_curves_over_other_things():
     place, follows = curve("zeta", "travel"), {"travel": 0.95, "time": 0.5}
     found = match_listed_effect([place, curve("zeta", "vx", left=1.5)], follows)
     assert found is not None
-    assert found.means == "terrain_variation"
+    assert found.listed_effect == "terrain_variation"
     # Way and turning are one where slip is; anything else must leave clearly more.
     assert match_listed_effect([place, curve("zeta", "turning", left=0.9)], follows) is not None
     assert match_listed_effect([place, curve("zeta", "turning", left=0.7)], follows) is None

@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from diagnose.report.model_writer import MARK
+from diagnose.report.model_writer import MODEL_FILE_MARK
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import require_places
 from drftjax.runlog.check import require_no_recording
@@ -104,7 +104,7 @@ def test_a_set_up_that_somebody_wrote_is_never_replaced(drft, tmp_path, monkeypa
     assert (tmp_path / name).read_text() == "# mine\n"
 
 
-@pytest.mark.parametrize("mark", [DESIGNED, MARK])
+@pytest.mark.parametrize("mark", [DESIGNED, MODEL_FILE_MARK])
 def test_an_earlier_design_or_diagnosis_is_replaced_until_it_is_edited(tmp_path, mark):
     path = tmp_path / "earlier.toml"
     replace_own_setup(path, f"# {mark} something\nzeta = 1\n", mark)
@@ -120,7 +120,7 @@ def test_a_design_is_no_earlier_diagnosis(tmp_path):
     path = tmp_path / "model.toml"
     replace_own_setup(path, f"# {DESIGNED} something\n", DESIGNED)
     with pytest.raises(InputError, match="no earlier result of this command"):
-        replace_own_setup(path, f"# {MARK} something\n", MARK)
+        replace_own_setup(path, f"# {MODEL_FILE_MARK} something\n", MODEL_FILE_MARK)
 
 
 def test_a_design_never_replaces_its_set_up(drft, tmp_path):

@@ -1,0 +1,259 @@
+r"""Refinement of a hypothesis by simulation: Gauss-Newton steps with Broyden's update.
+
+Each simulation is followed by a linear fit about it. The derivatives J of the residuals r by the
+run's log zeta and the coordinates are not computed again: after a step p each run's are corrected
+along the way it went,
+
+$$J_+ = J + \frac{(r_+ - r - J p)\,p^T}{p^T p}$$
+
+(Broyden 1965, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19),
+so that a few simulations settle a hypothesis even far from the null. p is in the units of
+`RefinementSettings`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnose.hypotheses.hypothesis import (
+    Hypothesis,
+    coordinate_bounds,
+    gaussian_prior,
+    least_changes,
+)
+from diagnose.linear.linear_fit import (
+    DEFAULT_LINEAR_FIT,
+    GramMatrices,
+    LinearFit,
+    LinearFitSettings,
+    fit_linear,
+    floor_inflation,
+    log_score,
+)
+from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import predict_with_jacobian
+from diagnose.run_pool import RunPool
+from drftjax.common.arrays import as_real
+
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """Numbers by which a hypothesis is refined.
+
+    Attributes:
+        zeta_unit: One unit of log zeta in Broyden's update [-], which corrects each derivative by
+            the share of the step that its coordinate made; a strength's is its typical size.
+        shape_unit: One unit of the logarithm of a shape there [-].
+        floor_shares: In the first fits every model error is raised to this share of the worst
+            block's RMS in model errors [-], so that the blocks that are missed by most lead.
+        min_step_share: A step that gains nothing is halved until it is below this share of the
+            proposed one [-].
+        min_gain: Refinement ends where a simulation gains less log score [-].
+    """
+
+    zeta_unit: float = 0.02
+    shape_unit: float = 0.3
+    floor_shares: tuple[float, ...] = (0.3, 0.1, 0.03)
+    min_step_share: float = 0.1
+    min_gain: float = 0.2
+
+
+DEFAULT_REFINEMENT = RefinementSettings()
+
+
+def refine(
+    regressors: Regressors,
+    start: Hypothesis,
+    max_simulations: int,
+    pool: RunPool,
+    settings: RefinementSettings = DEFAULT_REFINEMENT,
+) -> Hypothesis:
+    """Refine a hypothesis by simulations, each followed by a linear fit; return the best of them.
+
+    A hypothesis whose first simulations fail stays as it was proposed.
+
+    Args:
+        regressors: The runs.
+        start: Simulated already, or with a proposed step.
+        max_simulations: Simulations of all runs at most.
+        pool: Threads.
+        settings: Numbers of the refinement.
+    """
+    here, best = start, start if start.is_simulated else None
+    if start.proposed_step is None:
+        zeta, coordinates = _proposal(regressors, start, 0.0, pool)
+    else:
+        zeta = start.log_zeta + start.proposed_step[0]
+        coordinates = start.coordinates + start.proposed_step[1]
+    step_share = 1.0
+    for turn in range(max_simulations):
+        inside = np.minimum(coordinates, coordinate_bounds(here, "most"))
+        moved = _simulate_with_update(regressors, here, zeta, inside, pool, settings)
+        leading = not start.is_simulated and turn < len(settings.floor_shares)
+        floor_share = settings.floor_shares[turn] if leading else 0.0
+        before = -np.inf if best is None else best.score
+        if moved is not None and moved.score > before:
+            best = moved
+        if moved is None:
+            step_share /= 4
+        elif leading or moved.score > before:
+            here, step_share = moved, 1.0
+            if not leading and moved.score - before < settings.min_gain:
+                break
+        else:
+            # Not so far; but the simulation there has corrected the derivatives.
+            here = replace(best or here, columns=moved.columns)
+            step_share /= 2
+            if step_share < settings.min_step_share:
+                break
+        far_zeta, far = _proposal(regressors, here, floor_share, pool)
+        zeta = here.log_zeta + step_share * (far_zeta - here.log_zeta)
+        coordinates = here.coordinates + step_share * (far - here.coordinates)
+    return start if best is None else best
+
+
+def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypothesis:
+    """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
+    dataset = regressors.dataset
+
+    def of(run: int) -> np.ndarray:
+        _, slope = predict_with_jacobian(
+            here.model,
+            dataset.channels,
+            dataset.trials[run],
+            dataset.observations[run],
+            as_real(here.log_zeta[run]),
+            here.coordinates,
+        )
+        counts = dataset.counts(run)
+        return slope[:, : len(counts)][:, counts]
+
+    return replace(here, columns=pool.map(of, dataset.run_numbers))
+
+
+def gauss_newton_step(
+    here: Hypothesis,
+    matrices: GramMatrices,
+    inflation: float = 1.0,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step that a linear fit about a hypothesis proposes.
+
+    Args:
+        here: The hypothesis.
+        matrices: Gram matrices of its columns and residuals, of the runs that count.
+        inflation: See `fit_linear`.
+        settings: Weights of the fit, and the longest step.
+
+    Returns:
+        Change of the runs' log zeta [-], shape (runs,), and of the coordinates, shape (free,).
+    """
+    fit = _fit_about(here, matrices, inflation, settings)
+    logarithmic = np.array([f.scale is None for f in here.model.free], bool)
+    # The whole step is shortened, or the numbers that belong together would part.
+    steps = np.r_[fit.log_zeta_change, fit.coefficients[logarithmic]]
+    longest = np.abs(steps).max(initial=0.0)
+    part = min(1.0, settings.max_log_step / max(longest, 1e-12))
+    return part * fit.log_zeta_change, part * fit.coefficients
+
+
+def predicted_score(regressors: Regressors, here: Hypothesis, pool: RunPool) -> float:
+    """Log score that a linear fit about a hypothesis predicts; its own where that is higher."""
+    matrices = _gram_matrices(regressors, here, pool)
+    return max(here.score, _fit_about(here, matrices, 1.0, regressors.settings).score)
+
+
+def _gram_matrices(regressors: Regressors, here: Hypothesis, pool: RunPool) -> GramMatrices:
+    return regressors.gram_matrices_of(here.columns, here.residual, here.log_zeta, pool)
+
+
+def _fit_about(
+    here: Hypothesis, matrices: GramMatrices, inflation: float, settings: LinearFitSettings
+) -> LinearFit:
+    """Linear fit of all coordinates' changes about a hypothesis."""
+    width, centre = gaussian_prior(here.model, settings)
+    return fit_linear(
+        matrices,
+        range(len(here.coordinates)),
+        prior=width,
+        offset=here.coordinates - centre,
+        lower=least_changes(here),
+        linear_error=settings.corrected_error if here.is_simulated else settings.linear_error,
+        inflation=inflation,
+        settings=settings,
+    )
+
+
+def _proposal(
+    regressors: Regressors, here: Hypothesis, floor_share: float, pool: RunPool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Log zeta of the runs and coordinates that a linear fit about a hypothesis proposes."""
+    matrices, settings = _gram_matrices(regressors, here, pool), regressors.settings
+    inflation = floor_inflation(matrices.blocks, here.fit.mean_square, floor_share, settings)
+    zeta, change = gauss_newton_step(here, matrices, inflation, settings)
+    return here.log_zeta + zeta, here.coordinates + change
+
+
+def _simulate_with_update(
+    regressors: Regressors,
+    before: Hypothesis,
+    log_zeta: np.ndarray,
+    coordinates: np.ndarray,
+    pool: RunPool,
+    settings: RefinementSettings,
+) -> Hypothesis | None:
+    """The hypothesis simulated at other numbers, its derivatives corrected by Broyden's update.
+
+    Returns:
+        None where a run cannot be simulated.
+    """
+    dataset = regressors.dataset
+    units = np.array(
+        [1.0 if f.scale is not None else settings.shape_unit for f in before.model.free]
+    )
+    change = (coordinates - before.coordinates) / units
+    all_units = np.concatenate([[settings.zeta_unit], units])
+
+    def of(run: int) -> tuple[np.ndarray, np.ndarray]:
+        predicted = dataset.prediction(before.model, run, log_zeta[run], coordinates)
+        residual = predicted - dataset.recording(run)
+        own = (log_zeta[run] - before.log_zeta[run]) / settings.zeta_unit
+        step = np.concatenate([[own], change])
+        change_of_residual = residual - before.residual[run]
+        scaled = _broyden_update(before.columns[run] * all_units, step, change_of_residual)
+        return scaled / all_units, residual
+
+    both = pool.map(of, dataset.run_numbers)
+    columns, residual = [c for c, _ in both], [r for _, r in both]
+    if not dataset.all_finite(residual):
+        return None
+    fit = _simulated_fit(regressors, before, log_zeta, coordinates, residual, pool)
+    return Hypothesis(
+        before.model, log_zeta, coordinates, fit, columns, residual, is_simulated=True
+    )
+
+
+def _broyden_update(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Jacobian, shape (channels, samples, n), corrected by a change of the residual over a step."""
+    size = step @ step
+    if size == 0:
+        return jacobian
+    surprise = change - jacobian @ step
+    return jacobian + surprise[:, :, None] * step / size
+
+
+def _simulated_fit(
+    regressors: Regressors,
+    before: Hypothesis,
+    log_zeta: np.ndarray,
+    coordinates: np.ndarray,
+    residual: list[np.ndarray],
+    pool: RunPool,
+) -> LinearFit:
+    """Score of simulated residuals, in the place of a linear fit's."""
+    moved = log_zeta + regressors.log_reference_zeta
+    mean_square, count = regressors.block_mean_squares(residual, pool)
+    variance = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
+    blocks, runs = regressors.gram_matrices.blocks, len(moved)
+    score = log_score(blocks, count, mean_square, variance, runs, settings=regressors.settings)
+    return LinearFit(score, coordinates, log_zeta - before.log_zeta, mean_square, variance)
