@@ -1,9 +1,10 @@
 """`drft log`: look at run logs, check, draw and repair them, and make them from tables."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from drftjax.commands.options import CommandGroup
 from drftjax.common.errors import InputError
@@ -115,23 +116,38 @@ def repair(
     typer.echo(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
 
 
-@app.command(name="import")
+class ImportCommand(TyperCommand):
+    """`drft log import`: its help ends with the suffixes that are read."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the suffixes of all importers, those of other packages included."""
+        from drftjax.runlog.importers.registry import suffixes
+
+        formatter.write_paragraph()
+        formatter.write_text(f"Files that are read: {', '.join(suffixes())}; others as .csv.")
+
+
+@app.command(name="import", cls=ImportCommand)
 def import_(
     table: Annotated[Path, typer.Argument(metavar="TABLE", show_default=False)],
+    *,
     mapping: Annotated[
-        str, typer.Option(help="A TOML file, or the name of a mapping that ships with drft.")
-    ],
+        str | None,
+        typer.Option(
+            help="A TOML file, or the name of a mapping that ships with drft; a table needs one."
+        ),
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="A .h5 or .hdf5 file for one run, or a folder.")
     ],
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
-    """Make run logs from a CSV or TSV table, as a mapping says what its columns mean."""
+    """Make run logs from a CSV or TSV table, by a mapping that says what its columns mean."""
     from drftjax.runlog.hdf5.api import write_run
-    from drftjax.runlog.importers.table import import_named
+    from drftjax.runlog.importers.registry import importer_for
     from drftjax.runlog.plausibility import doubts
 
-    imported = import_named(table, _mapping(mapping))
+    imported = list(importer_for(table)(table, None if mapping is None else _mapping(mapping)))
     targets = _targets(output, [each.name for each in imported])
     taken = [path for path in targets if path.exists()]
     if taken and not force:

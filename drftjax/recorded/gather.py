@@ -8,10 +8,10 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import PreparedRun, names_of, prepare_run
 from drftjax.recorded.refused_readings import drop_refused, refused_readings
 from drftjax.runlog.files import each_once, run_files
+from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.plausibility import doubts
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.safe_reader import GuardedReader
-from drftjax.runlog.schema import run_from
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def gather(
     with GuardedReader() as reader:
         for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):
             try:
-                run = run_from(*surveyed)
+                run = run_from_survey(*surveyed)
                 each = ready(name, run)
                 if sinkage:
                     each.observation.sinkage()

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.content import Violation
+from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.result_file import FIT_SCHEMA
 from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
-from drftjax.runlog.schema import SCHEMA, run_from
+from drftjax.runlog.schema import SCHEMA
 
 
 def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violation]:
@@ -37,7 +38,7 @@ def read_run_guarded(path: str | Path, time_limit: float = TIME_LIMIT) -> RunLog
 def read_runs_guarded(paths: Iterable[str | Path], time_limit: float = TIME_LIMIT) -> list[RunLog]:
     """`read_run_guarded` for many files with one child process."""
     with GuardedReader(time_limit) as reader:
-        return [run_from(*surveyed) for surveyed in reader.surveys(paths)]
+        return [run_from_survey(*surveyed) for surveyed in reader.surveys(paths)]
 
 
 def require_no_recording(path: Path) -> None:

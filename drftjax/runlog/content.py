@@ -79,3 +79,8 @@ class Content:
 def real_column(values: NDArray[Any] | None) -> NDArray[np.float64] | None:
     """Values as float64, None where there are none."""
     return None if values is None else np.asarray(values, dtype=np.float64)
+
+
+def is_whole(value: Attribute | None) -> bool:
+    """Return whether an attribute is one whole number, of integer or real type."""
+    return isinstance(value, int | float) and float(value).is_integer()

@@ -1,4 +1,4 @@
-"""What is known of a run before its first row: everything in a run log but the columns."""
+"""Header of a run log: all that is known of a run before its first row."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,18 +6,19 @@ from dataclasses import dataclass, field
 from drftjax.common.errors import InputError
 from drftjax.runlog import validation as rules
 from drftjax.runlog.record import CHANNELS, RecordedSetup
+from drftjax.runlog.schema import COLUMNS, Column
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnlineHead:
-    """The numbers of a control loop that hold for the whole run.
+    """Numbers of a control loop that hold for a whole run.
 
     Attributes:
         tick: Control period [s].
         zeta_step: Change of zeta in one tuning step [-].
-        tolerance: Sinkage error that is left alone [m].
-        loop: All that the loop was given, as JSON, so that the run can be replayed; None where
-            it is not kept.
+        tolerance: Largest sinkage error at which zeta is not changed [m].
+        loop: Inputs and settings of the loop as JSON, from which the run can be replayed; None
+            where they are not kept.
         flag_meanings: A word for each bit of the flags.
     """
 
@@ -30,7 +31,7 @@ class OnlineHead:
 
 @dataclass(frozen=True, kw_only=True)
 class Head:
-    """A run log without its rows.
+    """Run log without its rows.
 
     Attributes:
         setup: What the operator believes about the rig.
@@ -65,3 +66,12 @@ class Head:
                 f"channels are {', '.join(self.channels) or 'none'}, they must be some of "
                 f"{', '.join(CHANNELS)}"
             )
+
+    def columns(self, title: str) -> tuple[Column, ...]:
+        """Columns of one row of a group while the run is recorded, in the order of its values."""
+        if title == "measured":
+            by_name = {each.name: each for each in COLUMNS[title]}
+            return tuple(by_name[name] for name in ("time", *self.channels))
+        if title == "command" and not self.driven:
+            return tuple(each for each in COLUMNS[title] if each.name != "vx")
+        return COLUMNS[title]

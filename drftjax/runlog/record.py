@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from drftjax.common.errors import InputError
 from drftjax.runlog import validation as rules
+from drftjax.runlog.schema import COLUMNS, ONLINE_NUMBERS, Column
 
 Reals = NDArray[np.float64]
 
 
-CHANNELS: Final = ("x", "z", "fx", "fz", "torque")
-
-
-"""What a rig may measure, in the format's order."""
+CHANNELS: Final = tuple(each.name for each in COLUMNS["measured"][1:])
+"""Quantities that a rig may measure, in the format's order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +90,7 @@ class RecordedCommand:
     vx: Reals | None = None
 
     def __post_init__(self) -> None:
-        _settle(self, "time", ("omega", "vx"))
+        _store_columns(self, "command")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +114,7 @@ class Measured:
     torque: Reals | None = None
 
     def __post_init__(self) -> None:
-        _settle(self, "time", CHANNELS)
+        _store_columns(self, "measured")
         if not self.channels():
             raise InputError(f"nothing was measured: give at least one of {', '.join(CHANNELS)}")
 
@@ -178,21 +177,12 @@ class Online:
     meanings: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        names = tuple(each.name for each in fields(self)[1:-5])
-        _settle(self, "time", names, ONLINE_INTEGERS)
-        for name in ("tick", "zeta_step", "tolerance"):
+        _store_columns(self, "online")
+        for name in ONLINE_NUMBERS:
             value = float(getattr(self, name))
             if not np.isfinite(value) or value < 0 or (name == "tick" and value == 0):
                 raise InputError(f"{name} is {value}, it must be finite and not negative")
             object.__setattr__(self, name, value)
-
-
-ONLINE_INTEGERS: Final[Mapping[str, type[np.unsignedinteger[Any]]]] = {
-    "tuned": np.uint8,
-    "flags": np.uint32,
-    "seq_sent": np.uint32,
-    "seq_received": np.uint32,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +202,7 @@ class Events:
     meanings: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _settle(self, "event_time", ("code", "arg"), {"code": np.int32}, repeats=True)
+        _store_columns(self, "events")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -244,31 +234,33 @@ class RunLog:
                 _require(rules.text_problems(each.name, text))
 
 
-def _settle(
-    record: object,
-    axis: str,
-    channels: Iterable[str],
-    integers: Mapping[str, type[np.integer[Any]]] | None = None,
-    repeats: bool = False,
-) -> None:
-    """Copy a record's columns to read-only arrays and require the rules of them."""
-    integers = integers or {}
-    time = _column(axis, getattr(record, axis), np.float64)
-    object.__setattr__(record, axis, time)
+def _store_columns(record: object, title: str) -> None:
+    """Replace a record's columns by read-only arrays of the format's types, and check them.
+
+    Args:
+        record: A frozen dataclass with a field for each column.
+        title: Name of its group.
+    """
+    axis, *channels = COLUMNS[title]
+    repeats = title == "events"
+    time = _column(axis, getattr(record, axis.name))
+    object.__setattr__(record, axis.name, time)
     if time.size == 0 and not repeats:
-        raise InputError(f"{axis} has no rows; a run has at least one")
-    problems = [rules.axis_problems(axis, time, repeats)]
-    for name in channels:
-        given = getattr(record, name)
+        raise InputError(f"{axis.name} has no rows; a run has at least one")
+    problems = [rules.axis_problems(axis.name, time, repeats)]
+    for column in channels:
+        given = getattr(record, column.name)
         if given is None:
             continue
-        values = _column(name, given, integers.get(name, np.float64))
-        object.__setattr__(record, name, values)
-        problems.append(rules.channel_problems(name, values, time.size, axis))
+        values = _column(column, given)
+        object.__setattr__(record, column.name, values)
+        problems.append(rules.channel_problems(column.name, values, time.size, axis.name))
     _require(chain(*problems))
 
 
-def _column(name: str, given: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+def _column(column: Column, given: ArrayLike) -> NDArray[Any]:
+    """Read-only copy of a column in the format's type, shape (rows,)."""
+    name, dtype = column.name, np.dtype(column.dtype)
     if given is None:
         raise InputError(f"{name} is missing; it must be given")
     raw = np.asarray(given)
@@ -276,9 +268,9 @@ def _column(name: str, given: ArrayLike, kind: type[np.generic]) -> NDArray[Any]
         raise InputError(f"{name} holds {raw.dtype}, it must hold real numbers")
     if raw.ndim != 1:
         raise InputError(f"{name} has shape {raw.shape}, it must be one column of numbers")
-    values = np.array(raw, dtype=kind)
-    if np.issubdtype(kind, np.integer) and not np.array_equal(values, raw):
-        raise InputError(f"{name} holds numbers that {np.dtype(kind).name} cannot hold")
+    values = np.array(raw, dtype=dtype)
+    if column.integer is not None and not np.array_equal(values, raw):
+        raise InputError(f"{name} holds numbers that {dtype.name} cannot hold")
     values.setflags(write=False)
     return values
 

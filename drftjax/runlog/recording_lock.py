@@ -5,7 +5,6 @@ whatever way. HDF5's own locks are of another kind (flock) and are not touched b
 """
 
 import errno
-import fcntl
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -114,6 +113,8 @@ def hold_lock(handle: int, part: Path) -> None:
     Raises:
         InputError: another process has it.
     """
+    import fcntl  # here, as not every system has it
+
     try:
         fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:  # some network drives have no locks
@@ -149,7 +150,11 @@ def place_of(handle: int, part: Path) -> Path | None:
 
 
 def is_held(path: Path) -> bool:
-    """Whether another process records into the file now."""
+    """Whether another process records into the file now; no, on a system without such locks."""
+    try:
+        import fcntl
+    except ImportError:
+        return False
     try:
         handle = os.open(path, os.O_RDONLY)
     except OSError:

@@ -6,10 +6,10 @@ from pathlib import Path
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import require_places
 from drftjax.runlog.hdf5.api import write_run
+from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.recording_lock import PART
 from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
-from drftjax.runlog.schema import run_from
 
 CUT_OFF = "cut off; the committed rows were kept"
 
@@ -46,6 +46,6 @@ def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple
         raise InputError(f"{output} is already there; give --force to replace it")
     require_places([output], [part])
     with GuardedReader(TIME_LIMIT) as reader:
-        run = replace(run_from(*reader.survey(part, cut_off=True)), end_reason=CUT_OFF)
+        run = replace(run_from_survey(*reader.survey(part, cut_off=True)), end_reason=CUT_OFF)
     write_run(output, run)
     return output, run

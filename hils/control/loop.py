@@ -215,17 +215,17 @@ class TickLoop:
         before = said.before
         rows.online(
             OnlineRow(
-                time,
-                said.after.zeta,
-                before.x,
-                before.z,
-                before.vx,
-                before.fx,
-                before.fz,
-                int(said.tuned),
-                late,
-                max(0.0, woken - self._start - self._listener.reading_time),
-                FRESH * (reading is not None)
+                time=time,
+                zeta=said.after.zeta,
+                x_sim=before.x,
+                z_sim=before.z,
+                vx_sim=before.vx,
+                fx_sim=before.fx,
+                fz_sim=before.fz,
+                tuned=int(said.tuned),
+                late=late,
+                age=max(0.0, woken - self._start - self._listener.reading_time),
+                flags=FRESH * (reading is not None)
                 | REFUSED * refused
                 | STUCK * self._stuck
                 | LATE * (late > 0)
@@ -235,9 +235,9 @@ class TickLoop:
                 | OLD * old
                 | DRIVE_OFF * self._drive_off
                 | X_STUCK * self._x_stuck,
-                seq,
-                0 if arrival is None else arrival.frame.seq,
-                (self._listener.rig_us or 0) * 1e-6,
+                seq_sent=seq,
+                seq_received=0 if arrival is None else arrival.frame.seq,
+                rig_time=(self._listener.rig_us or 0) * 1e-6,
             )
         )
         if not math.isnan(said.after.error) and self._compared < len(self._error):

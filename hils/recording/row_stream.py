@@ -9,14 +9,16 @@ Whole numbers up to 2^53 pass through a float64 unchanged.
 """
 
 import struct
+from collections import namedtuple
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.runlog.header import Head
+from drftjax.runlog.schema import COLUMNS
 
 END: Final = 255
 
@@ -42,46 +44,13 @@ class Kind(IntEnum):
     EVENTS = 4
 
 
-class OnlineRow(NamedTuple):
-    """A tick of the loop: what `drftjax.runlog.record.Online` has one row of, in that order.
-
-    Attributes:
-        time: Of the tick, from the run's start [s].
-        zeta: In use [-].
-        x_sim, z_sim, vx_sim, fx_sim, fz_sim: Of the simulation [m, m, m/s, N, N].
-        tuned: 1 where zeta was changed.
-        late: Time over the deadline, the tick's or that of the first one skipped before it; 0 where
-            it was met [s].
-        age: Of the reading in use [s].
-        flags: As `hils.events.TickFlag`.
-        seq_sent, seq_received: Sequence numbers on the wire.
-        rig_time: The rig's own clock [s].
-    """
-
-    time: float
-    zeta: float
-    x_sim: float
-    z_sim: float
-    vx_sim: float
-    fx_sim: float
-    fz_sim: float
-    tuned: int
-    late: float
-    age: float
-    flags: int
-    seq_sent: int
-    seq_received: int
-    rig_time: float
+OnlineRow = namedtuple("OnlineRow", [each.name for each in COLUMNS["online"]])
+OnlineRow.__doc__ = """One tick of the loop: a row of `drftjax.runlog.record.Online`, by name."""
 
 
 def columns(head: Head) -> dict[Kind, int]:
-    """How many numbers a row of each kind has, its time included."""
-    return {
-        Kind.COMMAND: 3 if head.driven else 2,
-        Kind.MEASURED: 1 + len(head.channels),
-        Kind.ONLINE: len(OnlineRow._fields),
-        Kind.EVENTS: 3,
-    }
+    """Number of values in a row of each kind, its time included."""
+    return {kind: len(head.columns(kind.name.lower())) for kind in Kind}
 
 
 def row_packer(kind: Kind, head: Head) -> struct.Struct:

@@ -7,6 +7,7 @@ a single value that is not finite.
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.runlog.schema import COLUMNS
 from hils.events import Event, TickFlag
 from hils.recording.row_stream import Kind, OnlineRow
 
@@ -16,12 +17,9 @@ Rows = NDArray[np.float64]
 _FLAGS = OnlineRow._fields.index("flags")
 
 
-_SIZES = {"tuned": 2**8, "flags": 2**32, "seq_sent": 2**32, "seq_received": 2**32}
-
-
-_INTEGERS = {
-    Kind.ONLINE: tuple((OnlineRow._fields.index(name), size) for name, size in _SIZES.items())
-}
+_INTEGERS = tuple(
+    (place, each.integer) for place, each in enumerate(COLUMNS["online"]) if each.integer
+)
 
 
 class RowSanitizer:
@@ -51,8 +49,9 @@ class RowSanitizer:
             odd = wrong.any(axis=1)
             kept[odd, _FLAGS] = kept[odd, _FLAGS].astype(np.uint32) | TickFlag.NOT_FINITE
         kept = kept[~bad]
-        for column, size in _INTEGERS.get(kind, ()):
-            kept[:, column] = np.mod(np.round(kept[:, column]), size)
+        for column, limits in _INTEGERS if kind is Kind.ONLINE else ():
+            low, size = limits.min, limits.max - limits.min + 1
+            kept[:, column] = np.mod(np.round(kept[:, column]) - low, size) + low
         self._put_in_order(kind, kept)
         return kept, self._told(kind, rows[bad])
 

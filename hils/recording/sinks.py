@@ -7,7 +7,7 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.runlog import record
 from drftjax.runlog.header import Head
-from drftjax.runlog.schema import ONLINE_NUMBERS, UNITS
+from drftjax.runlog.schema import ONLINE_NUMBERS
 from hils.recording.row_stream import OnlineRow
 
 
@@ -118,7 +118,7 @@ class InMemorySink:
             raise InputError("the run ended before anything was commanded and measured")
         online = None
         if head.online is not None and self.ticks:
-            columns = dict(zip(UNITS["online"], np.array(self.ticks).T, strict=True))
+            columns = dict(zip(OnlineRow._fields, np.array(self.ticks).T, strict=True))
             numbers = {name: getattr(head.online, name) for name in ONLINE_NUMBERS}
             kept = {"loop": head.online.loop, "meanings": head.online.flag_meanings}
             online = record.Online(**columns, **numbers, **kept)

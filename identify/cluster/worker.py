@@ -152,7 +152,7 @@ def fit_replies(encoded: Sequence[bytes]) -> list[FitReply]:
 
 def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitReply:
     from drftjax.recorded.prepared_run import prepare_run
-    from drftjax.runlog.schema import run_from
+    from drftjax.runlog.hdf5.conversion import run_from_survey
     from identify.cluster.result_codec import encode_result
     from identify.fit_constant import fit
     from identify.uncertainty.noise_model import noise_model
@@ -163,7 +163,7 @@ def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitR
             path.write_bytes(data)
             content, violations = _reader().survey(path)
         # Sentences name the log, not where a copy of it lay.
-        run = run_from(content, [replace(each, path=digest) for each in violations])
+        run = run_from_survey(content, [replace(each, path=digest) for each in violations])
         each = prepare_run(
             digest,
             run,

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.kills [--kills 200] [--seed 0]
 
-prints the table of docs/runlog.md. Each kill is a SIGKILL while rows of 1 kHz are recorded, from 0
+prints the table of docs/reference/runlog.md. Each kill is a SIGKILL while rows of 1 kHz are recorded, from 0
 to 1.2 s after the first of them are committed. Every row kept is compared with what was handed
 over.
 """

@@ -59,20 +59,20 @@ def hand_over(recorder: Recorder, number: int) -> None:
     recorder.measured(time + 0.0003, number / 70, -0.02 + wave / 1000)
     recorder.online(
         OnlineRow(
-            time,
-            0.78 + wave / 9,
-            number / 3,
-            wave,
-            wave / 7,
-            wave * 11,
-            wave * 13,
-            number % 2,
-            abs(wave) * 1e-4,
-            0.01 + wave / 500,
-            number % 256 | TickFlag.FRESH,
-            2**32 - 1 - number,
-            number,
-            number * 0.00101,
+            time=time,
+            zeta=0.78 + wave / 9,
+            x_sim=number / 3,
+            z_sim=wave,
+            vx_sim=wave / 7,
+            fx_sim=wave * 11,
+            fz_sim=wave * 13,
+            tuned=number % 2,
+            late=abs(wave) * 1e-4,
+            age=0.01 + wave / 500,
+            flags=number % 256 | TickFlag.FRESH,
+            seq_sent=2**32 - 1 - number,
+            seq_received=number,
+            rig_time=number * 0.00101,
         )
     )
 

@@ -8,13 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from drftjax.common.output_files import replace_file
-from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute, Content, Violation
 from drftjax.runlog.hdf5.checksum import with_checksum
+from drftjax.runlog.hdf5.conversion import run_from_survey, to_content
+from drftjax.runlog.hdf5.examination import examine, require_readable
 from drftjax.runlog.hdf5.reading import OBJECT_LIMIT, SIZE_LIMIT, survey, survey_recording
 from drftjax.runlog.hdf5.writing import image
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.result_file import Columns, ResultFile, result_content, result_from
+from drftjax.runlog.schema import AXES, SCHEMA, SCHEMA_VERSION
 
 __all__ = [
     "OBJECT_LIMIT",
@@ -38,12 +40,12 @@ def read_run(path: Name) -> RunLog:
     `drftjax.runlog.check.read_run_guarded`.
     """
     content, violations = survey_run(path)
-    return layout.run_from(content, violations)
+    return run_from_survey(content, violations)
 
 
 def survey_run(path: Name) -> tuple[Content | None, list[Violation]]:
     """A file's contents and everything that is wrong with it as a run log."""
-    return survey(Path(path), layout.SCHEMA, layout.SCHEMA_VERSION, layout.examine)
+    return survey(Path(path), SCHEMA, SCHEMA_VERSION, examine)
 
 
 def survey_cut_off(path: Name) -> tuple[Content | None, list[Violation]]:
@@ -53,7 +55,7 @@ def survey_cut_off(path: Name) -> tuple[Content | None, list[Violation]]:
 
 def write_run(path: Name, run: RunLog) -> None:
     """Write a run log whole or not at all; a file of that name is replaced."""
-    replace_file(Path(path), with_checksum(image(layout.to_content(run), layout.AXES)))
+    replace_file(Path(path), with_checksum(image(to_content(run), AXES)))
 
 
 def write_result(
@@ -80,4 +82,4 @@ def write_result(
 def read_result(path: Name, schema: str, version: int = 1) -> ResultFile:
     """Read a result file of this schema; an InputError names the file and the reason."""
     content, violations = survey(Path(path), schema, version, lambda _: ())
-    return result_from(layout.accepted(content, violations))
+    return result_from(require_readable(content, violations))

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from drftjax.common.structured_files import HDF5
 from drftjax.common.text import printable
 from drftjax.runlog import recording_lock
-from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute, Content, Dataset, Found, Group, Level, Violation
 from drftjax.runlog.hdf5.checksum import checksum_matches
+from drftjax.runlog.hdf5.examination import examine, identify
+from drftjax.runlog.schema import COLUMNS, MANDATORY_GROUPS, SCHEMA, SCHEMA_VERSION
 
 SIZE_LIMIT: Final = 512 * 2**20
 
@@ -54,14 +55,14 @@ _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENS
 
 
 def survey(
-    path: Path, schema: str, version: int, examine: Callable[[Content], Iterable[Found]]
+    path: Path, schema: str, version: int, find: Callable[[Content], Iterable[Found]]
 ) -> tuple[Content | None, list[Violation]]:
     """A file's contents and everything that is wrong with it.
 
     Args:
         path: The file.
         schema, version: What it must say that it is.
-        examine: Finds what breaks the rules of that schema.
+        find: Finds violations of that schema.
     """
     refusal = _not_openable(path)
     if refusal is not None:
@@ -71,8 +72,8 @@ def survey(
             content, found = _Survey(file).content(schema, version)
     except _LIBRARY_ERRORS as error:
         return None, [Violation(str(path), "/", printable(_open_failure(error)))]
-    identity = list(layout.identify(content, schema, version))
-    return content, named(path, identity or [*found, *examine(content)])
+    identity = list(identify(content, schema, version))
+    return content, named(path, identity or [*found, *find(content)])
 
 
 def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
@@ -90,12 +91,12 @@ def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
                 reason = f"is no recording: it has no dataset {COMMITTED}"
                 return None, [Violation(str(path), "/", reason)]
             rows = committed_rows(file)
-            content, found = _Survey(file, rows).content(layout.SCHEMA, layout.SCHEMA_VERSION)
+            content, found = _Survey(file, rows).content(SCHEMA, SCHEMA_VERSION)
     except _LIBRARY_ERRORS as error:
         return None, [Violation(str(path), "/", printable(_open_failure(error)))]
-    identity = list(layout.identify(content, layout.SCHEMA, layout.SCHEMA_VERSION))
+    identity = list(identify(content, SCHEMA, SCHEMA_VERSION))
     content = _without_bookkeeping(content, rows)
-    return content, named(path, identity or [*found, *layout.examine(content)])
+    return content, named(path, identity or [*found, *examine(content)])
 
 
 def named(path: Path, found: Iterable[Found]) -> list[Violation]:
@@ -112,7 +113,7 @@ def _without_bookkeeping(content: Content, rows: Mapping[str, int]) -> Content:
     groups = {
         title: group
         for title, group in content.groups.items()
-        if title in layout.MANDATORY_GROUPS or rows.get(title, 1)
+        if title in MANDATORY_GROUPS or rows.get(title, 1)
     }
     return Content(attributes, groups)
 
@@ -200,7 +201,7 @@ class _Survey:
 
     def content(self, schema: str, version: int) -> tuple[Content, list[Found]]:
         root = Content(self._attributes("/", self.file))
-        if any(layout.identify(root, schema, version)):
+        if any(identify(root, schema, version)):
             return root, []
         groups: dict[str, Group] = {}
         datasets = self._group("/", self.file, groups)
@@ -409,10 +410,8 @@ def _plain(value: Any) -> Attribute:
 COMMITTED: Final = "n_committed"
 
 
-GROUPS: Final = ("command", "measured", "online", "events")
-
-
-"""The groups that /n_committed counts, in its order."""
+GROUPS: Final = tuple(COLUMNS)
+"""Groups whose rows /n_committed counts, in its order."""
 
 
 def committed_rows(file: h5py.File) -> dict[str, int]:

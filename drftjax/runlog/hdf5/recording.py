@@ -7,10 +7,9 @@ then they stay where they are.
 """
 
 import os
-import resource
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import h5py
 import numpy as np
@@ -19,14 +18,15 @@ from numpy.typing import NDArray
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import put_new_file
 from drftjax.runlog import recording_lock
-from drftjax.runlog import schema as layout
 from drftjax.runlog.content import Attribute
 from drftjax.runlog.hdf5.checksum import with_checksum
+from drftjax.runlog.hdf5.conversion import flag_table, online_attributes
+from drftjax.runlog.hdf5.examination import require_readable
 from drftjax.runlog.hdf5.reading import COMMITTED, GROUPS, SIZE_LIMIT, survey_recording
 from drftjax.runlog.hdf5.writing import image, put_attributes, scale_rows
 from drftjax.runlog.header import Head
-from drftjax.runlog.record import ONLINE_INTEGERS
 from drftjax.runlog.recording_lock import RESERVE, require_room
+from drftjax.runlog.schema import AXES, SCHEMA, SCHEMA_VERSION, TEXTS, Column
 
 ROWS_IN_CHUNK: Final = 512
 
@@ -122,9 +122,9 @@ class Recording:
             raise _removed(self.part)
         moved = place != self.part
         content, violations = survey_recording(place)
-        content = layout.accepted(content, violations)
+        content = require_readable(content, violations)
         attributes = {**content.attributes, "complete": 1, "end_reason": end_reason}
-        whole = with_checksum(image(replace(content, attributes=attributes), layout.AXES))
+        whole = with_checksum(image(replace(content, attributes=attributes), AXES))
         final = place.with_name(path.name) if moved else path
         try:
             put_new_file(final, whole)
@@ -168,6 +168,8 @@ class Recording:
         new = 2 * self._waiting_bytes + RESERVE
         written = self._written_bytes + self._waiting_bytes
         require_room(self._handle, new + written)
+        import resource  # here, as not every system has it
+
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and limit < os.fstat(self._handle).st_size + new:
             raise InputError(f"a file may not grow past {limit / 2**20:.1f} MiB here")
@@ -184,10 +186,10 @@ def _groups(head: Head) -> list[str]:
 
 
 def _root_attributes(head: Head) -> dict[str, Attribute]:
-    texts = {name: getattr(head, name, None) for name in layout.TEXTS}
+    texts = {name: getattr(head, name, None) for name in TEXTS}
     return {
-        "schema": layout.SCHEMA,
-        "schema_version": layout.SCHEMA_VERSION,
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
         "source": head.source,
         "title": head.title,
         **{name: text for name, text in texts.items() if text is not None},
@@ -199,46 +201,28 @@ def _root_attributes(head: Head) -> dict[str, Attribute]:
 def _make_group(file: h5py.File, title: str, head: Head) -> list[h5py.Dataset]:
     """An empty group; its datasets in the order of a row."""
     node = file.create_group(title)
-    more: dict[str, dict[str, Attribute]] = {
-        "code": layout.flag_table("flag_values", head.event_meanings)
-    }
+    more: dict[str, dict[str, Attribute]] = {"code": flag_table("flag_values", head.event_meanings)}
     if title == "online" and head.online is not None:
-        put_attributes(node, layout.online_attributes(head.online))
-        more["flags"] = layout.flag_table("flag_masks", head.online.flag_meanings)
-    made = [_make_column(node, title, name, more.get(name, {})) for name in _names(title, head)]
-    scale_rows(node, layout.AXES[title])
+        put_attributes(node, online_attributes(head.online))
+        more["flags"] = flag_table("flag_masks", head.online.flag_meanings)
+    columns = head.columns(title)
+    made = [_make_column(node, each, more.get(each.name, {})) for each in columns]
+    scale_rows(node, columns[0].name)
     return made
 
 
 def _make_column(
-    node: h5py.Group, title: str, name: str, attributes: dict[str, Attribute]
+    node: h5py.Group, column: Column, attributes: dict[str, Attribute]
 ) -> h5py.Dataset:
     # No packing and no shuffling: a chunk that grows is written again in its place, its first
     # bytes unchanged.
     made = node.create_dataset(
-        name,
+        column.name,
         (0,),
-        _kind(title, name),
+        np.dtype(column.dtype).newbyteorder("<"),
         maxshape=(None,),
         chunks=(ROWS_IN_CHUNK,),
         fletcher32=True,
     )
-    put_attributes(made, {"units": layout.UNITS[title][name], **attributes})
+    put_attributes(made, {"units": column.unit, **attributes})
     return made
-
-
-def _names(title: str, head: Head) -> tuple[str, ...]:
-    if title == "command":
-        return ("time", "omega", "vx") if head.driven else ("time", "omega")
-    if title == "measured":
-        return ("time", *head.channels)
-    return tuple(layout.UNITS[title])
-
-
-def _kind(title: str, name: str) -> "np.dtype[Any]":
-    kind: Any = np.float64
-    if title == "online":
-        kind = ONLINE_INTEGERS.get(name, np.float64)
-    elif name == "code":
-        kind = np.int32
-    return np.dtype(kind).newbyteorder("<")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import HDF5
 from drftjax.runlog.importers import units
+from drftjax.runlog.importers.base import ImportedRun
 from drftjax.runlog.importers.mapping import (
     Condition,
     Mapping,
@@ -29,24 +30,13 @@ from drftjax.runlog.importers.mapping import (
     sources,
 )
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
-from drftjax.runlog.schema import UNITS
+from drftjax.runlog.schema import SETUP_UNITS, UNITS
 from drftjax.runlog.validation import nearest
 
 ROW_LIMIT: Final = 5_000_000
 
 
 """Most rows of a table."""
-
-
-SETUP_UNITS: Final = {
-    **dict.fromkeys(("wheel_radius", "wheel_width", "grouser_height", "grouser_thickness"), "m"),
-    "sinkage_static": "m",
-    "mass_x": "kg",
-    "mass_z": "kg",
-    "gravity": "m/s^2",
-    "bulk_density": "kg/m^3",
-    **dict.fromkeys(("grouser_count", "scaling_factor_initial"), "1"),
-}
 
 
 Reals = NDArray[np.float64]
@@ -94,26 +84,23 @@ class Table:
         return Table(self.path, self.headings, *chosen)
 
 
-@dataclass(frozen=True)
-class ImportedRun:
-    """A run with the name that the mapping gives its file."""
-
-    name: str
-    run: RunLog
-
-
 def import_table(path: str | Path, mapping_path: str | Path) -> list[RunLog]:
-    """The runs of a CSV or TSV table (also .gz), read as a mapping says.
+    """Read the runs of a CSV or TSV table (also .gz) by a mapping.
 
     Args:
         path: The table.
-        mapping_path: The mapping, a TOML file; see docs/runlog.md.
+        mapping_path: The mapping, a TOML file; see docs/guide/import-data.md.
+
+    Raises:
+        InputError: names the file, and the line or the place in the mapping that is wrong.
     """
-    return [each.run for each in import_named(path, mapping_path)]
+    return [each.run for each in import_named_runs(path, mapping_path)]
 
 
-def import_named(path: str | Path, mapping_path: str | Path) -> list[ImportedRun]:
-    """`import_table`, with a name for each run's file."""
+def import_named_runs(path: str | Path, mapping_path: str | Path | None) -> list[ImportedRun]:
+    """`import_table`, with the name that the mapping gives the file of each run."""
+    if mapping_path is None:
+        raise InputError(f"{path}: give --mapping, which says what the columns of a table mean")
     path, mapping_path = Path(path), Path(mapping_path)
     mapping = read_mapping(mapping_path)
     if mapping.files and not any(fnmatch(path.name, pattern) for pattern in mapping.files):

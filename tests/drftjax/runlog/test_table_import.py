@@ -15,7 +15,7 @@ from drftjax.runlog.check import check_files
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.importers.file_names import safe_names
 from drftjax.runlog.importers.mapping import read_mapping
-from drftjax.runlog.importers.table import import_named, import_table
+from drftjax.runlog.importers.table import import_named_runs, import_table
 from drftjax.runlog.importers.units import UNITS, quantity, unit
 
 # Reading is a product of a cell and a factor: a few roundings of a double.
@@ -341,7 +341,7 @@ def test_the_mappings_that_ship_are_whole():
 
 
 def test_a_run_is_drawn_and_shown(table, tmp_path):
-    (run, *_) = import_named(*table)
+    (run, *_) = import_named_runs(*table)
     assert run.name == "drive a"
     path = str(tmp_path / "run_{}.h5")
     CliRunner().invoke(app, ["import", table[0], "--mapping", table[1], "-o", str(tmp_path)])
@@ -447,7 +447,7 @@ def test_an_intrusion_goes_down_and_pushes_up(cmu, wheel, mapping):
 
 
 def test_the_mapping_in_the_documentation_reads_a_table(tmp_path):
-    text = (Path(__file__).parents[3] / "docs" / "runlog.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "guide" / "import-data.md").read_text()
     block = text[text.index('    rows = "samples"') : text.index("| Key | Meaning |")]
     (tmp_path / "map.toml").write_text("\n".join(line[4:] for line in block.splitlines()))
     (tmp_path / "table.csv").write_text(

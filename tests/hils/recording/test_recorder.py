@@ -113,7 +113,7 @@ def test_every_event_and_flag_has_one_number_and_one_word():
 
 
 def test_the_page_lists_every_event_and_flag():
-    page = (Path(__file__).resolve().parents[3] / "docs" / "runlog.md").read_text()
+    page = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "runlog.md").read_text()
     for each in Event:
         assert f"| {int(each)} | `{each.name.lower()}` |" in page
     for each in TickFlag:
@@ -121,7 +121,7 @@ def test_the_page_lists_every_event_and_flag():
 
 
 def test_the_page_lists_every_channel():
-    page = (Path(__file__).resolve().parents[3] / "docs" / "runlog.md").read_text()
+    page = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "runlog.md").read_text()
     outline = page.partition("/command ")[2].partition("source is ")[0]
     for channels in UNITS.values():
         for name in channels:

@@ -1,0 +1,110 @@
+"""Importers are chosen by suffix, and packages add their own."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drftjax.common.errors import InputError
+from drftjax.runlog.hdf5.api import read_run
+from drftjax.runlog.importers import registry
+from drftjax.runlog.importers.base import ImportedRun
+from drftjax.runlog.importers.registry import IMPORTERS, importer_for, suffixes
+from drftjax.runlog.importers.table import import_named_runs
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
+
+BAG_IMPORTER = """
+import numpy as np
+from drftjax.runlog.importers.base import ImportedRun
+from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
+
+def read_bag(path, mapping):
+    values = np.array([float(each) for each in path.read_text().split()])
+    time = 0.1 * np.arange(values.size)
+    yield ImportedRun(path.stem, RunLog(
+        setup=RecordedSetup(), command=RecordedCommand(time, 0 * time + 1),
+        measured=Measured(time, z=values), source="imported", title=f"bag {mapping}",
+    ))
+"""
+
+
+def read_bag(path: Path, mapping: Path | None) -> list[ImportedRun]:
+    time = np.arange(2.0)
+    command, measured = RecordedCommand(time, time), Measured(time, z=-time)
+    run = RunLog(
+        setup=RecordedSetup(), command=command, measured=measured, source="imported", title="a bag"
+    )
+    return [ImportedRun(path.stem, run)]
+
+
+NO_FUNCTION = "a bag"
+
+
+@pytest.fixture
+def install(monkeypatch):
+    """Pretend that packages add these importers: suffix and function of this module."""
+
+    def added(*pairs: tuple[str, str]) -> None:
+        entries = [EntryPoint(name, f"{__name__}:{value}", registry.GROUP) for name, value in pairs]
+        monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+
+    return added
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.txt.gz", "a.dat", "a", "a.CSV.gz", ".csv"])
+def test_tables_and_unknown_files_are_read_as_tables(name):
+    assert importer_for(Path(name)) is import_named_runs
+
+
+@pytest.mark.parametrize("name", ["run.bag", "run.BAG", "run.bag.gz"])
+def test_a_package_adds_an_importer(install, name):
+    install(("bag", "read_bag"))
+    (imported,) = importer_for(Path(name))(Path(name), None)
+    assert imported.run.title == "a bag"
+    assert importer_for(Path("run.csv")) is import_named_runs
+    assert suffixes() == [*IMPORTERS, ".bag"]
+
+
+def test_an_importer_that_cannot_be_used_is_named(install):
+    install(("bag", "absent"), ("rec", "NO_FUNCTION"), ("csv", "read_bag"))
+    with pytest.raises(InputError, match=r"the importer \.bag of .*:absent fails: "):
+        importer_for(Path("run.bag"))
+    with pytest.raises(InputError, match=r"the importer \.rec of .* is no function"):
+        importer_for(Path("run.rec"))
+    with pytest.raises(InputError, match=r"files \.csv are claimed by drftjax and .*:read_bag"):
+        importer_for(Path("run.csv"))
+    assert importer_for(Path("run.tsv")) is import_named_runs
+
+
+def test_drft_imports_the_format_of_an_installed_package(tmp_path):
+    metadata = tmp_path / "site" / "sandbox-1.2.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: sandbox\nVersion: 1.2\n")
+    (metadata / "entry_points.txt").write_text("[drft.importers]\nbag = sandbox_bag:read_bag\n")
+    (tmp_path / "site" / "sandbox_bag.py").write_text(BAG_IMPORTER)
+    (tmp_path / "dune.bag").write_text("0.0 -0.01 -0.02")
+    path = os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")])
+
+    def drft(*arguments: str) -> str:
+        command = [sys.executable, "-m", "drftjax.commands.main", "log", "import", *arguments]
+        environment = os.environ | {"PYTHONPATH": path, "COLUMNS": "100"}
+        answer = subprocess.run(
+            command, env=environment, cwd=Path(__file__).parents[3], capture_output=True, text=True
+        )
+        assert answer.returncode == 0, answer.stderr
+        return answer.stdout
+
+    drft(str(tmp_path / "dune.bag"), "-o", str(tmp_path / "runs"))
+    run = read_run(tmp_path / "runs" / "dune.h5")
+    assert (run.title, run.measured.z.tolist()) == ("bag None", [0.0, -0.01, -0.02])
+    assert ".csv, .tsv, .txt, .bag" in drft("--help")
+
+
+def test_a_table_without_a_mapping_is_refused(drft, tmp_path):
+    (tmp_path / "table.csv").write_text("t,z\n0,0\n")
+    answer = drft("log", "import", tmp_path / "table.csv", "-o", tmp_path / "runs")
+    assert "give --mapping, which says what the columns of a table mean" in answer.refusal
