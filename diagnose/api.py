@@ -165,8 +165,8 @@ def _require_null(
         if effect in OURS:
             continue
         case, model = RigDataset.of(candidates[:1]), AugmentedModel((effect,))
-        without = case.predicted(AugmentedModel(), 0, 0.0, np.zeros(0))
-        apart = np.abs(case.predicted(model, 0, 0.0, model.null()) - without).max()
+        without = case.prediction(AugmentedModel(), 0, 0.0, np.zeros(0))
+        apart = np.abs(case.prediction(model, 0, 0.0, model.null()) - without).max()
         if np.isfinite(without).all() and not apart <= SAME:
             raise InputError(
                 f"the effect {effect.about.name!r} of {effect.__module__} acts where all its "

@@ -24,6 +24,10 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch, padded_size
+from drftjax.recorded.matched_zeta import (
+    ZetaMatchSettings,
+    match_mean_sinkage,
+)
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
@@ -39,19 +43,8 @@ Result = TypeVar("Result")
 FASTEST = 100.0
 
 
-# zeta is found to this share of itself.
-CLOSE_ENOUGH = 2e-5
-
-
-MOST_TURNS = 12
-
-
 # Lengths are padded to this at least; padding costs next to nothing.
 SMALLEST_SIZE = 2304
-
-
-# A step of log zeta that one straight line is trusted for.
-LONGEST_MOVE = 0.2
 
 
 # Plates are carried for a wheel that sinks this much deeper than was recorded.
@@ -62,8 +55,8 @@ ROOM = 1.25
 EARLY = (0.05, 0.4)
 
 
-# Rise of the wheel [m] per unit of log zeta, about what the paper's wheel shows: a first guess.
-SINKAGE_PER_LOG_ZETA = 0.023
+INITIAL_ZETA_MATCH = ZetaMatchSettings(max_steps=12)
+"""The zeta of a set-up may be a guess, and far from the sand's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +110,7 @@ class RigDataset:
         return [self._of_run(self.batch.trials, run) for run in self._runs]
 
     @cached_property
-    def observed(self) -> list[PaddedObservations]:
+    def observations(self) -> list[PaddedObservations]:
         """Each run's recording, padded."""
         return [self._of_run(self.batch.observed, run) for run in self._runs]
 
@@ -129,7 +122,7 @@ class RigDataset:
         if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
             return self
         z = self.channels.index("z")
-        deepest = max(float(np.nanmax(-self.recorded(run)[z], initial=0)) for run in self._runs)
+        deepest = max(float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self._runs)
         wheel = self.runs[0].setup.wheel
         for sectors in range(1, wheel.grouser_count // 2):
             reach = sectors * 2 * math.pi / wheel.grouser_count
@@ -163,7 +156,7 @@ class RigDataset:
         the same types here as in `predicted`: JAX takes a weakly typed number, as Python's are, for
         another program.
         """
-        observed = self.observed[0]
+        observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
 
@@ -181,12 +174,12 @@ class RigDataset:
         """Times of the samples compared [s]."""
         return self.runs[run].observation.time[self.counts(run)]
 
-    def spacing(self, run: int) -> float:
+    def sample_interval(self, run: int) -> float:
         """Time that one of them stands for [s]; of one alone, what it would at `FASTEST`."""
         time = self.time(run)
         return float(np.median(np.diff(time))) if len(time) > 1 else 1 / FASTEST
 
-    def recorded(self, run: int) -> np.ndarray:
+    def recording(self, run: int) -> np.ndarray:
         """What was recorded then, shape (channels, samples); NaN for a channel not recorded."""
         observation = self.runs[run].observation
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
@@ -194,7 +187,7 @@ class RigDataset:
             values[self.channels.index(name)] = row[self.counts(run)]
         return values
 
-    def predicted(
+    def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
     ) -> np.ndarray:
         """What a model gives then, like `recorded`."""
@@ -202,7 +195,7 @@ class RigDataset:
             model,
             self.channels,
             self.trials[run],
-            self.observed[run],
+            self.observations[run],
             as_real(log_zeta),
             coordinates,
         )
@@ -215,7 +208,7 @@ class RigDataset:
             residuals: By run, simulated less recorded, shape (channels, samples).
         """
         return all(
-            bool(np.isfinite(each[~np.isnan(self.recorded(run))]).all())
+            bool(np.isfinite(each[~np.isnan(self.recording(run))]).all())
             for run, each in enumerate(residuals)
         )
 
@@ -297,10 +290,19 @@ def pitch(trial: Trial) -> float:
     return float(getattr(trial.simulator.wheel.cut(), "pitch", np.inf))
 
 
-def match_initial_zeta(case: RigDataset) -> np.ndarray:
+def match_initial_zeta(
+    case: RigDataset, settings: ZetaMatchSettings = INITIAL_ZETA_MATCH
+) -> np.ndarray:
     """Each run's log zeta over its set-up's, at which the reference model meets its early sinkage.
 
-    Secant steps on its mean. This is where all is linearised, not yet the best that zeta can do.
+    Where all is linearised; not yet the zeta that suits all channels best.
+
+    Args:
+        case: The runs.
+        settings: Numbers of the secant search.
+
+    Returns:
+        Shape (runs,).
 
     Raises:
         InputError: where a run has no sinkage, or cannot be simulated.
@@ -312,27 +314,18 @@ def match_initial_zeta(case: RigDataset) -> np.ndarray:
     case.precompile(predict, [plain])
 
     def of(run: int) -> float:
-        wanted = case.recorded(run)[z]
         early = _early(case, run)
+        recorded = case.recording(run)[z, early].mean()
 
-        def miss(log_zeta: float) -> float:
-            return float(
-                (case.predicted(plain, run, log_zeta, np.zeros(0))[z] - wanted)[early].mean()
-            )
+        def miss(log_zeta: np.ndarray) -> float:
+            found = case.prediction(plain, run, float(log_zeta), np.zeros(0))
+            return float(found[z, early].mean() - recorded)
 
-        at, here = 0.0, miss(0.0)
-        nxt = float(np.clip(-here / SINKAGE_PER_LOG_ZETA, -LONGEST_MOVE, LONGEST_MOVE))
-        for _ in range(MOST_TURNS):
-            if abs(nxt - at) < CLOSE_ENOUGH:
-                break
-            there = miss(nxt)
-            slope = (there - here) / (nxt - at)
-            at, here = nxt, there
-            if not np.isfinite(slope) or slope == 0:
-                name = case.runs[run].name
-                raise RunError(name, "no zeta lets the reference model follow its sinkage")
-            nxt = at + float(np.clip(-here / slope, -LONGEST_MOVE, LONGEST_MOVE))
-        return at
+        found = match_mean_sinkage(miss, settings=settings)
+        if not np.isfinite(found.miss) or found.slope == 0:
+            name = case.runs[run].name
+            raise RunError(name, "no zeta lets the reference model follow its sinkage")
+        return float(found.log_zeta)
 
     return np.array(case.map_runs(of))
 

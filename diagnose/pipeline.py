@@ -15,8 +15,8 @@ from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, residuals_of, unmatched
-from diagnose.hypotheses.hypothesis import Hypothesis, priors, residual_of, top_ranked
+from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, residuals_of, unmatched
+from diagnose.hypotheses.hypothesis import Hypothesis, block_mean_squares, prior_widths, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linear_fit import FLOOR
 from diagnose.linear.regressors import Regressors
@@ -25,11 +25,11 @@ from diagnose.next_runs.discrimination import next_run
 from diagnose.result import Diagnosis, ParameterEstimate
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
 from diagnose.selection.verdict import (
-    by_name,
     competing_hypotheses,
     decide,
     hypothesis_behind,
     reassign_unknown,
+    weight_by_name,
 )
 from diagnose.unknown.correction_fit import fit_unknown_effect
 from diagnose.unknown.disturbances import by_stage, estimate_disturbances
@@ -61,15 +61,15 @@ def diagnose(
     found = screen_effects(case, effects, report)
     report("predicting the runs left out")
     leading = [*top_ranked(found.singles, JUDGED_SINGLES), *top_ranked(found.pairs, JUDGED_PAIRS)]
-    of_each = case.map_items(lambda each: predict_held_out(found.bench, each), leading)
+    of_each = case.map_items(lambda each: predict_held_out(found.regressors, each), leading)
     # With numbers at which a run left out cannot be simulated an effect explains nothing.
     unseen = {each.hypothesis.names: each for each in of_each if case.all_finite(each.residual)}
     leading = [each for each in leading if each.names in unseen]
     share = _weights(found, leading, unseen)
     verdict, groups = decide(share)
     chosen = hypothesis_behind(found, leading, share, verdict)
-    alone = at_mean_sinkage(found.bench, predict_held_out(found.bench, found.none))
-    met = at_mean_sinkage(found.bench, unseen[chosen.names]) if chosen.names else alone
+    alone = at_mean_sinkage(found.regressors, predict_held_out(found.regressors, found.none))
+    met = at_mean_sinkage(found.regressors, unseen[chosen.names]) if chosen.names else alone
     before, after = residuals_of(alone), residuals_of(met)
     own = discretization_errors(case, found.none.log_zeta)
     floors, how = noise_floors(case, before, after, own, found.none.by_zeta)
@@ -83,7 +83,7 @@ def diagnose(
         how,
         *caveats(case),
         *odd_runs.outliers_among_repeats(case, [before, after], own, found.none.by_zeta),
-        *odd_runs.outliers_by_zeta(found.bench, chosen),
+        *odd_runs.outliers_by_zeta(found.regressors, chosen),
     ]
     signal, added, lies = None, known, []
     if verdict != (NONE,):
@@ -104,25 +104,25 @@ def diagnose(
         if meant in {reported_name(each.about.name) for each in effects}:
             share = reassign_unknown(share, meant)
             verdict, groups = (meant,), [[meant]]
-    notes += unmatched(case, alone, REFERENCE)
-    notes += unmatched(case, added.matches, WITH) if added.effects else []
+    notes += unmatched(case, alone, REFERENCE_NAME)
+    notes += unmatched(case, added.matches, WITH_EFFECTS_NAME) if added.effects else []
     report("what to run next")
     advice = next_run(case, chosen, rivals, floors) if rivals else {}
     return Diagnosis(
         verdict=reported_names(verdict),
-        weights=by_name(share),
+        weights=weight_by_name(share),
         groups=[reported_names(group) for group in groups],
         selected=added,
-        parameters=_parameters(found.bench, chosen) if chosen.names and added is known else {},
+        parameters=_parameters(found.regressors, chosen) if chosen.names and added is known else {},
         notes=notes,
         next_run=advice,
         screening=found,
         chosen=chosen,
-        before=before,
+        residual_before=before,
         floors=floors,
         localization=places,
         unknown_effect=signal,
-        steps=(
+        stepwise=(
             stepwise_gap(found, chosen, unseen, before, floors, known.gap)
             if verdict == chosen.names and added is known
             else []
@@ -135,20 +135,22 @@ def _weights(
     leading: Sequence[Hypothesis],
     unseen: Mapping[tuple[str, ...], HeldOutPrediction],
 ) -> dict[tuple[str, ...], float]:
-    products = found.bench.products
-    none = found.none.line
-    judged = [ScoredHypothesis((), none.left, none.left, none.scatter, 0)]
+    products = found.regressors.gram_matrices
+    none = found.none.fit
+    judged = [ScoredHypothesis((), none.mean_square, none.mean_square, none.zeta_variance, 0)]
     for each in leading:
-        left, _ = residual_of(found.bench, unseen[each.names].residual)
-        line = each.line
+        left, _ = block_mean_squares(found.regressors, unseen[each.names].residual)
+        line = each.fit
         judged.append(
-            ScoredHypothesis(each.names, left, line.left, line.scatter, len(each.coordinates))
+            ScoredHypothesis(
+                each.names, left, line.mean_square, line.zeta_variance, len(each.coordinates)
+            )
         )
-    total = products.number.sum(axis=0)
+    total = products.sample_count.sum(axis=0)
     runs = len(products.log_zeta)
-    noise = found.bench.noise
+    noise = found.regressors.noise_power
     residuals = [each.residual for each in (found.none, *leading)]
-    differ = repeat_variance(found.bench.case, residuals, found.none.by_zeta)
+    differ = repeat_variance(found.regressors.dataset, residuals, found.none.by_zeta)
     return weights(judged, products.blocks, total, noise, runs, chance=differ)
 
 
@@ -157,12 +159,12 @@ def _parameters(bench: Regressors, chosen: Hypothesis) -> dict[str, dict[str, Pa
 
     What is believed of a number before any run bounds the error of one that the runs do not tell.
     """
-    products = bench.products_of(chosen.columns, chosen.residual, chosen.log_zeta)
+    products = bench.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta)
     worth = np.array([1.0 if kind == "slow" else 0.1 for _, kind in products.blocks])
     floor = np.array([FLOOR[block] for block in products.blocks]) ** 2
-    weight = worth / (chosen.line.left + floor)
+    weight = worth / (chosen.fit.mean_square + floor)
     gram = np.einsum("b,rbij->rij", weight, products.gram[:, :, :-1, :-1])
-    width, _ = priors(chosen.model)
+    width, _ = prior_widths(chosen.model)
     information = np.diag(1 / width**2)
     for run in gram:
         own = max(run[0, 0], 1e-300)

@@ -73,20 +73,20 @@ class Diagnosis:
     next_run: Mapping[str, object]
     screening: ScreeningResult
     chosen: Hypothesis
-    before: list[np.ndarray]
+    residual_before: list[np.ndarray]
     floors: Mapping[str, float]
     localization: Sequence[GapShare] = field(default_factory=list)
     unknown_effect: UnknownEffect | None = None
-    steps: Sequence[NestedModel] = field(default_factory=list)
+    stepwise: Sequence[NestedModel] = field(default_factory=list)
 
     @property
-    def case(self) -> RigDataset:
-        return self.screening.bench.case
+    def dataset(self) -> RigDataset:
+        return self.screening.regressors.dataset
 
     @property
     def origin(self) -> float | None:
         """Recorded x that the effects' x = 0 stands for [m]; None where x is as recorded."""
-        return self.case.runs[0].setup.start.origin
+        return self.dataset.runs[0].setup.start.origin
 
     @property
     def gap(self) -> Mapping[str, Gap]:
@@ -101,7 +101,7 @@ class Diagnosis:
 
     def meaning(self, name: str) -> str:
         """What an effect of the verdict does; it may be of the user's own and in no catalogue."""
-        given = {each.effect.about.name: each.effect for each in self.screening.bench.variants}
+        given = {each.effect.about.name: each.effect for each in self.screening.regressors.variants}
         return (given.get(name) or effect_class(name)).about.meaning
 
     def summary(self, width: int = 110) -> str:
@@ -111,7 +111,7 @@ class Diagnosis:
         return summary_text(in_words(self), width)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {len(self.case.runs)} runs: {', '.join(self.verdict)}>"
+        return f"<Diagnosis of {len(self.dataset.runs)} runs: {', '.join(self.verdict)}>"
 
     def _repr_html_(self) -> str:
         from diagnose.report.text import in_words
@@ -144,7 +144,7 @@ class Diagnosis:
             "weights": dict(self.weights),
             "groups": [list(group) for group in self.groups],
             "gap": {channel: gap.document() for channel, gap in self.gap.items()},
-            "steps": [each.document() for each in self.steps],
+            "steps": [each.document() for each in self.stepwise],
             "where": [
                 {
                     "axis": each.axis,

@@ -11,7 +11,8 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import GatheredRuns, gather
 from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
-from drftjax.setups.setup import SetUp, ZetaKnots
+from drftjax.setups.setup import SetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 
 # Wheels are the same where their lengths agree to so many places of a millimetre.
 PLACES = 3
@@ -114,7 +115,7 @@ def require_one_wheel(candidates: Sequence[PreparedRun]) -> GatheredRuns:
     """
     kinds: dict[str, list[PreparedRun]] = {}
     for each in candidates:
-        kinds.setdefault(kind_of(each.setup), []).append(each)
+        kinds.setdefault(describe_rig(each.setup), []).append(each)
     ranked = sorted(kinds.items(), key=lambda kind: -len(kind[1]))
     kind, kept = ranked[0]
     if len(ranked) > 1 and len(ranked[1][1]) == len(kept):
@@ -176,7 +177,7 @@ def _has_x(each: PreparedRun) -> bool:
     return "x" in (*each.observation.channels, *each.observation.unused)
 
 
-def kind_of(setup: SetUp) -> str:
+def describe_rig(setup: SetUp) -> str:
     """Wheel and carriage in words: runs of one rig have the same."""
     wheel = setup.wheel
     words = f"a wheel of radius {_mm(wheel.radius)}, width {_mm(wheel.width)}, "

@@ -29,7 +29,7 @@ class MonotonicClock(AbstractClock):
             time.sleep(left)
 
 
-class Peer(Protocol):
+class ClockFollower(Protocol):
     """Something that lives by a virtual clock."""
 
     def advance(self, now: float) -> None:
@@ -47,9 +47,9 @@ class VirtualClock(AbstractClock):
     def __init__(self, start: float = 0.0, grain: float = 1e-3):
         self._now = start
         self._grain = grain
-        self._peers: list[Peer] = []
+        self._peers: list[ClockFollower] = []
 
-    def attach(self, peer: Peer) -> None:
+    def attach(self, peer: ClockFollower) -> None:
         """Let a peer live by this clock."""
         self._peers.append(peer)
 

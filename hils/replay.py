@@ -19,6 +19,7 @@ import drftjax
 from drftjax.common.errors import InputError
 from drftjax.effects.serialization import Entry
 from drftjax.runlog.record import Online, RunLog
+from drftjax.tuning.replay import ReplayedTuning
 from hils.control.limits import REST, Reading, RigCommand
 from hils.control.loop_config import LoopPhysics, LoopRecord, shared_physics
 from hils.control.tick import LoopState, TickInput, TickOutput, begin, step_tick
@@ -80,21 +81,6 @@ class Replay(NamedTuple):
         if self.software_version not in (None, drftjax.__version__):
             other = f" (recorded by drft {self.software_version}, this is {drftjax.__version__})"
         return f"{self.ticks} ticks: {'; '.join(parts)}{other}"
-
-
-class ReplayedTuning(NamedTuple):
-    """What the tuner of a run's own loop makes of its readings with another simulation.
-
-    Attributes:
-        time: Of the rows of /online [s], shape (rows,).
-        zeta: On each [-], shape (rows,).
-        error: Measured less simulated sinkage there [m], shape (rows,); NaN without a reading to
-            tune by.
-    """
-
-    time: Reals
-    zeta: Reals
-    error: Reals
 
 
 def replay(run: RunLog) -> Replay:

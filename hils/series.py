@@ -19,7 +19,7 @@ from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.port_link import PortLink
 from hils.link.ports import open_port
-from hils.monitor.observer import observed_run, unobserved_run
+from hils.monitor.observer import with_live_view, without_observer
 from hils.procedure.active_runs import ActiveRun, registered
 from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
@@ -79,7 +79,7 @@ def file_names(output: Path, runs: int) -> list[Path]:
     return names
 
 
-def make_series(procedure: Procedure, series: Series, dialogue: AbstractPrompts) -> int:
+def make_series(procedure: Procedure, series: Series, prompts: AbstractPrompts) -> int:
     """Make the runs, one after the other; the first that does not complete, or after which the rig
     is not seen to rest, ends them, and so does whoever asks for an end, between two runs as well.
 
@@ -94,28 +94,28 @@ def make_series(procedure: Procedure, series: Series, dialogue: AbstractPrompts)
         try:
             for number, path in enumerate(series.files):
                 if number:
-                    _prepare(series, number, dialogue, stop)
+                    _prepare(series, number, prompts, stop)
                 if len(series.files) > 1:
-                    dialogue.tell(f"Run {number + 1} of {len(series.files)}: {path}")
-                report = one_run(procedure, series, path, dialogue, stop, under_way)
-                for line in outcome_sentence(report, path):
-                    dialogue.tell(line)
+                    prompts.say(f"Run {number + 1} of {len(series.files)}: {path}")
+                report = make_run(procedure, series, path, prompts, stop, under_way)
+                for line in outcome_lines(report, path):
+                    prompts.say(line)
                 if series.plot and _is_there(path):
-                    dialogue.tell(_drawn(path))
+                    prompts.say(_drawn(path))
                 if report.unfinished:
                     raise InputError(report.unfinished)
-                wish = report.wish or stop.wish
+                wish = report.stop_reason or stop.first_reason
                 if wish is not None:
                     return _code(wish)
                 if not (report.completed and report.rested):
                     return ENDED_EARLY
-                stop.uncut = False
-                if stop.wish is not None:  # it came just before it would have been raised
-                    return _code(stop.wish)
+                stop.uninterruptible = False
+                if stop.first_reason is not None:  # it came just before it would have been raised
+                    return _code(stop.first_reason)
         except KeyboardInterrupt:
-            if stop.wish is None or _code(stop.wish) == INTERRUPTED:
+            if stop.first_reason is None or _code(stop.first_reason) == INTERRUPTED:
                 raise
-            dialogue.tell(f"Ended: {stop.reason}.")
+            prompts.say(f"Ended: {stop.reason}.")
             return ENDED_EARLY
     return 0
 
@@ -125,11 +125,11 @@ def _code(wish: StopReason) -> int:
     return INTERRUPTED if interrupted else ENDED_EARLY
 
 
-def one_run(
+def make_run(
     procedure: Procedure,
     series: Series,
     path: Path,
-    dialogue: AbstractPrompts,
+    prompts: AbstractPrompts,
     stop: StopRequest,
     under_way: ActiveRun,
 ) -> RunReport:
@@ -141,32 +141,32 @@ def one_run(
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
-        seen = unobserved_run(recorder, dialogue)
+        seen = without_observer(recorder, prompts)
         if series.view:
             seen = opened.enter_context(
-                observed_run(under_way, path, procedure, link, clock, recorder, dialogue, stop)
+                with_live_view(under_way, path, procedure, link, clock, recorder, prompts, stop)
             )
 
         def before_motion() -> None:
             seen.begin()
             granted = opened.enter_context(timely(series.fifo))
-            seen.dialogue.tell(f"Timing: {', '.join(granted)}.")
+            seen.prompts.say(f"Timing: {', '.join(granted)}.")
 
-        return run(procedure, link, clock, seen.rows, seen.dialogue, stop, before_motion)
+        return run(procedure, link, clock, seen.rows, seen.prompts, stop, before_motion)
 
 
-def _prepare(series: Series, number: int, dialogue: AbstractPrompts, stop: StopRequest) -> None:
+def _prepare(series: Series, number: int, prompts: AbstractPrompts, stop: StopRequest) -> None:
     if series.between is None:
-        dialogue.confirm("Prepare the sand and bring the wheel back to its start")
+        prompts.confirm("Prepare the sand and bring the wheel back to its start")
         return
-    dialogue.tell(f"Preparing the sand: {series.between}")
+    prompts.say(f"Preparing the sand: {series.between}")
     made = {**os.environ, "DRFT_RUNS_MADE": str(number)}
     # An interrupt in the midst of its start would leave it running, known to nobody.
-    stop.uncut = True
+    stop.uninterruptible = True
     with subprocess.Popen(series.between, shell=True, env=made) as shell:
         try:
-            stop.uncut = False
-            if stop.wish is not None:
+            stop.uninterruptible = False
+            if stop.first_reason is not None:
                 raise KeyboardInterrupt
             code = shell.wait()
         except BaseException:
@@ -226,11 +226,11 @@ def _drawn(path: Path) -> str:
     return f"Picture: {picture}"
 
 
-def outcome_sentence(report: RunReport, path: Path) -> list[str]:
+def outcome_lines(report: RunReport, path: Path) -> list[str]:
     """A run's report in a few lines."""
     lines = ["Completed." if report.completed else f"Ended early: {report.reason}."]
-    if report.completed and report.wish is not None:
-        lines.append(f"No further run: {report.wish.reason}.")
+    if report.completed and report.stop_reason is not None:
+        lines.append(f"No further run: {report.stop_reason.reason}.")
     if not report.rested:
         lines.append("The rig was not seen to rest: make sure that it does.")
     loop, start = report.loop, report.start

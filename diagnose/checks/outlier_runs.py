@@ -1,140 +1,171 @@
-"""Runs that do not go with the others, which an operator should look at before any effect."""
+"""Runs that do not fit the others, which an operator should look at before any effect."""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from diagnose.dataset import RigDataset
-from diagnose.gap.repeatability import Response, repeat_difference, repeats
+from diagnose.gap.repeatability import ZetaResponse, repeat_difference, repeats
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.linear.regressors import Regressors
 from diagnose.localization.shares import GapShare
 from drftjax.recorded.observation import SHOWN
 
-# Repeats disagree where they differ by so many times what instruments and plates make, and by more
-# than this share of the gap.
-DISAGREE, OF_GAP = 3.0, 0.5
-
-
-# Words of every sentence on such repeats.
 REPEATS_DIFFER = "repeat each other and differ by"
+"""Words of every sentence on repeats that disagree."""
 
 
-# A run's zeta is odd where it lies beyond the others' by so many of their scatters, and by so much
-# [of a logarithm]: sand that is prepared alike scatters by a per cent or a few.
-ODD_SCATTERS, ODD_ZETA = 5.0, 0.05
+@dataclass(frozen=True)
+class OutlierRunSettings:
+    """Thresholds for runs that do not fit the others.
+
+    Attributes:
+        min_noise_ratio: Repeats disagree where they differ by so many times the noise of the
+            instruments and the discretisation error [-],
+        min_gap_share: and by more than this share of the gap [-].
+        zeta_scatters: The zeta of a run is an outlier where it lies beyond the others' by so many of
+            their standard deviations [-],
+        zeta_distance: and by so much of a logarithm [-]: sand that is prepared alike scatters by a
+            per cent or a few.
+        min_other_runs: Runs that one is compared with at least.
+        run_share: One run carries the gap where it has this share of it [-],
+        run_time_ratio: and so many times its share of the time [-].
+    """
+
+    min_noise_ratio: float = 3.0
+    min_gap_share: float = 0.5
+    zeta_scatters: float = 5.0
+    zeta_distance: float = 0.05
+    min_other_runs: int = 4
+    run_share: float = 0.5
+    run_time_ratio: float = 3.0
 
 
-# The fewest others that a run is held against.
-FEWEST = 4
-
-
-# One run holds a gap where it has this share of it, and so many times its share of the time.
-MOST, TIMES = 0.5, 3.0
+DEFAULT_OUTLIER_RUNS = OutlierRunSettings()
 
 
 def outliers_among_repeats(
-    case: RigDataset,
+    dataset: RigDataset,
     residuals: Sequence[list[np.ndarray]],
     own: Mapping[str, float],
-    response: Response,
+    response: ZetaResponse,
+    settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS,
 ) -> list[str]:
-    """Repeats that differ by what no effect of command, load or state can make, in sentences.
+    """Sentences on repeats that differ by more than any effect of command, load or state explains.
 
     Args:
-        case: The runs.
-        residuals: By model and run, simulated less recorded, the reference model first: the
-            smallest difference counts.
-        own: The simulation's own error in each channel [m, N, N m].
-        response: Change of a run's channels by its log zeta; see
-        `diagnose.gap.repeatability.repeat_difference`.
+        dataset: The runs.
+        residuals: By model and run, simulated minus recorded [m, N, N m], shape (channels,
+            samples), the reference model first: the smallest difference counts.
+        own: Discretisation error of the simulation in each channel [m, N, N m].
+        response: Derivative of a run's channels by its log zeta; see
+            `diagnose.gap.repeatability.repeat_difference`.
+        settings: Thresholds.
     """
-    told: dict[tuple[int, int], list[str]] = {}
-    for index, channel in enumerate(case.channels):
-        for pair in repeats(case, channel):
+    differences: dict[tuple[int, int], list[str]] = {}
+    for index, channel in enumerate(dataset.channels):
+        for pair in repeats(dataset, channel):
             differ = min(
-                _rms(repeat_difference(case, pair, each, response)[index]) for each in residuals
+                _rms(repeat_difference(dataset, pair, each, response)[index]) for each in residuals
             )
-            whole = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
-            alone = math.hypot(own[channel], *(_noise(case, run, channel) for run in pair))
-            if differ > max(DISAGREE * alone, OF_GAP * whole):
+            gap = _rms(np.concatenate([residuals[0][run][index] for run in pair]))
+            noise = math.hypot(own[channel], *(_noise(dataset, run, channel) for run in pair))
+            if differ > max(settings.min_noise_ratio * noise, settings.min_gap_share * gap):
                 unit, scale = SHOWN[channel]
-                told.setdefault(pair, []).append(
-                    f"{scale * differ:.2g} {unit} in {channel}, {differ / alone:.0f} times what "
+                differences.setdefault(pair, []).append(
+                    f"{scale * differ:.2g} {unit} in {channel}, {differ / noise:.0f} times what "
                     "instruments and plates make"
                 )
     return [
-        f"{' and '.join(case.runs[run].name for run in pair)} {REPEATS_DIFFER} "
+        f"{' and '.join(dataset.runs[run].name for run in pair)} {REPEATS_DIFFER} "
         f"{'; by '.join(by)}: no effect of command, load or state does that. Was the sand "
         "prepared alike, and z zeroed alike?"
-        for pair, by in told.items()
+        for pair, by in differences.items()
     ]
 
 
-def outliers_by_zeta(bench: Regressors, chosen: Hypothesis) -> list[str]:
-    """The run whose zeta is far from all others', if there is one.
+def outliers_by_zeta(
+    regressors: Regressors,
+    chosen: Hypothesis,
+    settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS,
+) -> list[str]:
+    """One sentence on the run whose zeta is far from those of all others; empty without one.
 
     Args:
-        bench: The case.
+        regressors: Of the dataset.
         chosen: The effects added, or the reference model.
+        settings: Thresholds.
     """
-    zetas = chosen.log_zeta + bench.reference
-    if len(zetas) <= FEWEST:
+    zetas = chosen.log_zeta + regressors.log_reference_zeta
+    if len(zetas) <= settings.min_other_runs:
         return []
-    odd = int(np.argmax(np.abs(zetas - np.median(zetas))))
-    others = np.delete(zetas, odd)
-    least, most = float(others.min()), float(others.max())
-    away = abs(float(zetas[odd] - np.clip(zetas[odd], least, most)))
-    if away < max(ODD_ZETA, ODD_SCATTERS * float(np.std(others, ddof=1))):
+    outlier = int(np.argmax(np.abs(zetas - np.median(zetas))))
+    others = np.delete(zetas, outlier)
+    lowest, highest = float(others.min()), float(others.max())
+    distance = abs(float(zetas[outlier] - np.clip(zetas[outlier], lowest, highest)))
+    scatter = float(np.std(others, ddof=1))
+    if distance < max(settings.zeta_distance, settings.zeta_scatters * scatter):
         return []
-    z = bench.case.channels.index("z")
+    dataset = regressors.dataset
     unit, scale = SHOWN["z"]
-    sinkage = scale * away * abs(float(chosen.columns[odd][z, :, 0].mean()))
+    by_zeta = float(chosen.columns[outlier][dataset.channels.index("z"), :, 0].mean())
+    sinkage = scale * distance * abs(by_zeta)
     return [
-        f"The zeta of {bench.case.runs[odd].name} is {np.exp(zetas[odd]):.4g}, of the others "
-        f"{np.exp(least):.4g} to {np.exp(most):.4g}: its sand was prepared otherwise, its z zeroed "
-        f"elsewhere (by about {sinkage:.2g} {unit}), or an effect bears on it as on no other, as "
-        "may be where it alone has its load, speed or length."
+        f"The zeta of {dataset.runs[outlier].name} is {np.exp(zetas[outlier]):.4g}, of the others "
+        f"{np.exp(lowest):.4g} to {np.exp(highest):.4g}: its sand was prepared otherwise, its z "
+        f"zeroed elsewhere (by about {sinkage:.2g} {unit}), or an effect bears on it as on no "
+        "other, as may be where it alone has its load, speed or length."
     ]
 
 
 def gap_carried_by_one_run(
-    case: RigDataset,
-    places: Sequence[GapShare],
+    dataset: RigDataset,
+    shares: Sequence[GapShare],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
+    settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS,
 ) -> list[str]:
-    """The run that holds most of the gap, and what is left without it.
+    """One sentence on the run that has most of the gap, and the gap without it; empty without one.
 
     Args:
-        case: The runs.
-        places: Shares of the gap by axis.
-        before: By run, simulated less recorded by the reference model, shape (channels, samples).
+        dataset: The runs.
+        shares: Shares of the gap by axis.
+        before: By run, simulated minus recorded by the reference model [m, N, N m], shape
+            (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
+        settings: Thresholds.
     """
-    runs = [each for each in places if each.axis == "run"]
-    most = max(runs, key=lambda each: each.share, default=None)
-    if most is None or len(runs) <= FEWEST or most.share < max(MOST, TIMES * most.time):
+    runs = [each for each in shares if each.axis == "run"]
+    largest = max(runs, key=lambda each: each.share, default=None)
+    if largest is None or len(runs) <= settings.min_other_runs:
         return []
-    named = zip(case.runs, before, strict=True)
-    others = [each for candidate, each in named if candidate.name != most.label]
-    left = {
+    if largest.share < max(settings.run_share, settings.run_time_ratio * largest.time):
+        return []
+    named = zip(dataset.runs, before, strict=True)
+    others = [residual for run, residual in named if run.name != largest.label]
+    remaining = {
         channel: _rms(np.concatenate([each[index] for each in others])) / floors[channel]
-        for index, channel in enumerate(case.channels)
+        for index, channel in enumerate(dataset.channels)
     }
-    told = [f"{x:.1f} noise floors in {channel}" for channel, x in left.items() if np.isfinite(x)]
+    gap = [
+        f"{size:.1f} noise floors in {channel}"
+        for channel, size in remaining.items()
+        if np.isfinite(size)
+    ]
     return [
-        f"{most.label} holds {most.share:.0%} of the gap in {most.time:.0%} of the time; the gap "
-        f"of the other runs alone would be {' and '.join(told)}. Look at its record first."
+        f"{largest.label} holds {largest.share:.0%} of the gap in {largest.time:.0%} of the time; "
+        f"the gap of the other runs alone would be {' and '.join(gap)}. Look at its record first."
     ]
 
 
-def _noise(case: RigDataset, run: int, channel: str) -> float:
-    return case.runs[run].observation.by_channel().get(channel, ((), 0.0))[1]
+def _noise(dataset: RigDataset, run: int, channel: str) -> float:
+    """White noise of an instrument in one run; 0 where it was not recorded [m, N, N m]."""
+    return dataset.runs[run].observation.by_channel().get(channel, ((), 0.0))[1]
 
 
 def _rms(values: np.ndarray) -> float:
-    """Root mean square of what was recorded; NaN of nothing."""
+    """Root mean square of the finite values; NaN without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else np.nan

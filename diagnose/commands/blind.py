@@ -1,4 +1,4 @@
-"""`drft blind`: sets of runs with faults drawn by lot, answers to them, and a score of those."""
+"""`drft blind`: make sets of runs with random hidden faults, answer them, score the answers."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +13,13 @@ app = typer.Typer(
 )
 
 
-# Of sets without an answer so many are named.
-MOST_NAMES = 10
+# Most sets without an answer that are listed by name.
+MAX_NAMES_SHOWN = 10
 
 
 @app.callback()
 def blind() -> None:
-    """Judge diagnoses on sets of runs whose faults are drawn by lot and sealed."""
+    """Test diagnoses on sets of runs whose faults are random and sealed."""
 
 
 MAKE_EXAMPLES = """
@@ -36,8 +36,8 @@ Examples:
 @app.command(epilog=MAKE_EXAMPLES)
 def make(
     folder: Annotated[Path, typer.Argument(help="A new folder for the sets.")],
-    sets: Annotated[int, typer.Option(help="How many sets.")] = 100,
-    seed: Annotated[int, typer.Option(help="Settles every lot that is drawn.")] = 0,
+    sets: Annotated[int, typer.Option(help="Number of sets.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of every random choice.")] = 0,
     protocol: Annotated[
         str,
         typer.Option(
@@ -45,30 +45,29 @@ def make(
             "of 'mixed', on the runs of `drft protocol`."
         ),
     ] = "mixed",
-    faintest: Annotated[float, typer.Option(help="Least gap wanted [floors].")] = 0.5,
-    strongest: Annotated[float, typer.Option(help="Greatest gap wanted [floors].")] = 30.0,
+    faintest: Annotated[float, typer.Option(help="Least gap of an effect [noise floors].")] = 0.5,
+    strongest: Annotated[float, typer.Option(help="Greatest gap [noise floors].")] = 30.0,
     wrong: Annotated[
         str,
         typer.Option(
-            help="What is wrong with every set: 'none', 'one', 'pair' or 'unknown' (an effect that "
-            "the list lacks); 'mixed': some of each."
+            help="What is wrong with every set: 'none', 'one', 'pair' or 'unknown' (an effect "
+            "outside the catalogue); 'mixed': some of each."
         ),
     ] = "mixed",
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
-    """Make sets of runs of rigs with something wrong, or nothing, and seal what it is."""
+    """Make sets of runs of rigs with a hidden fault, or none, and seal their labels."""
     from rich.progress import Progress
 
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.blind.generation.generate import GenerationRequest
-    from diagnose.blind.generation.generate import make as made
+    from diagnose.blind.generation.generate import GenerationRequest, make_sets
 
-    order = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong)
+    request = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong)
     with Progress(transient=True) as bar:
         task = bar.add_task("making sets", total=sets)
-        for _ in made(order, jobs):
+        for _ in make_sets(request, jobs):
             bar.advance(task)
     typer.echo(f"{sets} sets written to {folder}; their labels are sealed")
 
@@ -78,8 +77,8 @@ Example:
 
   drft blind answer out/blind -o out/answers.json --jobs 2
 
-Each answer is written as it is found; with --resume, the file's own are kept and the other sets
-answered. Labels are not looked at: the command works as well where there are none.
+Each answer is written as soon as it is found; with --resume, answers in the file are kept and only
+the other sets are diagnosed. Labels are never opened: the command works without them, too.
 """
 
 
@@ -88,36 +87,34 @@ def answer(
     folder: Annotated[Path, typer.Argument(help="A folder of sets.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Write the answers here (JSON).")],
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep the answers that the file has.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Keep the answers in the file.")] = False,
 ) -> None:
     """Diagnose every set of a folder from its runs alone."""
     from rich.progress import Progress
 
     from diagnose.blind.answers.answer import answer_sets, configure, runs_of
-    from diagnose.blind.answers.answer_file import answers_in, write_answers
+    from diagnose.blind.answers.answer_file import read_raw_answers, write_answers
     from drftjax.common.output_files import require_places
     from drftjax.common.text import printable
 
     if output.suffix.lower() != ".json":
         raise InputError(f"{output}: a file of answers must end in .json")
-    answers = answers_in(output) if resume and output.exists() else {}
+    answers = read_raw_answers(output) if resume and output.exists() else {}
     open_sets = {name: runs for name, runs in runs_of(folder).items() if name not in answers}
     configure()
     require_places([output])
     failures: dict[str, str] = {}
     with Progress(transient=True) as bar:
         task = bar.add_task("answering", total=len(open_sets))
-        for name, found in answer_sets(open_sets, jobs):
-            if isinstance(found, str):
-                failures[name] = found
+        for name, result in answer_sets(open_sets, jobs):
+            if isinstance(result, str):
+                failures[name] = result
             else:
-                answers[name] = found
+                answers[name] = result
                 write_answers(output, answers)
             bar.advance(task)
-    for name, why in sorted(failures.items()):
-        typer.echo(f"no answer to {printable(name)}: {printable(why)}")
+    for name, reason in sorted(failures.items()):
+        typer.echo(f"no answer to {printable(name)}: {printable(reason)}")
     if not answers:
         raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
     typer.echo(f"{len(answers)} answers written to {output}")
@@ -140,33 +137,33 @@ def score(
     ],
     answers: Annotated[
         list[Path],
-        typer.Option(help="The answers to them (JSON); for several folders, one for each."),
+        typer.Option(help="File of answers (JSON); one for each folder, in the same order."),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write the score here (JSON).")
     ] = None,
 ) -> None:
-    """Open the labels of folders of sets and hold answers against them, all together."""
+    """Open the labels of folders of sets and score answers against them, all together."""
 
     from rich.console import Console
 
-    from diagnose.blind.scoring.score import open_and_score
-    from diagnose.blind.scoring.score import score as scored
+    from diagnose.blind.scoring.score import read_labels_and_answers, score_answers
     from diagnose.blind.scoring.table import tables
     from drftjax.common.output_files import replace_file, require_places
     from drftjax.common.structured_files import as_json
 
     if output is not None:
         require_places([output], answers)
-    found = scored(*open_and_score(folders, answers))
+    scores = score_answers(*read_labels_and_answers(folders, answers))
     console = Console()
-    for table in tables(found):
+    for table in tables(scores):
         console.print(table)
-    if missing := found["unanswered"]:
-        more = f" and {len(missing) - MOST_NAMES} more" if len(missing) > MOST_NAMES else ""
-        typer.echo(f"without an answer: {', '.join(missing[:MOST_NAMES])}{more}")
+    if missing := scores["unanswered"]:
+        shown, others = missing[:MAX_NAMES_SHOWN], len(missing) - MAX_NAMES_SHOWN
+        more = f" and {others} more" if others > 0 else ""
+        typer.echo(f"without an answer: {', '.join(shown)}{more}")
     if output is not None:
-        replace_file(output, as_json(found))
+        replace_file(output, as_json(scores))
         typer.echo(f"score written to {output}")
 
 

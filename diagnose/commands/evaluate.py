@@ -105,7 +105,7 @@ def evaluate(
         )
         if tuner:
             bar.update(task, description="replaying the tuner")
-            moved = tuner_activity(found.case, found.effects, found.zeta, setting)
+            moved = tuner_activity(found.dataset, found.effects, found.zeta, setting)
 
     console.print(gap_table(found))
     if moved:
@@ -128,7 +128,7 @@ def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActi
     table = Table(title="online tuner", title_justify="left")
     for name in ("run", "sum of |dzeta|", "range of zeta", "sinkage left \\[mm]"):
         table.add_column(name, justify="left" if name == "run" else "right")
-    for each, (before, after) in zip(found.case.runs, moved, strict=True):
+    for each, (before, after) in zip(found.dataset.runs, moved, strict=True):
         table.add_row(
             escape(each.name),
             f"{before.moved:.3f} → {after.moved:.3f}",
@@ -145,11 +145,11 @@ def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActi
 
 def _replayed(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> list[str]:
     """Which runs were replayed in their own loop."""
-    pairs = zip(found.case.runs, moved, strict=False)
+    pairs = zip(found.dataset.runs, moved, strict=False)
     names = [each.name for each, (before, _) in pairs if before.in_its_loop]
     never = [
         f"{each.name}: no reading could be tuned by while the wheel moved, so zeta was held."
-        for each, (before, _) in zip(found.case.runs, moved, strict=False)
+        for each, (before, _) in zip(found.dataset.runs, moved, strict=False)
         if math.isnan(before.sinkage)
     ]
     if not names:
@@ -179,7 +179,7 @@ def moves_document(
                 "before": _numbers(before),
                 "after": _numbers(after),
             }
-            for each, (before, after) in zip(found.case.runs, moved, strict=True)
+            for each, (before, after) in zip(found.dataset.runs, moved, strict=True)
         ],
     }
 

@@ -1,19 +1,28 @@
-"""A model with effects against runs that it was not found on."""
+"""Evaluation of a model with effects on runs that it was not fitted to."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diagnose.checks import outlier_runs as odd_runs
+from diagnose.checks.outlier_runs import (
+    DEFAULT_OUTLIER_RUNS,
+    OutlierRunSettings,
+    outliers_among_repeats,
+)
 from diagnose.dataset import RigDataset
 from diagnose.evaluation.result import Evaluation
-from diagnose.gap.discretization_error import APART, discretization_errors
-from diagnose.gap.gap import Gap, gaps
+from diagnose.gap.discretization_error import discretization_errors, zeta_response
+from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.selected_effects import as_model
-from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, match_runs, residuals_of
+from diagnose.gap.zeta_matching import (
+    REFERENCE_NAME,
+    WITH_EFFECTS_NAME,
+    MatchedRun,
+    match_runs,
+    residuals_of,
+)
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import with_common_origin
@@ -21,62 +30,80 @@ from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.prepared_run import prepare_runs
 
-if TYPE_CHECKING:
-    pass
-
 
 def evaluate_model(
-    case: RigDataset,
+    dataset: RigDataset,
     effects: Sequence[AbstractEffect],
-    left_out: Mapping[str, str] | None = None,
+    skipped: Mapping[str, str] | None = None,
     caveats: Sequence[str] = (),
+    *,
+    gap_settings: GapSettings = DEFAULT_GAP,
+    outlier_settings: OutlierRunSettings = DEFAULT_OUTLIER_RUNS,
 ) -> Evaluation:
-    """The gap of runs without and with effects whose numbers stay as they are.
+    """Gap of runs without and with effects whose numbers stay as they are.
+
+    A run whose wheel leaves the range that the model covers, with or without the effects, is left
+    out.
 
     Args:
-        case: The runs.
-        effects: Added to what each run's set-up says.
-        left_out: Why other runs are not among them, by name.
-        caveats: What is known to speak against the comparison, in sentences.
-
-    A run whose wheel leaves what the model covers, with or without the effects, is left out.
+        dataset: The runs.
+        effects: Added to those of each run's set-up.
+        skipped: Reasons why other runs are not among them, by name.
+        caveats: Reasons known to weaken the comparison, in sentences.
+        gap_settings: Numbers of a gap.
+        outlier_settings: Rule by which repeats disagree.
 
     Raises:
         InputError: where no run is left.
     """
     model, coordinates = as_model(effects)
-    before = match_runs(case, AugmentedModel(), np.zeros(0))
-    after = match_runs(case, model, coordinates) if effects else before
-    if lost := _uncovered(case, after, WITH) | _uncovered(case, before, REFERENCE):
-        kept = [each for run, each in enumerate(case.runs) if run not in lost]
+    before = match_runs(dataset, AugmentedModel(), np.zeros(0))
+    after = match_runs(dataset, model, coordinates) if effects else before
+    lost = _uncovered(dataset, after, WITH_EFFECTS_NAME)
+    lost |= _uncovered(dataset, before, REFERENCE_NAME)
+    if lost:
+        kept = [each for run, each in enumerate(dataset.runs) if run not in lost]
         if not kept:
             raise InputError(f"{lost[min(lost)]}; look at the numbers of the model")
-        why = {case.runs[run].name: each for run, each in lost.items()}
-        return evaluate_model(RigDataset.of(kept), effects, {**(left_out or {}), **why}, caveats)
-    residuals = residuals_of(before), residuals_of(after)
-    own = discretization_errors(case, np.array([each.log_zeta for each in before]))
-
-    def by_zeta(run: int) -> np.ndarray:
-        """Along a straight line over one per cent."""
-        at, nothing = before[run].log_zeta, np.zeros(0)
-        here, there = (
-            case.predicted(AugmentedModel(), run, each, nothing) for each in (at, at + APART)
+        why = {dataset.runs[run].name: each for run, each in lost.items()}
+        return evaluate_model(
+            RigDataset.of(kept),
+            effects,
+            {**(skipped or {}), **why},
+            caveats,
+            gap_settings=gap_settings,
+            outlier_settings=outlier_settings,
         )
-        return (there - here) / APART
+    residuals = residuals_of(before), residuals_of(after)
+    own = discretization_errors(dataset, np.array([each.log_zeta for each in before]))
 
-    floors, how = noise_floors(case, *residuals, own, by_zeta)
-    gap = gaps(case, *residuals, floors)
-    doubts = [*caveats, *odd_runs.outliers_among_repeats(case, residuals, own, by_zeta)]
-    return Evaluation(case, tuple(effects), before, after, gap, floors, how, doubts, left_out or {})
+    def response(run: int) -> np.ndarray:
+        return zeta_response(dataset, run, before[run].log_zeta)
+
+    floors, floor_source = noise_floors(dataset, *residuals, own, response)
+    return Evaluation(
+        dataset=dataset,
+        effects=tuple(effects),
+        before=before,
+        after=after,
+        gap=gaps(dataset, *residuals, floors, gap_settings),
+        floors=floors,
+        floor_source=floor_source,
+        caveats=[
+            *caveats,
+            *outliers_among_repeats(dataset, residuals, own, response, outlier_settings),
+        ],
+        skipped=skipped or {},
+    )
 
 
-def _uncovered(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
-    """Runs whose wheel takes off, or sinks deeper than its plates cover, by number, and why."""
-    z, found = case.channels.index("z"), {}
+def _uncovered(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict[int, str]:
+    """Runs whose wheel takes off, or sinks deeper than its plates cover, by index, with a reason."""
+    z, found = dataset.channels.index("z"), {}
     for run, each in enumerate(runs):
-        name = case.runs[run].name
-        limit = float(case.runs[run].trial.simulator.wheel.cut().sinkage_limit)
-        farthest = float(np.abs(each.residual[z] + case.recorded(run)[z]).max())
+        name = dataset.runs[run].name
+        limit = float(dataset.runs[run].trial.simulator.wheel.cut().sinkage_limit)
+        farthest = float(np.abs(each.residual[z] + dataset.recording(run)[z]).max())
         if not np.isfinite(farthest):
             found[run] = f"{name}: its simulation by {model} diverges"
         elif not farthest < limit:
@@ -88,18 +115,13 @@ def _uncovered(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> dict
 
 
 def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]:
-    """The gap before and after on other runs of the same rig, by channel.
+    """Gap before and after on other runs of the same rig, by channel.
 
     Args:
-        diagnosis: Whose effects or correction are added, with their numbers as they are.
-        paths: The other runs.
+        diagnosis: Its effects or correction are added, with their numbers as they are.
+        paths: Run logs of the other runs.
     """
-    case = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
-    before = match_runs(case, AugmentedModel(), np.zeros(0))
-    after = match_runs(case, *as_model(diagnosis.selected.effects))
-    return gaps(
-        case,
-        [each.residual for each in before],
-        [each.residual for each in after],
-        diagnosis.floors,
-    )
+    dataset = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
+    before = match_runs(dataset, AugmentedModel(), np.zeros(0))
+    after = match_runs(dataset, *as_model(diagnosis.selected.effects))
+    return gaps(dataset, residuals_of(before), residuals_of(after), diagnosis.floors)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.gap import Gap
-from diagnose.gap.zeta_matching import REFERENCE, WITH, MatchedRun, unmatched
+from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, MatchedRun, unmatched
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.observation import SHOWN
@@ -23,48 +23,48 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
-    """What a model leaves of the gap.
+    """Gap of runs that a model was not fitted to, without and with its effects.
 
     Attributes:
-        case: The runs.
-        effects: What the model adds to the reference model.
+        dataset: The runs.
+        effects: Added by the model to the reference model.
         before, after: Each run by the reference model, and with the effects.
-        gap: Pooled over the runs, by channel.
+        gap: Over all runs, by channel.
         floors: Noise floor of each channel [m, N, N m].
-        how: On what the floors rest.
-        doubts: What speaks against the comparison, in sentences.
-        left_out: Why other runs are not among them, by name.
+        floor_source: A sentence on how the floors were found.
+        caveats: Reasons that weaken the comparison, in sentences.
+        skipped: Reasons why other runs are not among them, by name.
     """
 
-    case: RigDataset
+    dataset: RigDataset
     effects: tuple[AbstractEffect, ...]
     before: list[MatchedRun]
     after: list[MatchedRun]
     gap: Mapping[str, Gap]
     floors: Mapping[str, float]
-    how: str
-    doubts: Sequence[str] = ()
-    left_out: Mapping[str, str] = field(default_factory=dict)
+    floor_source: str
+    caveats: Sequence[str] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def notes(self) -> list[str]:
-        """What else must be known, in sentences."""
-        with_them = unmatched(self.case, self.after, WITH) if self.effects else []
+        """All remarks, in sentences."""
+        with_them = unmatched(self.dataset, self.after, WITH_EFFECTS_NAME) if self.effects else []
         return [
-            self.how,
-            *self.doubts,
-            *unmatched(self.case, self.before, REFERENCE),
+            self.floor_source,
+            *self.caveats,
+            *unmatched(self.dataset, self.before, REFERENCE_NAME),
             *with_them,
-            *(f"Left out: {why}" for why in self.left_out.values()),
+            *(f"Left out: {why}" for why in self.skipped.values()),
         ]
 
     def summary(self, width: int = 110) -> str:
-        """Table and notes as text, so many columns wide."""
+        """Table and notes as text, `width` columns wide."""
         return summary_text([gap_table(self), *sentences(self)], width)
 
     def __repr__(self) -> str:
         names = ", ".join(each.about.name for each in self.effects) or "no effect"
-        return f"<Evaluation of {len(self.case.runs)} runs: {names}>"
+        return f"<Evaluation of {len(self.dataset.runs)} runs: {names}>"
 
     def _repr_html_(self) -> str:
         return summary_html([gap_table(self), *sentences(self)])
@@ -72,28 +72,28 @@ class Evaluation:
     def tuned(
         self, tick: float = 0.01, zeta_step: float = 1e-3, tolerance: float = 1e-4
     ) -> "list[tuple[TunerActivity, TunerActivity]]":
-        """How the online tuner of eq. 7 moves zeta in each run, before and after.
+        """Activity of the online tuner of Fuke et al. 2024, eq. 7, in each run, before and after.
 
         Args:
             tick: Its control period [s].
             zeta_step: Change of zeta on one tick [-].
-            tolerance: Error of the sinkage that is left alone [m].
+            tolerance: Error of the sinkage that it does not correct [m].
 
         Raises:
-            InputError: where a number cannot be, a replay diverges, or no tick falls where a wheel
-                moves.
+            InputError: where a number is out of range, a replay diverges, or no tick falls where a
+                wheel moves.
         """
         from diagnose.evaluation.tuner_activity import tuner_activity
 
         with jax.enable_x64(True):
             return tuner_activity(
-                self.case, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance)
+                self.dataset, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance)
             )
 
     def rmse(self, run: int) -> dict[str, tuple[float, float]]:
-        """One run's gap before and after by channel [m, N, N m]; of channels recorded only."""
+        """One run's RMS residual before and after, by recorded channel [m, N, N m]."""
         pairs = zip(
-            self.case.channels, self.before[run].residual, self.after[run].residual, strict=True
+            self.dataset.channels, self.before[run].residual, self.after[run].residual, strict=True
         )
         return {
             channel: (_rms(before), _rms(after))
@@ -102,8 +102,8 @@ class Evaluation:
         }
 
     def zeta(self, run: int) -> tuple[float, float]:
-        """zeta of one run by the reference model, and with the effects."""
-        own = float(self.case.runs[run].setup.terrain.zeta)  # pyright: ignore
+        """Matched zeta of one run by the reference model, and with the effects [-]."""
+        own = float(self.dataset.runs[run].setup.terrain.zeta)  # pyright: ignore
         first, last = (float(np.exp(f[run].log_zeta)) for f in (self.before, self.after))
         return own * first, own * last
 
@@ -128,14 +128,14 @@ class Evaluation:
                         for channel, (before, after) in self.rmse(run).items()
                     },
                 }
-                for run, each in enumerate(self.case.runs)
+                for run, each in enumerate(self.dataset.runs)
             ],
             "notes": self.notes,
         }
 
 
 def _named(channel: str, **values: float) -> dict[str, float | str]:
-    """Numbers of a channel in the unit that is given beside them."""
+    """Numbers of a channel in the unit of reports, and that unit."""
     unit, scale = SHOWN[channel]
     return {**{name: value * scale for name, value in values.items()}, "unit": unit}
 
@@ -145,7 +145,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def sentences(found: Evaluation) -> list[str]:
-    """What the numbers rest on."""
+    """Model, assumptions and remarks, in sentences."""
     names = ", ".join(each.about.name for each in found.effects)
     if not names:
         return ["The model has no effect: it is the reference model.", *found.notes]
@@ -157,14 +157,14 @@ def sentences(found: Evaluation) -> list[str]:
 
 
 def gap_table(found: Evaluation) -> Table:
-    """The gap of every run and of all, before and after."""
+    """Table of the gap of every run and of all, before and after."""
     table = Table()
     table.add_column("run")
     table.add_column("zeta", justify="right")
-    channels = found.case.channels
+    channels = found.dataset.channels
     for channel in channels:
         table.add_column(escape(f"{channel} [{SHOWN[channel][0]}]"), justify="right")
-    for run, each in enumerate(found.case.runs):
+    for run, each in enumerate(found.dataset.runs):
         cells = found.rmse(run)
         first, last = found.zeta(run)
         table.add_row(

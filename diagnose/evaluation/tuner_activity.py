@@ -1,6 +1,6 @@
 """How much the online tuner of eq. 7 has to move zeta, without effects and with them.
 
-Recorded runs are replayed through `drftjax.tuning.step_tuner.replay`. Each replay starts from the
+Recorded runs are replayed through `drftjax.tuning.replay.replay_trial`. Each replay starts from the
 zeta that meets the run's mean sinkage by the model it is replayed with, so what is counted is the
 moving to and fro, not the way there. The tuner compares true sinkages: it sees no effect on a
 sensor. What it leaves of the sinkage's error is small with any model, right or wrong.
@@ -24,18 +24,17 @@ from diagnose.model.augmented_model import with_effects
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.serialization import entry_of
-from drftjax.physics.command import Command
 from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
-from drftjax.tuning.step_tuner import (
-    Loop,
-    StepTuner,
+from drftjax.tuning.replay import (
+    ReplayedTuning,
     known_sinkage,
-    replay,
-    tick_commands,
-    with_zeta_per_step,
+    replay_trial,
+    require_finite_replay,
+    tick_grid,
 )
+from drftjax.tuning.step_tuner import StepTuner
 from hils.replay import replay_tuning
 
 
@@ -79,23 +78,22 @@ def tuner_activity(
         InputError: where a replay diverges, or no tick falls where a wheel moves.
     """
     effects = tuple(effects)
-    tick = float(tuner.tick)
     longest = max(float(each.trial.time[-1]) for each in case.runs)
-    ticks = max(1, math.ceil(longest / tick - 1e-9))
     finest = min(float(each.trial.step) for each in case.runs)
-    substeps = max(1, math.ceil(tick / finest - 1e-9))
-    starts = tick * np.arange(ticks)
+    grid = tick_grid(longest, float(tuner.tick), finest)
 
     def of(run: int) -> tuple[TunerActivity, TunerActivity]:
         if _has_its_loop(case.runs[run]):
             return _in_its_loop(case, run, ()), _in_its_loop(case, run, effects)
-        recorded = jnp.asarray(_known(case, run, starts))
+        observation = case.runs[run].observation
+        known = known_sinkage(grid.starts, observation.time, observation.sinkage())
+        recorded = jnp.asarray(known)
 
         def moved(effects: tuple[AbstractEffect, ...], zeta: float) -> TunerActivity:
             arrays = jax.tree.map(jnp.asarray, effects)
             start = jnp.asarray(zeta)
-            found = _replay(case.trials[run], arrays, start, recorded, tuner, substeps)
-            return _activity(case, run, starts, *map(np.asarray, found))
+            found = _replay(case.trials[run], arrays, start, recorded, tuner, grid.substeps)
+            return _activity(case, run, ReplayedTuning(grid.starts, *map(np.asarray, found)))
 
         before, after = zeta(run)
         return moved((), before), moved(effects, after)
@@ -112,16 +110,10 @@ def _in_its_loop(case: RigDataset, run: int, effects: tuple[AbstractEffect, ...]
     each = case.runs[run]
     assert each.made_in_loop is not None
     try:
-        told = replay_tuning(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
+        replayed = replay_tuning(each.made_in_loop, [*map(entry_of, effects)], each.setup.start.x)
     except InputError as problem:
         raise RunError(each.name, str(problem)) from None
-    return replace(_activity(case, run, told.time, told.zeta, told.error), in_its_loop=True)
-
-
-def _known(case: RigDataset, run: int, starts: np.ndarray) -> np.ndarray:
-    observation = case.runs[run].observation
-    z = observation.values[observation.channels.index("z")]
-    return known_sinkage(starts, observation.time, -z)
+    return replace(_activity(case, run, replayed), in_its_loop=True)
 
 
 @eqx.filter_jit
@@ -134,34 +126,25 @@ def _replay(
     substeps: int,
 ) -> tuple[Float[Array, " ticks"], Float[Array, " ticks"]]:
     """zeta on each tick, NaN where the replay diverges, and the error of the sinkage [m]."""
-    ticks = recorded.shape[0]
-    simulator = with_effects(trial, effects).simulator
-    commands = tick_commands(ticks, substeps, tuner.tick, trial.time, trial.omega, trial.vx)
-    first = Command(trial.omega[0], trial.vx[0], zeta)
-    state = with_zeta_per_step(simulator).remembered(trial.start, first)
-    _, found = replay(simulator, Loop(state, zeta), commands, recorded, tuner)
+    found = replay_trial(with_effects(trial, effects), zeta, recorded, tuner, substeps)
     return jnp.where(jnp.isfinite(found.output.z), found.zeta, jnp.nan), found.error
 
 
-def _activity(
-    case: RigDataset, run: int, starts: np.ndarray, zeta: np.ndarray, error: np.ndarray
-) -> TunerActivity:
-    each = case.runs[run]
+def _activity(case: RigDataset, run: int, replayed: ReplayedTuning) -> TunerActivity:
+    """Motion of zeta over the ticks on which the wheel is commanded to move."""
+    each, starts = case.runs[run], replayed.time
     knots = np.asarray(each.trial.time)
     moving = np.flatnonzero(is_commanded_to_move(each.trial, starts) & (starts < knots[-1]))
     if not moving.size:
         raise InputError(f"{each.name}: no tick falls where the wheel moves; give a shorter tick")
     ticks = slice(moving[0], moving[-1] + 1)
-    counted = zeta[ticks]
-    if not np.isfinite(counted).all():
-        raise InputError(
-            f"{each.name}: a replay of the tuner diverges; give a shorter tick or a smaller step"
-        )
-    known = error[ticks][np.isfinite(error[ticks])]
+    zeta, error = replayed.zeta[ticks], replayed.error[ticks]
+    require_finite_replay(each.name, zeta)
+    known = error[np.isfinite(error)]
     return TunerActivity(
-        moved=float(np.abs(np.diff(counted)).sum()),
-        range=float(np.ptp(counted)),
+        moved=float(np.abs(np.diff(zeta)).sum()),
+        range=float(np.ptp(zeta)),
         sinkage=float(np.sqrt(np.mean(known**2))) if known.size else math.nan,
         time=starts[ticks],
-        zeta=counted,
+        zeta=zeta,
     )

@@ -1,20 +1,21 @@
-"""Prediction of runs left out by condition: does an effect found on some runs help on others?
+"""Cross-validation of effects by condition: each condition predicted from the runs of the others.
 
-All runs of one command and load are left out together, the effect's numbers move to where the
-others alone would have them, and the left-out runs are simulated with these. The move is one
-straight-line step from the numbers fitted to all runs, not a search anew; which effects are tried
-was chosen on all runs too. Each run's own zeta stays its own and is fitted to it: sand is never the
-same twice, and no effect can know it.
+All runs of one command and load are held out together. The effect's numbers move to where the other
+runs alone would have them, by one Gauss-Newton step from the fit to all runs rather than by a new
+fit, and the held-out runs are simulated with these. Two things are not cross-validated: the choice
+of effects to try, which was made on all runs, and each run's own zeta, which is fitted to it, as
+sand is never prepared twice alike and no effect can predict it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.gap.zeta_matching import MET, MatchedRun, match_zeta
+from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis, gauss_newton_step
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.regressors import Regressors
+from drftjax.recorded.matched_zeta import DEFAULT_ZETA_MATCH, ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -24,9 +25,9 @@ class HeldOutPrediction:
 
     Attributes:
         hypothesis: The effects, fitted to all runs.
-        log_zeta: Each run's own log zeta over its set-up's, shape (runs,).
+        log_zeta: Each run's own log zeta over its set-up's [-], shape (runs,).
         coordinates: The effects' free numbers without each run's condition, shape (runs, numbers).
-        residual: By run, simulated less recorded, shape (channels, samples).
+        residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
     """
 
     hypothesis: Hypothesis
@@ -35,72 +36,106 @@ class HeldOutPrediction:
     residual: list[np.ndarray]
 
 
-def predict_held_out(bench: Regressors, hypothesis: Hypothesis) -> HeldOutPrediction:
-    """Each run simulated with numbers fitted without its condition."""
+def predict_held_out(regressors: Regressors, hypothesis: Hypothesis) -> HeldOutPrediction:
+    r"""Predict every condition with numbers fitted to the runs of the others.
+
+    With all runs' numbers $\theta$, the numbers without a condition are
+    $\theta - H_{-c}^{-1} g_{-c}$: one Gauss-Newton step with the gradient g and the curvature H of
+    the other runs. Each of the condition's runs then takes the zeta that fits it best there.
+
+    Args:
+        regressors: Of the dataset.
+        hypothesis: Effects with numbers fitted to all runs.
+
+    Returns:
+        Runs of a dataset with one condition only as they were fitted.
+    """
     log_zeta = np.array(hypothesis.log_zeta)
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
     if len(hypothesis.coordinates) == 0:
         return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
-    products = bench.products_of(hypothesis.columns, hypothesis.residual, hypothesis.log_zeta)
-    left_out: set[int] = set()
-    case = bench.case
-    for group in group_by_condition(case.runs):
-        kept = np.setdiff1d(np.arange(len(log_zeta)), group)
-        if kept.size == 0:
+    products = regressors.gram_matrices_of(
+        hypothesis.columns, hypothesis.residual, hypothesis.log_zeta
+    )
+    held_out: set[int] = set()
+    dataset = regressors.dataset
+    for group in group_by_condition(dataset.runs):
+        others = np.setdiff1d(np.arange(len(log_zeta)), group)
+        if others.size == 0:
             continue
-        _, move = gauss_newton_step(hypothesis, _of_runs(products, kept))
+        _, move = gauss_newton_step(hypothesis, _of_runs(products, others))
         for run in group:
-            log_zeta[run] += _own_zeta(products, run, move)
+            log_zeta[run] += _own_zeta_step(products, run, move)
             coordinates[run] += move
-        left_out.update(group)
+        held_out.update(group)
 
-    def of(run: int) -> np.ndarray:
-        if run not in left_out:
+    def residual_of(run: int) -> np.ndarray:
+        if run not in held_out:
             return hypothesis.residual[run]
         model, at = hypothesis.model, coordinates[run]
-        return case.predicted(model, run, log_zeta[run], at) - case.recorded(run)
+        return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
-    return HeldOutPrediction(hypothesis, log_zeta, coordinates, case.map_runs(of))
+    return HeldOutPrediction(hypothesis, log_zeta, coordinates, dataset.map_runs(residual_of))
 
 
-def at_mean_sinkage(bench: Regressors, unseen: HeldOutPrediction) -> list[MatchedRun]:
-    """Every run where its own zeta meets its mean sinkage.
+def at_mean_sinkage(
+    regressors: Regressors,
+    prediction: HeldOutPrediction,
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
+) -> list[MatchedRun]:
+    """Every run of a held-out prediction at its matched zeta.
 
-    A run whose mean sinkage no step of zeta leads to stays as it is.
+    A run whose mean sinkage is met by no zeta stays as it is.
+
+    Args:
+        regressors: Of the dataset.
+        prediction: Runs predicted without their condition.
+        settings: Numbers of the secant search.
     """
-    here, z = unseen.hypothesis, bench.case.channels.index("z")
+    hypothesis, dataset = prediction.hypothesis, regressors.dataset
+    z = dataset.channels.index("z")
 
     def of(run: int) -> MatchedRun:
-        residual = unseen.residual[run]
-        near = abs(float(residual[z].mean())) < MET
-        start = MatchedRun(residual, unseen.log_zeta[run], matched=near)
-        slope = here.by_zeta(run)[z].mean()
+        residual = prediction.residual[run]
+        near = abs(float(residual[z].mean())) < settings.max_miss
+        start = MatchedRun(residual, prediction.log_zeta[run], matched=near)
+        slope = hypothesis.by_zeta(run)[z].mean()
         if not slope > 0:
             return start
-        found = match_zeta(bench.case, here.model, run, unseen.coordinates[run], start, slope)
+        coordinates = prediction.coordinates[run]
+        found = match_zeta(dataset, hypothesis.model, run, coordinates, start, slope, settings)
         return found if found.matched else start
 
-    return bench.case.map_runs(of)
+    return dataset.map_runs(of)
 
 
 def _of_runs(products: GramMatrices, runs: np.ndarray) -> GramMatrices:
+    """The products of some runs, by index."""
     return GramMatrices(
-        products.blocks, products.gram[runs], products.number[runs], products.log_zeta[runs]
+        products.blocks, products.gram[runs], products.sample_count[runs], products.log_zeta[runs]
     )
 
 
-def _own_zeta(products: GramMatrices, run: int, move: np.ndarray) -> float:
-    """Change of one run's log zeta that suits these numbers best."""
+def _own_zeta_step(products: GramMatrices, run: int, move: np.ndarray) -> float:
+    """Change of one run's log zeta that fits it best once the effects' numbers have moved.
+
+    The numbers stay: their columns are added to the data, and a fit of zeta alone remains.
+
+    Args:
+        products: Products of (log zeta, numbers, data) columns by run and block.
+        run: Index of the run.
+        move: Change of the numbers, shape (numbers,).
+    """
     gram = products.gram[run]
     moved = gram[:, :, -1] + gram[:, :, 1:-1] @ move
     fixed = np.zeros((len(gram), 2, 2))
     fixed[:, 0, 0] = gram[:, 0, 0]
     fixed[:, 0, 1] = fixed[:, 1, 0] = moved[:, 0]
     fixed[:, 1, 1] = moved[:, -1] + moved[:, 1:-1] @ move
-    alone = GramMatrices(
+    zeta_only = GramMatrices(
         products.blocks,
         fixed[None],
-        products.number[run][None],
+        products.sample_count[run][None],
         products.log_zeta[run][None],
     )
-    return float(fit_linear(alone, []).zeta[0])
+    return float(fit_linear(zeta_only, []).log_zeta_change[0])

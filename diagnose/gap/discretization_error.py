@@ -1,10 +1,11 @@
-"""What plates half as long would change of the runs: the simulation's own error, or most of it.
+"""Discretisation error: the change of the simulated runs on plates half as long.
 
-Sand knows of no plates, and a wheel that is cut into others travels otherwise by some hundredths or
-tenths of a millimetre, more at speed. No gap of that size tells of a rig.
+Sand has no plates. A simulated wheel that is cut into other plates moves otherwise by some
+hundredths or tenths of a millimetre, more at high speed. A gap of that size is no property of the
+rig.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import msgspec
@@ -14,47 +15,93 @@ from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel, predict
 from drftjax.recorded.prepared_run import PreparedRun
 
-FINER = 2
+
+@dataclass(frozen=True)
+class DiscretizationSettings:
+    """Numbers of the comparison with finer plates.
+
+    Attributes:
+        refinement: Finer plates per plate.
+        log_zeta_step: Difference between two log zetas [-], between which and beyond the response
+            is taken as linear: sinkage bends little over so much, and changes by far more than the
+            plates change it.
+    """
+
+    refinement: int = 2
+    log_zeta_step: float = 0.01
 
 
-# How far apart two zetas are [of a logarithm] between which a run's own is found: sinkage bends
-# little over so much, and moves by far more than a plate makes it.
-APART = 0.01
+DEFAULT_DISCRETIZATION = DiscretizationSettings()
 
 
-def discretization_errors(case: RigDataset, log_zeta: np.ndarray) -> dict[str, float]:
-    """RMS of what finer plates change in each channel [m, N, N m], at the same mean sinkage.
+def discretization_errors(
+    dataset: RigDataset,
+    log_zeta: np.ndarray,
+    settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
+) -> dict[str, float]:
+    """RMS change of each channel on finer plates, at the same mean sinkage [m, N, N m].
 
     Args:
-        case: The runs.
-        log_zeta: Each run's log zeta over its set-up's, shape (runs,).
-    """
-    fine = RigDataset.of([residuals_on_finer_plates(each) for each in case.runs])
-    plain, nothing = AugmentedModel(), np.zeros(0)
-    fine.precompile(predict, [plain])
-    z = case.channels.index("z")
+        dataset: The runs.
+        log_zeta: Each run's log zeta over its set-up's [-], shape (runs,).
+        settings: Numbers of the comparison.
 
-    def of(run: int) -> np.ndarray:
-        coarse = case.predicted(plain, run, log_zeta[run], nothing)
+    Returns:
+        By channel; runs that finer plates throw off the sand are left out.
+    """
+    fine = RigDataset.of([with_finer_plates(each, settings) for each in dataset.runs])
+    model, nothing = AugmentedModel(), np.zeros(0)
+    fine.precompile(predict, [model])
+    z = dataset.channels.index("z")
+
+    def change(run: int) -> np.ndarray:
+        coarse = dataset.prediction(model, run, log_zeta[run], nothing)
         here, there = (
-            fine.predicted(plain, run, log_zeta[run] + more, nothing) for more in (0.0, APART)
+            fine.prediction(model, run, log_zeta[run] + step, nothing)
+            for step in (0.0, settings.log_zeta_step)
         )
-        # Each has the zeta that meets the run, so both are held against each other at that.
+        # Zeta is fitted to each run's sinkage, so the comparison is made at equal mean sinkage.
         share = (coarse - here)[z].mean() / (there - here)[z].mean()
         return here + share * (there - here) - coarse
 
-    # A run that finer plates throw off the sand tells nothing of those it was simulated by.
-    kept = [each for each in case.map_runs(of) if np.isfinite(each).all()]
-    changes = np.concatenate(kept or [np.zeros((len(case.channels), 1))], axis=1)
-    return dict(zip(case.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
+    kept = [each for each in dataset.map_runs(change) if np.isfinite(each).all()]
+    changes = np.concatenate(kept or [np.zeros((len(dataset.channels), 1))], axis=1)
+    return dict(zip(dataset.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
 
 
-def residuals_on_finer_plates(candidate: PreparedRun) -> PreparedRun:
-    """A run whose wheel is cut into plates half as long."""
-    wheel = candidate.setup.wheel
-    wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_size / FINER)
+def zeta_response(
+    dataset: RigDataset,
+    run: int,
+    log_zeta: float,
+    settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
+) -> np.ndarray:
+    """Derivative of a run's channels by its log zeta, by a forward difference [m, N, N m].
+
+    Args:
+        dataset: The runs.
+        run: Index of the run.
+        log_zeta: Logarithm of its zeta over its set-up's [-].
+        settings: Its step.
+
+    Returns:
+        Shape (channels, samples).
+    """
+    model, nothing = AugmentedModel(), np.zeros(0)
+    here, there = (
+        dataset.prediction(model, run, at, nothing)
+        for at in (log_zeta, log_zeta + settings.log_zeta_step)
+    )
+    return (there - here) / settings.log_zeta_step
+
+
+def with_finer_plates(
+    run: PreparedRun, settings: DiscretizationSettings = DEFAULT_DISCRETIZATION
+) -> PreparedRun:
+    """The run with its wheel cut into finer plates."""
+    wheel = run.setup.wheel
+    wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_size / settings.refinement)
     return replace(
-        candidate,
-        setup=msgspec.structs.replace(candidate.setup, wheel=wheel),
-        trial=eqx.tree_at(lambda t: t.simulator.wheel, candidate.trial, wheel.build()),
+        run,
+        setup=msgspec.structs.replace(run.setup, wheel=wheel),
+        trial=eqx.tree_at(lambda t: t.simulator.wheel, run.trial, wheel.build()),
     )

@@ -1,58 +1,65 @@
-"""The noise floor: what repeated runs differ by, or else what instruments scatter by."""
+"""Noise floor of a diagnosis: the difference of repeats, or else the white noise of instruments."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from diagnose.dataset import RigDataset
-from diagnose.gap.repeatability import Response, interpolation_loss, repeat_difference, repeats
+from diagnose.gap.repeatability import ZetaResponse, lost_noise_power, repeat_difference, repeats
+from drftjax.recorded.noise_floor import repeat_power, root_mean
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
+from drftjax.recorded.repeats import DEFAULT_TOLERANCES, RepeatTolerances
 
 
 def noise_floors(
-    case: RigDataset,
+    dataset: RigDataset,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     own: Mapping[str, float],
-    response: Response,
+    response: ZetaResponse,
+    tolerances: RepeatTolerances = DEFAULT_TOLERANCES,
 ) -> tuple[dict[str, float], str]:
-    """Noise floor of each channel [m, N, N m], and a sentence on how it was found.
+    r"""Noise floor of each channel, and a sentence on how it was found.
 
-    Half the power of the difference between two repeats' residuals, each with its own zeta, is
-    chance; the simulation's own error comes on top.
+    $\sqrt{\tfrac12 \langle (r - r')^2 \rangle + e^2}$ over all pairs of repeats, each with its own
+    zeta, with the discretisation error e, which no repeat shows, as both share it. See
+    `drftjax.recorded.noise_floor`.
 
     Args:
-        case: The runs.
+        dataset: The runs.
         before, after: Residuals of each run by the reference model and by the best one, shape
             (channels, samples): the smaller difference counts, as an effect may differ in strength.
-        own: The simulation's own error in each channel [m, N, N m], which no repeat shows, as both
-            share it.
-        response: Change of a run's channels by its log zeta; see
-        `diagnose.gap.repeatability.repeat_difference`.
+        own: Discretisation error of the simulation in each channel [m, N, N m].
+        response: Derivative of a run's channels by its log zeta; see
+            `diagnose.gap.repeatability.repeat_difference`.
+        tolerances: Differences that repeats may have.
+
+    Returns:
+        Floors by channel [m, N, N m], and the sentence.
     """
-    pairs = {each: repeats(case, each, from_one_start=False) for each in case.channels}
+    pairs = {
+        channel: repeats(dataset, channel, from_one_start=False, tolerances=tolerances)
+        for channel in dataset.channels
+    }
     floors: dict[str, float] = {}
-    for index, channel in enumerate(case.channels):
+    for index, channel in enumerate(dataset.channels):
         powers = [
-            interpolation_loss(case, pair, channel) / 2
-            + min(
-                _power(repeat_difference(case, pair, each, response)[index])
-                for each in (before, after)
+            min(
+                repeat_power(
+                    repeat_difference(dataset, pair, residual, response)[index],
+                    lost_noise_power(dataset, pair, channel),
+                )
+                for residual in (before, after)
             )
             for pair in pairs[channel]
         ]
-        power = np.mean(powers) if powers else _noise_power(case, channel, (before, after))
-        floors[channel] = float(np.sqrt(power + own[channel] ** 2))
-    return floors, _in_words(case, pairs)
+        chance = root_mean(powers or _noise_powers(dataset, channel, (before, after)))
+        floors[channel] = float(np.hypot(chance, own[channel]))
+    return floors, _sentence(dataset, pairs)
 
 
-def _power(differ: np.ndarray) -> float:
-    """Of each of two that differ by so much."""
-    return float(np.mean(differ**2)) / 2
-
-
-def _in_words(case: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:
-    """How floors were found, by the repeats of each channel."""
+def _sentence(dataset: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]]) -> str:
+    """Source of the floors, by the repeats of each channel."""
     if not any(pairs.values()):
         return (
             "No run was repeated: the noise floor is the instruments' fast scatter and what plates "
@@ -65,27 +72,29 @@ def _in_words(case: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]]) 
             chains.append([first, second])
         elif second not in chain:
             chain.append(second)
-    names = "; ".join(" and ".join(case.runs[r].name for r in chain) for chain in chains)
-    told = f"The noise floor is from repeats: {names}, and from what plates half as long would "
+    names = "; ".join(" and ".join(dataset.runs[r].name for r in chain) for chain in chains)
+    source = f"The noise floor is from repeats: {names}, and from what plates half as long would "
     lacking = [channel for channel, each in pairs.items() if not each]
     if not lacking:
-        return f"{told}change."
-    return f"{told}change; that of {', '.join(lacking)}, which no repeats have, from fast scatter."
+        return f"{source}change."
+    return (
+        f"{source}change; that of {', '.join(lacking)}, which no repeats have, from fast scatter."
+    )
 
 
-def _noise_power(
-    case: RigDataset, channel: str, residuals: Sequence[Sequence[np.ndarray]]
-) -> float:
-    """Mean square of the instrument's white noise, over the runs that have the channel.
+def _noise_powers(
+    dataset: RigDataset, channel: str, residuals: Sequence[Sequence[np.ndarray]]
+) -> list[float]:
+    """Power of the instrument's white noise in each run that has the channel.
 
-    Read seldom, a wheel's own motion passes for noise in readings, and less in what a model leaves.
+    With few samples a second the wheel's own motion is counted as noise of the readings, and less
+    of it as noise of the residuals: the smallest estimate counts.
     """
-    index = case.channels.index(channel)
-    found = []
-    for run, each in enumerate(case.runs):
+    index = dataset.channels.index(channel)
+    powers = []
+    for run, each in enumerate(dataset.runs):
         known = each.observation.by_channel()
         if channel in known:
             left = (white_noise(residual[run][index]) for residual in residuals)
-            least = min(known[channel][1], *left)
-            found.append(max(least, SMALLEST_NOISE[channel]) ** 2)
-    return float(np.mean(found))
+            powers.append(max(min(known[channel][1], *left), SMALLEST_NOISE[channel]) ** 2)
+    return powers

@@ -1,4 +1,4 @@
-"""What repeats differ by beyond their noise: no effect of command, load or state makes that."""
+"""Variance between repeats, which no effect of command, load or state explains."""
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
@@ -7,153 +7,164 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.linear.residual_blocks import KINDS, SlowFastSplit
-from drftjax.recorded.repeats import (
-    LEAST_SHARED,
-    group_by_condition,
-    interpolate_recorded,
-    noise_after_interpolation,
+from drftjax.recorded.noise_floor import (
+    interpolation_loss,
+    is_recorded,
+    repeat_power,
+    residual_difference,
 )
+from drftjax.recorded.repeats import DEFAULT_TOLERANCES, RepeatTolerances, group_by_condition
 
-# Repeats begin at the same place [m] and wheel angle [rad] within this; where an effect lies along
-# the bed or goes with the wheel's angle, others differ by it.
-SAME_PLACE, SAME_ANGLE = 5e-3, np.deg2rad(1.0)
-
-
-# Change of a run's channels by its log zeta, by its number; shape (channels, samples).
-Response = Callable[[int], np.ndarray]
+ZetaResponse = Callable[[int], np.ndarray]
+"""Derivative of a run's channels by its log zeta [m, N, N m], by the run's index; shape (channels,
+samples)."""
 
 
 def repeat_variance(
-    case: RigDataset, residuals: Sequence[list[np.ndarray]], response: Response
+    dataset: RigDataset,
+    residuals: Sequence[list[np.ndarray]],
+    response: ZetaResponse,
+    tolerances: RepeatTolerances = DEFAULT_TOLERANCES,
 ) -> np.ndarray:
-    """Mean square, in each block, of what repeats differ by: half that of their difference.
+    r"""Variance of chance in each block, $\tfrac12 \langle (r - r')^2 \rangle$ over all repeats.
 
     Every run has its own zeta. Of several models the one counts by which repeats differ least, as
-    an effect may bear differently on sands that differ.
+    an effect may differ in strength on sands that differ.
 
     Args:
-        case: The runs.
-        residuals: By model and run, simulated less recorded, shape (channels, samples).
-        response: See `apart`.
+        dataset: The runs.
+        residuals: By model and run, simulated minus recorded, shape (channels, samples).
+        response: Needed where one of two repeats was recorded over less time.
+        tolerances: Differences that repeats may have.
 
     Returns:
         Shape (blocks,), in the blocks' units squared; zero where no run was repeated.
     """
     found = [
         power
-        for index, channel in enumerate(case.channels)
-        for power in _of_channel(case, index, repeats(case, channel), residuals, response)
+        for index, channel in enumerate(dataset.channels)
+        for power in _channel_variance(
+            dataset, index, repeats(dataset, channel, tolerances=tolerances), residuals, response
+        )
     ]
     return np.array(found)
 
 
-def repeats(case: RigDataset, channel: str, from_one_start: bool = True) -> list[tuple[int, int]]:
-    """Runs that have a channel and repeat each other, by number: all pairs of a kind.
+def repeats(
+    dataset: RigDataset,
+    channel: str,
+    from_one_start: bool = True,
+    tolerances: RepeatTolerances = DEFAULT_TOLERANCES,
+) -> list[tuple[int, int]]:
+    """All pairs of runs that have a channel and repeat each other, by index.
 
     Args:
-        case: The runs.
-        channel: The channel.
-        from_one_start: Whether they must begin at the same place and wheel angle too.
+        dataset: The runs.
+        channel: Name of the channel.
+        from_one_start: True where they must begin at the same place and wheel angle too.
+        tolerances: Differences that repeats may have.
     """
-    kinds: list[list[int]] = []
-    for condition in group_by_condition(case.runs):
+    groups: list[list[int]] = []
+    for condition in group_by_condition(dataset.runs, tolerances):
         of_condition: list[list[int]] = []
         for run in condition:
-            if channel not in case.runs[run].observation.channels:
+            if channel not in dataset.runs[run].observation.channels:
                 continue
-            for kind in of_condition:
-                begin = not from_one_start or _begin_alike(case, kind[0], run)
-                if begin and min(_shared(case, (kind[0], run))) >= LEAST_SHARED:
-                    kind.append(run)
+            for group in of_condition:
+                starts = not from_one_start or _equal_starts(dataset, group[0], run, tolerances)
+                if starts and min(_shared(dataset, (group[0], run))) >= tolerances.shared:
+                    group.append(run)
                     break
             else:
                 of_condition.append([run])
-        kinds += of_condition
-    return [pair for kind in kinds for pair in combinations(kind, 2)]
+        groups += of_condition
+    return [pair for group in groups for pair in combinations(group, 2)]
 
 
 def repeat_difference(
-    case: RigDataset, pair: tuple[int, int], residual: Sequence[np.ndarray], response: Response
+    dataset: RigDataset,
+    pair: tuple[int, int],
+    residual: Sequence[np.ndarray],
+    response: ZetaResponse,
 ) -> np.ndarray:
-    """What the residuals of two runs differ by, where both were recorded.
+    r"""Difference of the residuals of two repeats at the first one's samples, where both have data.
 
-    Where one was recorded over less time, the zeta that suits it meets another part of the run, and
-    a misfit that grows in both would differ between them: the first one's zeta is then moved along
-    a straight line until both miss the same mean sinkage over the time that they share.
+    Each run has the zeta that meets its mean sinkage. Where one was recorded over less time, these
+    means are over different parts of the run, and a residual that grows in both would differ
+    between them. The first run's zeta is then changed until both miss the same mean sinkage over
+    the time that they share, $d - (\bar d_z / \bar s_z)\, s$ with its linear response s.
 
     Args:
-        case: The runs.
-        pair: Two of them, by number.
-        residual: By run, shape (channels, samples).
-        response: Change of a run's channels by its log zeta.
+        dataset: The runs.
+        pair: Two of them, by index.
+        residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
+        response: Derivative of a run's channels by its log zeta.
 
     Returns:
-        At the first one's samples, shape (channels, times).
+        Shape (channels, samples of the first run that are kept).
     """
     one, other = pair
-    time, there = case.time(one), case.time(other)
-    both = interpolate_recorded(there, time)
-    at_same_times = [np.interp(time[both], there, row) for row in residual[other]]
-    differ = residual[one][:, both] - at_same_times
-    if min(_shared(case, pair)) == 1:
-        return differ
-    z, by_zeta = case.channels.index("z"), response(one)[:, both]
-    slope = by_zeta[z].mean()
-    return differ - differ[z].mean() / slope * by_zeta if slope > 0 else differ
-
-
-def interpolation_loss(case: RigDataset, pair: tuple[int, int], channel: str) -> float:
-    """Power of the second run's white noise that `apart` loses where it reads between samples.
-
-    Nothing where both clocks agree [m, N, N m, squared].
-    """
-    one, other = pair
-    time, there = case.time(one), case.time(other)
-    lost = 1 - noise_after_interpolation(there, time[interpolate_recorded(there, time)])
-    _, noise = case.runs[other].observation.by_channel()[channel]
-    return lost * float(noise) ** 2
-
-
-def _begin_alike(case: RigDataset, one: int, other: int) -> bool:
-    a, b = (case.runs[run].setup.start for run in (one, other))
-    turned = np.angle(np.exp(1j * (a.angle - b.angle)))
-    return abs(a.x - b.x) <= SAME_PLACE and bool(abs(turned) <= SAME_ANGLE)
-
-
-def _shared(case: RigDataset, pair: tuple[int, int]) -> tuple[float, float]:
-    """Share of each run's samples at which the other was recorded too."""
-    one, other = (case.time(run) for run in pair)
-    return float(interpolate_recorded(other, one).mean()), float(
-        interpolate_recorded(one, other).mean()
+    both, differences = residual_difference(
+        dataset.time(one), residual[one], dataset.time(other), residual[other]
     )
+    if min(_shared(dataset, pair)) == 1:
+        return differences
+    z, by_zeta = dataset.channels.index("z"), response(one)[:, both]
+    slope = by_zeta[z].mean()
+    return differences - differences[z].mean() / slope * by_zeta if slope > 0 else differences
 
 
-def _of_channel(
-    case: RigDataset,
+def lost_noise_power(dataset: RigDataset, pair: tuple[int, int], channel: str) -> float:
+    """Power of the second run's white noise that `repeat_difference` averages away [unit squared].
+
+    Zero where both clocks agree.
+    """
+    one, other = pair
+    time, other_time = dataset.time(one), dataset.time(other)
+    loss = interpolation_loss(other_time, time[is_recorded(other_time, time)])
+    _, noise = dataset.runs[other].observation.by_channel()[channel]
+    return loss * float(noise) ** 2
+
+
+def _equal_starts(dataset: RigDataset, one: int, other: int, tolerances: RepeatTolerances) -> bool:
+    a, b = (dataset.runs[run].setup.start for run in (one, other))
+    turned = np.angle(np.exp(1j * (a.angle - b.angle)))
+    return abs(a.x - b.x) <= tolerances.position and bool(abs(turned) <= tolerances.angle)
+
+
+def _shared(dataset: RigDataset, pair: tuple[int, int]) -> tuple[float, float]:
+    """Share of each run's samples at which the other was recorded too [-]."""
+    one, other = (dataset.time(run) for run in pair)
+    return float(is_recorded(other, one).mean()), float(is_recorded(one, other).mean())
+
+
+def _channel_variance(
+    dataset: RigDataset,
     index: int,
     pairs: Sequence[tuple[int, int]],
     residuals: Sequence[list[np.ndarray]],
-    response: Response,
+    response: ZetaResponse,
 ) -> list[float]:
-    """Half the mean square of the difference in each of a channel's blocks, by the best model."""
+    """Variance of chance in each of a channel's blocks, by the model that leaves least of it."""
     if not pairs:
         return [0.0] * len(KINDS)
     by_model = [
-        np.mean([_by_block(case, index, p, residual, response) for p in pairs], axis=0)
+        np.mean([_block_powers(dataset, index, p, residual, response) for p in pairs], axis=0)
         for residual in residuals
     ]
     return np.min(by_model, axis=0).tolist()
 
 
-def _by_block(
-    case: RigDataset,
+def _block_powers(
+    dataset: RigDataset,
     index: int,
     pair: tuple[int, int],
     residual: Sequence[np.ndarray],
-    response: Response,
+    response: ZetaResponse,
 ) -> list[float]:
-    time = case.time(pair[0])
-    splitter = SlowFastSplit.of(time[interpolate_recorded(case.time(pair[1]), time)])
-    differ = repeat_difference(case, pair, residual, response)[index]
-    parts = splitter.split(case.channels[index], differ[:, None]).values()
-    return [float(np.mean(part**2)) / 2 if part.size else 0.0 for part in parts]
+    """Power of chance in each of a channel's blocks, of one pair of repeats."""
+    time = dataset.time(pair[0])
+    splitter = SlowFastSplit.of(time[is_recorded(dataset.time(pair[1]), time)])
+    difference = repeat_difference(dataset, pair, residual, response)[index]
+    parts = splitter.split(dataset.channels[index], difference[:, None]).values()
+    return [repeat_power(part) if part.size else 0.0 for part in parts]

@@ -1,4 +1,4 @@
-"""What a diagnosis adds to the reference model, and how far the gap shrinks with it."""
+"""Effects that a diagnosis adds to the reference model, and how far the gap shrinks with them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,20 +13,31 @@ from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.base import AbstractEffect
 
-# What is added helps where the gap over all channels falls by this share at least, and in none of
-# them rises by more than it.
-HELPS = 0.1
+
+@dataclass(frozen=True)
+class EffectSelectionSettings:
+    """Rule by which effects are worth adding.
+
+    Attributes:
+        min_improvement: The gap over all channels must fall by this share at least [-], and in no
+            channel rise by more than it.
+    """
+
+    min_improvement: float = 0.1
+
+
+DEFAULT_EFFECT_SELECTION = EffectSelectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class SelectedEffects:
-    """Effects with their numbers, and what is left of the gap with them.
+    """Effects with their numbers, and the gap that remains with them.
 
     Attributes:
-        effects: None of them where the reference model stays as it is.
-        log_zeta: Each run's log zeta over its set-up's beside them, shape (runs,).
-        met: Each run while its condition was left out, with the zeta that meets its mean sinkage.
-        gap: Before, and after on these runs left out, by channel.
+        effects: Empty for the reference model.
+        log_zeta: Each run's log zeta over its set-up's, fitted with them [-], shape (runs,).
+        matches: Each run at its matched zeta, while its condition was held out of the fit.
+        gap: Before, and after on these held-out runs, by channel.
     """
 
     effects: tuple[AbstractEffect, ...]
@@ -36,45 +47,55 @@ class SelectedEffects:
 
     @property
     def after(self) -> list[np.ndarray]:
-        """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
+        """By run, simulated minus recorded [m, N, N m], shape (channels, samples)."""
         return residuals_of(self.matches)
 
     @property
     def before(self) -> float:
-        """The gap without them, over all channels [noise floors]."""
+        r"""Gap without them over all channels, $\sqrt{\sum_c (g_c / n_c)^2}$ [noise floors]."""
         return math.hypot(*(gap.before / gap.floor for gap in self.gap.values()))
 
     @property
-    def left(self) -> float:
-        """The gap that is left, over all channels [noise floors]."""
+    def remaining(self) -> float:
+        """The same with them [noise floors]."""
         return math.hypot(*(gap.after / gap.floor for gap in self.gap.values()))
 
-    @property
-    def helps(self) -> bool:
-        """Whether the gap shrinks enough to speak of, and no channel pays for another."""
-        spared = all(
-            gap.after < (1 + HELPS) * max(gap.before, gap.floor) for gap in self.gap.values()
+    def improves_gap(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
+        """True where the gap shrinks by enough, and not at the cost of a channel."""
+        share = settings.min_improvement
+        no_channel_worse = all(
+            gap.after < (1 + share) * max(gap.before, gap.floor) for gap in self.gap.values()
         )
-        return spared and self.left < (1 - HELPS) * self.before
+        return no_channel_worse and self.remaining < (1 - share) * self.before
 
 
-def best_selection(tried: Sequence[SelectedEffects], reference: SelectedEffects) -> SelectedEffects:
-    """What leaves least of the gap, of all that helps; the reference model where nothing does."""
-    helpful = [each for each in tried if each.helps]
-    return min(helpful, key=lambda each: each.left, default=reference)
+def best_selection(
+    tried: Sequence[SelectedEffects],
+    reference: SelectedEffects,
+    settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION,
+) -> SelectedEffects:
+    """The selection with the smallest remaining gap; the reference model where none improves it.
+
+    Args:
+        tried: Selections of effects.
+        reference: The reference model.
+        settings: Rule by which effects are worth adding.
+    """
+    improving = [each for each in tried if each.improves_gap(settings)]
+    return min(improving, key=lambda each: each.remaining, default=reference)
 
 
 def effects_of(hypothesis: Hypothesis) -> tuple[AbstractEffect, ...]:
-    """The effects with their numbers, as a simulator takes them.
+    """The hypothesis's effects with their numbers, as a simulator takes them.
 
-    A form of an effect is itself here, as it has numbers of its own.
+    A shape variant of an effect becomes the effect itself, as it has numbers of its own.
     """
     built = hypothesis.model.build(hypothesis.coordinates)
     return jax.tree.map(np.asarray, built)
 
 
 def as_model(effects: Sequence[AbstractEffect]) -> tuple[AugmentedModel, np.ndarray]:
-    """Effects with numbers as a model and its coordinates."""
+    """Effects with numbers as a model and its coordinates, shape (numbers,)."""
     model = AugmentedModel(tuple(type(each) for each in effects))
     values = [
         free.coordinate(float(getattr(effects[free.index], free.field))) for free in model.free

@@ -1,4 +1,4 @@
-"""How far the gap shrinks as the effects of an explanation are added one by one."""
+"""Gap with the effects of a hypothesis added one by one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
-from diagnose.gap.gap import Gap, gaps
+from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
 from diagnose.gap.zeta_matching import residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
@@ -15,17 +15,18 @@ from drftjax.effects.catalogue import reported_names
 
 @dataclass(frozen=True)
 class NestedModel:
-    """The gap with some of an explanation's effects.
+    """Gap with some of a hypothesis's effects.
 
     Attributes:
         effects: Those added so far, the last one last.
-        gap: Before any and after these, on runs left out, by channel.
+        gap: Without any and with these, on held-out runs, by channel.
     """
 
     effects: tuple[str, ...]
     gap: Mapping[str, Gap]
 
     def document(self) -> dict:
+        """Plain values, in the layout of diagnosis.json."""
         return {
             "effects": list(self.effects),
             "gap": {channel: gap.document() for channel, gap in self.gap.items()},
@@ -35,44 +36,47 @@ class NestedModel:
 def stepwise_gap(
     found: ScreeningResult,
     chosen: Hypothesis,
-    unseen: Mapping[tuple[str, ...], HeldOutPrediction],
+    held_out: Mapping[tuple[str, ...], HeldOutPrediction],
     before: Sequence[np.ndarray],
     floors: Mapping[str, float],
     whole: Mapping[str, Gap],
+    settings: GapSettings = DEFAULT_GAP,
 ) -> list[NestedModel]:
-    """A pair's gap with the one effect that does most alone, refitted, and with both.
+    """Gap of a pair with the one effect that leaves less of it alone, refitted, and with both.
 
     Args:
-        found: The search.
-        chosen: The explanation.
-        unseen: Predictions of runs left out, by explanation, as far as they are known.
-        before: Residuals of each run by the reference model, shape (channels, samples) [m, N, N m].
+        found: The screening.
+        chosen: The hypothesis.
+        held_out: Predictions of held-out runs by the names of a hypothesis, where they are known.
+        before: Residuals of each run by the reference model [m, N, N m], shape (channels, samples).
         floors: Noise floor of each channel [m, N, N m].
-        whole: The gap with all of them, by channel.
+        whole: The gap with all of its effects, by channel.
+        settings: Numbers of a gap.
 
     Returns:
-        Nothing for fewer than two effects.
+        Empty for fewer than two effects.
     """
     if len(chosen.names) < 2:
         return []
-    bench, case = found.bench, found.bench.case
+    regressors, dataset = found.regressors, found.regressors.dataset
 
-    def left(alone: Hypothesis) -> list[np.ndarray]:
-        given = unseen.get(alone.names) or predict_held_out(bench, alone)
-        return residuals_of(at_mean_sinkage(bench, given))
+    def residuals(single: Hypothesis) -> list[np.ndarray]:
+        prediction = held_out.get(single.names) or predict_held_out(regressors, single)
+        return residuals_of(at_mean_sinkage(regressors, prediction))
 
     parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
-    tried = [(each.names, left(each)) for each in parts]
-    scale = np.array([floors[channel] for channel in case.channels])[:, None]
+    tried = [(each.names, residuals(each)) for each in parts]
+    scale = np.array([floors[channel] for channel in dataset.channels])[:, None]
 
-    def misfit(after: Sequence[np.ndarray]) -> float:
-        if not case.all_finite(after):
+    def squares(after: Sequence[np.ndarray]) -> float:
+        """Sum of squares over all runs [noise floors squared]."""
+        if not dataset.all_finite(after):
             return np.inf
         return sum(float(np.nansum(np.square(each / scale))) for each in after)
 
-    first, after = min(tried, key=lambda each: misfit(each[1]))
+    first, after = min(tried, key=lambda each: squares(each[1]))
     second = tuple(name for name in chosen.names if name not in first)
     return [
-        NestedModel(reported_names(first), gaps(case, before, after, floors)),
+        NestedModel(reported_names(first), gaps(dataset, before, after, floors, settings)),
         NestedModel(reported_names(first + second), whole),
     ]

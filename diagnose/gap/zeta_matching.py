@@ -1,7 +1,9 @@
-"""Runs at the zeta that meets each one's mean sinkage: a rule that needs no weights.
+"""Every run simulated at its matched zeta, at which it meets its own mean recorded sinkage.
 
-The zeta that suits all channels best may give one up for another, and which is a matter of weights.
-This one is what sinkage alone tells, as on runs that no effect was fitted to.
+Sand is never prepared twice alike, so each run has a zeta of its own. The zeta that fits all
+channels best depends on their weights, as it may give up one channel for another. The matched zeta
+depends on the mean sinkage alone, and is found in the same way for runs that no effect was fitted
+to.
 """
 
 from collections.abc import Sequence
@@ -9,22 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.dataset import LONGEST_MOVE, SINKAGE_PER_LOG_ZETA, RigDataset
+from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel
+from drftjax.recorded.matched_zeta import (
+    DEFAULT_ZETA_MATCH,
+    ZetaMatchSettings,
+    match_mean_sinkage,
+)
 
-# It is found by so many secant steps.
-MOST_TURNS = 8
+REFERENCE_NAME = "the reference model"
+"""Name of the model without effects in reports."""
 
-
-CLOSE_ENOUGH = 2e-5
-
-
-# A mean sinkage is met within this [m], half the noise of a good scale, or where steps end.
-MET = 1e-5
-
-
-# What reports call the two models.
-REFERENCE, WITH = "the reference model", "the model with the effects"
+WITH_EFFECTS_NAME = "the model with the effects"
+"""Name of the model with effects in reports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +31,9 @@ class MatchedRun:
     """A run simulated with its own zeta.
 
     Attributes:
-        residual: Simulated less recorded, shape (channels, samples).
-        log_zeta: Logarithm of its zeta over its set-up's.
-        met: Whether that zeta meets the run's mean sinkage.
+        residual: Simulated minus recorded [m, N, N m], shape (channels, samples).
+        log_zeta: Logarithm of its zeta over its set-up's [-].
+        matched: True where that zeta meets the run's mean sinkage.
     """
 
     residual: np.ndarray
@@ -43,72 +42,83 @@ class MatchedRun:
 
 
 def match_runs(
-    case: RigDataset, model: AugmentedModel, coordinates: np.ndarray
+    dataset: RigDataset,
+    model: AugmentedModel,
+    coordinates: np.ndarray,
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> list[MatchedRun]:
-    """Every run simulated with a model's effects, zeta fitted to each.
+    """Simulate every run with a model's effects, each at its matched zeta.
 
     Args:
-        case: Runs that the effects were not found on.
+        dataset: Runs that the effects were not fitted to.
         model: The effects.
-        coordinates: Their numbers, which stay.
+        coordinates: Their numbers, which stay, shape (numbers,).
+        settings: Numbers of the secant search.
     """
     at = np.asarray(coordinates)
 
     def of(run: int) -> MatchedRun:
-        first = case.predicted(model, run, 0.0, at) - case.recorded(run)
-        return match_zeta(case, model, run, at, MatchedRun(first, 0.0, matched=False))
+        first = dataset.prediction(model, run, 0.0, at) - dataset.recording(run)
+        start = MatchedRun(first, 0.0, matched=False)
+        return match_zeta(dataset, model, run, at, start, settings=settings)
 
-    return case.map_runs(of)
+    return dataset.map_runs(of)
 
 
 def residuals_of(runs: Sequence[MatchedRun]) -> list[np.ndarray]:
-    """By run, simulated less recorded, shape (channels, samples) [m, N, N m]."""
+    """By run, simulated minus recorded [m, N, N m], shape (channels, samples)."""
     return [each.residual for each in runs]
 
 
-def unmatched(case: RigDataset, runs: Sequence[MatchedRun], model: str) -> list[str]:
-    """The runs whose mean sinkage no zeta was found to meet, in sentences."""
+def unmatched(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> list[str]:
+    """One sentence for each run whose mean sinkage no zeta was found to meet.
+
+    Args:
+        dataset: The runs.
+        runs: The same, simulated.
+        model: Name of the model that simulated them.
+    """
     return [
-        f"{case.runs[run].name}: no zeta was found at which {model} meets its mean sinkage; "
-        "what is told of it is at another zeta."
+        f"{dataset.runs[run].name}: no zeta was found at which {model} meets its mean sinkage; "
+        "its residuals here are at another zeta."
         for run, each in enumerate(runs)
         if not each.matched
     ]
 
 
 def match_zeta(
-    case: RigDataset,
+    dataset: RigDataset,
     model: AugmentedModel,
     run: int,
     coordinates: np.ndarray,
     start: MatchedRun,
-    slope: float = SINKAGE_PER_LOG_ZETA,
+    slope: float | None = None,
+    settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> MatchedRun:
-    """A run at the zeta that meets its mean sinkage.
+    """One run simulated at the zeta that meets its mean sinkage.
 
     Args:
-        case: The runs.
+        dataset: The runs.
         model: With effects or without.
-        run: Its number.
-        coordinates: The model's numbers, which stay.
-        start: The run where secant steps begin.
-        slope: About what its mean sinkage rises by there per unit of log zeta [m], above 0.
+        run: Index of the run.
+        coordinates: The model's numbers, which stay, shape (numbers,).
+        start: The run where the search begins.
+        slope: Rise of its mean height there per unit of log zeta [m], above 0, where it is known.
+        settings: Numbers of the secant search.
     """
-    z = case.channels.index("z")
+    z, recorded = dataset.channels.index("z"), dataset.recording(run)
+    residual = start.residual
 
-    def step(miss: float, slope: float) -> float:
-        return float(np.clip(-miss / slope, -LONGEST_MOVE, LONGEST_MOVE))
+    def miss(log_zeta: np.ndarray) -> float:
+        nonlocal residual
+        residual = dataset.prediction(model, run, float(log_zeta), coordinates) - recorded
+        return float(residual[z].mean())
 
-    at, here = start.log_zeta, start.residual
-    move = step(here[z].mean(), slope)
-    for _ in range(MOST_TURNS):
-        there = case.predicted(model, run, at + move, coordinates) - case.recorded(run)
-        slope = (there[z].mean() - here[z].mean()) / move if move else 0.0
-        at, here = at + move, there
-        if not np.isfinite(slope) or slope <= 0:
-            break
-        move = step(here[z].mean(), slope)
-        if abs(move) < CLOSE_ENOUGH:
-            break
-    close = abs(here[z].mean()) < MET or abs(move) < CLOSE_ENOUGH
-    return MatchedRun(here, at, matched=bool(close))
+    found = match_mean_sinkage(
+        miss,
+        start.log_zeta,
+        miss_at_start=float(residual[z].mean()),
+        slope=slope,
+        settings=settings,
+    )
+    return MatchedRun(residual, float(found.log_zeta), bool(found.matched))

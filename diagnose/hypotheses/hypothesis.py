@@ -74,11 +74,11 @@ class Hypothesis:
     model: AugmentedModel
     log_zeta: np.ndarray
     coordinates: np.ndarray
-    line: LinearFit
+    fit: LinearFit
     columns: list[np.ndarray]
     residual: list[np.ndarray]
     is_simulated: bool
-    ahead: tuple[np.ndarray, np.ndarray] | None = None
+    proposed_step: tuple[np.ndarray, np.ndarray] | None = None
 
     def by_zeta(self, run: int) -> np.ndarray:
         """Derivative of a run's channels by its log zeta, shape (channels, samples)."""
@@ -86,7 +86,7 @@ class Hypothesis:
 
     @property
     def score(self) -> float:
-        return self.line.score
+        return self.fit.score
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,7 +110,7 @@ def linear_fit_of(
     belief = np.full(len(columns), STRENGTH_BELIEF)
     least = np.array([bound for variant in variants for bound in lower_bounds(variant.effect)])
     return fit_linear(
-        bench.products, columns, prior=belief, least=least, trust=trust, coarse=coarse
+        bench.gram_matrices, columns, prior=belief, least=least, trust=trust, coarse=coarse
     )
 
 
@@ -136,7 +136,7 @@ def linear_start(
     used = 0
     for variant in variants:
         count = len(variant.columns)
-        strength = line.strengths[used : used + count]
+        strength = line.coefficients[used : used + count]
         used += count
         coordinates += list(strength)
         weights += [[(column, 1.0)] for column in variant.columns]
@@ -158,7 +158,7 @@ def linear_start(
         columns,
         bench.residual,
         is_simulated=False,
-        ahead=(line.zeta, np.array(coordinates) - null),
+        proposed_step=(line.log_zeta_change, np.array(coordinates) - null),
     )
 
 
@@ -166,7 +166,7 @@ def _by_shape(
     bench: Regressors, variant: ShapeVariant, axis: int, strength: np.ndarray
 ) -> list[tuple[int, float]]:
     """A shape's column as a mix of the neighbouring variants', at these strengths."""
-    before, after = (bench.variants[number] for number in variant.near[axis])
+    before, after = (bench.variants[number] for number in variant.neighbours[axis])
     apart = np.log(after.shapes[axis] / before.shapes[axis])
     if apart == 0:
         return []
@@ -181,7 +181,7 @@ def _mixed(columns: np.ndarray, mix: list[tuple[int, float]]) -> np.ndarray:
     return found
 
 
-def priors(model: AugmentedModel) -> tuple[np.ndarray, np.ndarray]:
+def prior_widths(model: AugmentedModel) -> tuple[np.ndarray, np.ndarray]:
     """Width of the belief about each coordinate, and where it is centred."""
     width, centre = [], []
     for free in model.free:
@@ -201,10 +201,13 @@ def refine(bench: Regressors, start: Hypothesis, turns: int) -> Hypothesis:
     A hypothesis whose first simulations fail stays as it was proposed.
     """
     here, best = start, start if start.is_simulated else None
-    if start.ahead is None:
+    if start.proposed_step is None:
         zeta, coordinates = _step(bench, start, 0.0)
     else:
-        zeta, coordinates = start.log_zeta + start.ahead[0], start.coordinates + start.ahead[1]
+        zeta, coordinates = (
+            start.log_zeta + start.proposed_step[0],
+            start.coordinates + start.proposed_step[1],
+        )
     reach = 1.0
     for turn in range(turns):
         moved = _simulated(bench, here, zeta, np.minimum(coordinates, _bounds(here, "most")))
@@ -233,14 +236,14 @@ def refine(bench: Regressors, start: Hypothesis, turns: int) -> Hypothesis:
 
 def relinearize(bench: Regressors, here: Hypothesis) -> Hypothesis:
     """The hypothesis with its columns by the simulator's own derivative where it stands."""
-    case = bench.case
+    case = bench.dataset
 
     def of(run: int) -> np.ndarray:
         _, slope = predict_with_jacobian(
             here.model,
             case.channels,
             case.trials[run],
-            case.observed[run],
+            case.observations[run],
             as_real(here.log_zeta[run]),
             here.coordinates,
         )
@@ -298,19 +301,19 @@ def gauss_newton_step(
     line = _from_here(here, products, coarse)
     logarithmic = np.array([f.scale is None for f in here.model.free], bool)
     # The whole step is shortened, or the numbers that belong together would part.
-    longest = np.abs(np.r_[line.zeta, line.strengths[logarithmic]]).max(initial=0.0)
+    longest = np.abs(np.r_[line.log_zeta_change, line.coefficients[logarithmic]]).max(initial=0.0)
     part = min(1.0, LONGEST_MOVE / max(longest, 1e-12))
-    return part * line.zeta, part * line.strengths
+    return part * line.log_zeta_change, part * line.coefficients
 
 
 def predicted_score(bench: Regressors, here: Hypothesis) -> float:
     """The score that straight lines from here promise, or that it has where they promise less."""
-    products = bench.products_of(here.columns, here.residual, here.log_zeta)
+    products = bench.gram_matrices_of(here.columns, here.residual, here.log_zeta)
     return max(here.score, _from_here(here, products, 1.0).score)
 
 
 def _from_here(here: Hypothesis, products: GramMatrices, coarse: float) -> LinearFit:
-    width, centre = priors(here.model)
+    width, centre = prior_widths(here.model)
     return fit_linear(
         products,
         range(len(here.coordinates)),
@@ -323,8 +326,8 @@ def _from_here(here: Hypothesis, products: GramMatrices, coarse: float) -> Linea
 
 
 def _step(bench: Regressors, here: Hypothesis, share: float) -> tuple[np.ndarray, np.ndarray]:
-    products = bench.products_of(here.columns, here.residual, here.log_zeta)
-    coarse = floor_inflation(bench.products.blocks, here.line.left, share)
+    products = bench.gram_matrices_of(here.columns, here.residual, here.log_zeta)
+    coarse = floor_inflation(bench.gram_matrices.blocks, here.fit.mean_square, share)
     zeta, change = gauss_newton_step(here, products, coarse)
     return here.log_zeta + zeta, here.coordinates + change
 
@@ -333,13 +336,13 @@ def _simulated(
     bench: Regressors, before: Hypothesis, log_zeta: np.ndarray, coordinates: np.ndarray
 ) -> Hypothesis | None:
     """The hypothesis simulated elsewhere, with columns corrected by how it came out."""
-    case = bench.case
+    case = bench.dataset
     units = np.array([1.0 if f.scale is not None else SHAPE_UNIT for f in before.model.free])
     change = (coordinates - before.coordinates) / units
 
     def of(run: int) -> tuple[np.ndarray, np.ndarray]:
-        predicted = case.predicted(before.model, run, log_zeta[run], coordinates)
-        residual = predicted - case.recorded(run)
+        predicted = case.prediction(before.model, run, log_zeta[run], coordinates)
+        residual = predicted - case.recording(run)
         own = (log_zeta[run] - before.log_zeta[run]) / ZETA_UNIT
         step = np.concatenate([[own], change])
         scaled = before.columns[run] * np.concatenate([[ZETA_UNIT], units])
@@ -353,19 +356,21 @@ def _simulated(
     columns, residual = [c for c, _ in both], [r for _, r in both]
     if not case.all_finite(residual):
         return None
-    moved = log_zeta + bench.reference
-    left, number = residual_of(bench, residual)
+    moved = log_zeta + bench.log_reference_zeta
+    left, number = block_mean_squares(bench, residual)
     scatter = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
-    score = log_score(bench.products.blocks, number, left, scatter, len(moved))
+    score = log_score(bench.gram_matrices.blocks, number, left, scatter, len(moved))
     line = LinearFit(score, coordinates, log_zeta - before.log_zeta, left, scatter)
     return Hypothesis(
         before.model, log_zeta, coordinates, line, columns, residual, is_simulated=True
     )
 
 
-def residual_of(bench: Regressors, residual: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def block_mean_squares(
+    bench: Regressors, residual: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean square of residuals in each block, and how many values each has."""
     nothing = [np.zeros((*each.shape, 0)) for each in residual]
-    products = bench.products_of(nothing, residual, np.zeros(len(residual)))
-    number = products.number.sum(axis=0)
+    products = bench.gram_matrices_of(nothing, residual, np.zeros(len(residual)))
+    number = products.sample_count.sum(axis=0)
     return products.gram[:, :, -1, -1].sum(axis=0) / np.maximum(number, 1), number

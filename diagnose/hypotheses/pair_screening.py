@@ -65,7 +65,7 @@ class PairCandidate:
     build: Callable[[], Hypothesis]
 
 
-def simulated_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+def refine_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The leading pairs, each settled by some simulations.
 
     Args:
@@ -82,11 +82,14 @@ def simulated_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hy
     found: list[Hypothesis] = []
     for first in range(0, PAIRS * ROUNDS, PAIRS):
         begun = [next(iter(kinds.values())).build() for kinds in ways[first : first + PAIRS]]
-        bench.case.precompile(predict, [each.model for each in begun])
-        found += bench.case.map_items(lambda each: refine(bench, each, TURNS), begun)
+        bench.dataset.precompile(predict, [each.model for each in begun])
+        found += bench.dataset.map_items(lambda each: refine(bench, each, TURNS), begun)
         found.sort(key=lambda each: -each.score)
         # Far from the null straight lines may rank the pair that explains the runs low.
-        if not found or floor_inflation(bench.products.blocks, found[0].line.left, 1.0) <= FAR:
+        if (
+            not found
+            or floor_inflation(bench.gram_matrices.blocks, found[0].fit.mean_square, 1.0) <= FAR
+        ):
             break
     # Far from the null neither start is sure to lead to the best.
 
@@ -95,7 +98,7 @@ def simulated_pairs(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hy
         again = [refine(bench, other.build(), TURNS) for other in others]
         return max([known, *again], key=lambda each: each.score)
 
-    return [*bench.case.map_items(better, found[:TWICE]), *found[TWICE:]]
+    return [*bench.dataset.map_items(better, found[:TWICE]), *found[TWICE:]]
 
 
 def pair_candidates(bench: Regressors, singles: Sequence[Hypothesis]) -> Iterator[PairCandidate]:
@@ -126,11 +129,11 @@ def _with_settled(
         np.concatenate([first.columns[run], *(_did(bench, each, run) for each in others)], axis=2)
         for run in range(len(first.residual))
     ]
-    products = bench.products_of(columns, first.residual, first.log_zeta)
+    products = bench.gram_matrices_of(columns, first.residual, first.log_zeta)
     count = len(first.coordinates)
     found = []
     for share in SETTLED_ORDERS:
-        coarse = floor_inflation(bench.products.blocks, singles[0].line.left, share)
+        coarse = floor_inflation(bench.gram_matrices.blocks, singles[0].fit.mean_square, share)
         order = []
         for place, other in enumerate(others):
             one_sign = any(
@@ -162,11 +165,11 @@ def _did(bench: Regressors, single: Hypothesis, run: int) -> np.ndarray:
 def _both_settled(
     bench: Regressors, first: Hypothesis, other: Hypothesis, line: LinearFit
 ) -> Hypothesis:
-    share = line.strengths[-1]
+    share = line.coefficients[-1]
     shape = np.array([free.scale is None for free in other.model.free])
     null = np.where(shape, other.coordinates, 0.0)
-    zeta = line.zeta + share * (other.log_zeta - bench.log_zeta)
-    change = np.r_[line.strengths[:-1], share * (other.coordinates - null)]
+    zeta = line.log_zeta_change + share * (other.log_zeta - bench.log_zeta)
+    change = np.r_[line.coefficients[:-1], share * (other.coordinates - null)]
     return _joined(first, other.model, null, other.columns, line, (zeta, change))
 
 
@@ -178,11 +181,11 @@ def _with_any(
         np.concatenate([mine, theirs[:, :, 1:]], axis=2)
         for mine, theirs in zip(first.columns, bench.columns, strict=True)
     ]
-    products = bench.products_of(columns, first.residual, first.log_zeta)
+    products = bench.gram_matrices_of(columns, first.residual, first.log_zeta)
     count = len(first.coordinates)
     found = []
     for share, trust in ORDERS:
-        coarse = floor_inflation(bench.products.blocks, singles[0].line.left, share)
+        coarse = floor_inflation(bench.gram_matrices.blocks, singles[0].fit.mean_square, share)
         best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
         for variant in bench.variants:
             name = variant.effect.about.name
@@ -217,11 +220,17 @@ def _from_null(
     bench: Regressors, first: Hypothesis, variant: ShapeVariant, line: LinearFit
 ) -> Hypothesis:
     count = len(first.coordinates)
-    own = LinearFit(line.score, line.strengths[count:], line.zeta, line.left, line.scatter)
+    own = LinearFit(
+        line.score,
+        line.coefficients[count:],
+        line.log_zeta_change,
+        line.mean_square,
+        line.zeta_variance,
+    )
     added = linear_start(bench, [variant], own)
-    assert added.ahead is not None
-    change = np.r_[line.strengths[:count], added.ahead[1]]
-    ahead = line.zeta, change
+    assert added.proposed_step is not None
+    change = np.r_[line.coefficients[:count], added.proposed_step[1]]
+    ahead = line.log_zeta_change, change
     return _joined(first, added.model, added.coordinates, added.columns, line, ahead)
 
 
@@ -246,5 +255,5 @@ def _joined(
         both,
         first.residual,
         is_simulated=False,
-        ahead=ahead,
+        proposed_step=ahead,
     )

@@ -14,7 +14,7 @@ from diagnose.hypotheses.hypothesis import (
     refine,
     relinearize,
 )
-from diagnose.hypotheses.pair_screening import simulated_pairs
+from diagnose.hypotheses.pair_screening import refine_pairs
 from diagnose.linear.linear_fit import FLOOR, ORDERS, LinearFit, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict, predict_with_jacobian
@@ -74,7 +74,7 @@ class ScreeningResult:
         pairs: Pairs simulated, best first.
     """
 
-    bench: Regressors
+    regressors: Regressors
     none: Hypothesis
     singles: tuple[Hypothesis, ...]
     pairs: tuple[Hypothesis, ...]
@@ -102,13 +102,13 @@ def screen_effects(
     starts = [linear_start(bench, [variant], line) for variant, line in ranked]
     case.precompile(predict, [each.model for each in starts])
     singles = case.map_items(lambda each: refine(bench, each, TURNS), starts)
-    if floor_inflation(bench.products.blocks, none.line.left, 1.0) > FAR:
+    if floor_inflation(bench.gram_matrices.blocks, none.fit.mean_square, 1.0) > FAR:
         singles = _with_far(bench, singles)
     singles = _finished(bench, singles)
     pairs: list[Hypothesis] = []
     if singles and _leaves_much(bench, singles[0]):
         report("pairs of effects")
-        pairs = _finished(bench, simulated_pairs(bench, singles))
+        pairs = _finished(bench, refine_pairs(bench, singles))
     return ScreeningResult(bench, none, tuple(singles), tuple(pairs))
 
 
@@ -120,8 +120,8 @@ def _with_far(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothes
         for coordinate, values in _far(variant.effect).items()
     ]
     models = [*dict.fromkeys(AugmentedModel((variant.effect,)) for variant, _, _ in afar)]
-    bench.case.precompile(predict, models)
-    bench.case.precompile(predict_with_jacobian, models)
+    bench.dataset.precompile(predict, models)
+    bench.dataset.precompile(predict_with_jacobian, models)
 
     def tried(far: tuple[ShapeVariant, int, list[float]]) -> Hypothesis:
         variant, coordinate, values = far
@@ -135,7 +135,7 @@ def _with_far(bench: Regressors, singles: Sequence[Hypothesis]) -> list[Hypothes
         return refine(bench, relinearize(bench, best), MORE_TURNS)
 
     found = {each.names: each for each in singles}
-    for best in bench.case.map_items(tried, afar):
+    for best in bench.dataset.map_items(tried, afar):
         better = best.names not in found or best.score > found[best.names].score
         if best.is_simulated and better:
             found[best.names] = best
@@ -154,8 +154,8 @@ def _far(effect: type[AbstractEffect]) -> dict[int, list[float]]:
 
 def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
     """The way from a proposal's null to one strength alone."""
-    assert start.ahead is not None
-    zeta, change = start.ahead
+    assert start.proposed_step is not None
+    zeta, change = start.proposed_step
     there = change.copy()
     there[coordinate] = value - start.coordinates[coordinate]
     return np.zeros_like(zeta), there
@@ -163,13 +163,13 @@ def _to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, n
 
 def _finished(bench: Regressors, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The leading hypotheses settled to their end, all of them best first."""
-    side_by_side = bench.case.map_items
+    side_by_side = bench.dataset.map_items
     worth = side_by_side(lambda each: predicted_score(bench, each), hypotheses)
     ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
     hypotheses = [each for _, each in ranked]
     done: list[Hypothesis] = []
     hopeful = [each for each in hypotheses[:REFRESHED] if _leaves_much(bench, each)]
-    bench.case.precompile(predict_with_jacobian, [each.model for each in hopeful])
+    bench.dataset.precompile(predict_with_jacobian, [each.model for each in hopeful])
     leading = side_by_side(lambda each: refine(bench, each, MORE_TURNS), hypotheses[:FINISHED])
     for place, each in enumerate(leading):
         for _ in range(ROUNDS):
@@ -196,7 +196,7 @@ def _ranked(bench: Regressors) -> list[tuple[ShapeVariant, LinearFit]]:
     orders = []
     telling: set[str] = set()
     for share, trust in ORDERS:
-        coarse = floor_inflation(bench.products.blocks, start.left, share)
+        coarse = floor_inflation(bench.gram_matrices.blocks, start.mean_square, share)
         nothing = linear_fit_of(bench, [], coarse, trust).score
         best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
         for variant in bench.variants:
@@ -220,9 +220,9 @@ def _ranked(bench: Regressors) -> list[tuple[ShapeVariant, LinearFit]]:
 
 def _leaves_much(bench: Regressors, best: Hypothesis) -> bool:
     """Whether a hypothesis leaves more than a model's own error in the slow part of a channel."""
-    blocks = bench.products.blocks
+    blocks = bench.gram_matrices.blocks
     return any(
         np.sqrt(left) > MUCH * FLOOR[block]
-        for block, left in zip(blocks, best.line.left, strict=True)
+        for block, left in zip(blocks, best.fit.mean_square, strict=True)
         if block[1] == "slow"
     )

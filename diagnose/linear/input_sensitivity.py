@@ -41,7 +41,7 @@ from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.physics.state import Output
 from drftjax.simulation.trial import Trial
 
-Variants = dict[str, Float[Array, " variants"]]
+ShapeValues = dict[str, Float[Array, " variants"]]
 
 
 class InputSensitivity(eqx.Module):
@@ -71,7 +71,7 @@ def effect_sensitivity(
     trial: Trial,
     path: LinearizedRun,
     node: Float[Array, ""],
-    variants: Variants,
+    variants: ShapeValues,
     held: Held,
 ) -> InputSensitivity:
     """Derivatives along one run by an effect's strengths, for every variant of its shapes.
@@ -90,7 +90,7 @@ def effect_sensitivity(
     names = strengths(effect)
     at_null = jnp.zeros(len(names))
 
-    def of(values: Variants):
+    def of(values: ShapeValues):
         def along(strengths_: Array):
             built = effect(**dict(zip(names, strengths_, strict=True)), **values, **held)
             return _along(built, trial, path, node)
@@ -159,9 +159,9 @@ def _moments(trial: Trial, path: LinearizedRun, node: Float[Array, ""]) -> StepC
     return StepContext(
         path.middle_time,
         node * alike,
-        path.middle[:, :2],
-        path.middle[:, 2:4],
-        path.middle[:, 4],
+        path.middle_motion[:, :2],
+        path.middle_motion[:, 2:4],
+        path.middle_motion[:, 4],
         path.middle_omega,
         commanded,
         trial.simulator.wheel.radius * alike,
@@ -242,7 +242,7 @@ def _of_a_step(effect: AbstractEffect, trial: Trial, path: LinearizedRun, node) 
         memory = simulator.step(start, command_at_time(trial, time + node), node)[0].memory
         return memory, (motion_of(after), jnp.stack([getattr(output, name) for name in FORCES]))
 
-    rows = path.middle_time, path.middle, path.middle_omega
+    rows = path.middle_time, path.middle_motion, path.middle_omega
     motion, forces = jax.lax.scan(one, memory, rows)[1]
     return replace(_of_inputs(path), motion=motion, forces=forces)
 
@@ -275,7 +275,7 @@ def zeta_sensitivity(path: LinearizedRun) -> InputSensitivity:
     return jax.tree.map(lambda leaf: leaf[..., None], _of_inputs(path, zeta=alike))
 
 
-def grid(effect: type[AbstractEffect]) -> Variants:
+def shape_grid(effect: type[AbstractEffect]) -> ShapeValues:
     """Values of an effect's shapes that together cover what a rig may show."""
     about = field_metadata(effect)
     starts = [np.asarray(about[name]["starts"], float) for name in shapes(effect)]

@@ -63,7 +63,7 @@ class GramMatrices:
 
     blocks: tuple[tuple[str, str], ...]
     gram: np.ndarray
-    number: np.ndarray
+    sample_count: np.ndarray
     log_zeta: np.ndarray
 
 
@@ -80,10 +80,10 @@ class LinearFit:
     """
 
     score: float
-    strengths: np.ndarray
-    zeta: np.ndarray
-    left: np.ndarray
-    scatter: float
+    coefficients: np.ndarray
+    log_zeta_change: np.ndarray
+    mean_square: np.ndarray
+    zeta_variance: float
 
 
 def fit_linear(
@@ -114,7 +114,7 @@ def fit_linear(
     r = len(chosen)
     take = np.r_[0, 1 + np.asarray(columns, int), products.gram.shape[-1] - 1]
     gram = products.gram[np.ix_(chosen, np.arange(len(products.blocks)), take, take)]
-    number = products.number[chosen]
+    number = products.sample_count[chosen]
     total = number.sum(axis=0)
     floor = (coarse * np.array([FLOOR[b] for b in products.blocks])) ** 2
     worth = total * np.array([WORTH[kind] for _, kind in products.blocks])

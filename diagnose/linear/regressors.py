@@ -13,8 +13,8 @@ from diagnose.linear.input_sensitivity import (
     READINGS,
     InputSensitivity,
     effect_sensitivity,
-    grid,
     propagate,
+    shape_grid,
     zeta_sensitivity,
 )
 from diagnose.linear.linear_fit import GramMatrices, block_names
@@ -41,7 +41,7 @@ class ShapeVariant:
     effect: type[AbstractEffect]
     shapes: tuple[float, ...]
     columns: tuple[int, ...]
-    near: tuple[tuple[int, int], ...]
+    neighbours: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +58,12 @@ class Regressors:
         splitters: By run.
     """
 
-    case: RigDataset
+    dataset: RigDataset
     log_zeta: np.ndarray
     variants: tuple[ShapeVariant, ...]
     columns: list[np.ndarray]
     residual: list[np.ndarray]
-    splitters: list[SlowFastSplit]
+    splits: list[SlowFastSplit]
 
     @classmethod
     def of(
@@ -85,8 +85,8 @@ class Regressors:
             at_nodes[:, :, 1:] *= scale
             nodes = int(path.nodes)
             columns = _at(case.time(run), np.asarray(path.time)[: nodes + 1], at_nodes)
-            plain = case.predicted(AugmentedModel(), run, log_zeta[run], np.zeros(0))
-            return columns, plain - case.recorded(run)
+            plain = case.prediction(AugmentedModel(), run, log_zeta[run], np.zeros(0))
+            return columns, plain - case.recording(run)
 
         # Compiled once, side by side, before every thread needs all of them.
         first = case.linearized(0, log_zeta[0])
@@ -102,57 +102,57 @@ class Regressors:
         return cls(case, log_zeta, variants, [c for c, _ in both], [r for _, r in both], splitters)
 
     @cached_property
-    def reference(self) -> np.ndarray:
+    def log_reference_zeta(self) -> np.ndarray:
         """Logarithm of the zeta that each run's log zeta counts from."""
         return np.array(
-            [float(np.log(t.simulator.terrain.zeta.value)) for t in self.case.trials]  # pyright: ignore
+            [float(np.log(t.simulator.terrain.zeta.value)) for t in self.dataset.trials]  # pyright: ignore
         )
 
     @cached_property
-    def products(self) -> GramMatrices:
+    def gram_matrices(self) -> GramMatrices:
         """Products of all columns with each other and with what the baseline leaves."""
-        return self.products_of(self.columns, self.residual, self.log_zeta)
+        return self.gram_matrices_of(self.columns, self.residual, self.log_zeta)
 
     @cached_property
-    def noise(self) -> np.ndarray:
+    def noise_power(self) -> np.ndarray:
         """Mean square of the instruments' white noise in each block."""
         found = []
-        for channel, kind in block_names(self.case.channels):
+        for channel, kind in block_names(self.dataset.channels):
             power = []
-            for run, splitter in enumerate(self.splitters):
-                observation = self.case.runs[run].observation
+            for run, splitter in enumerate(self.splits):
+                observation = self.dataset.runs[run].observation
                 if channel not in observation.channels:
                     continue
                 sigma = float(observation.noise[observation.channels.index(channel)])
-                mean = float((splitter.mean**2).sum(axis=1).mean())
+                mean = float((splitter.bin_means**2).sum(axis=1).mean())
                 part = {"slow": mean * (2 if channel == "x" else 1), "fast": 1 - mean}[kind]
                 power.append(sigma**2 * part)
             found.append(float(np.mean(power)))
         return np.array(found)
 
-    def products_of(
+    def gram_matrices_of(
         self, columns: list[np.ndarray], residual: list[np.ndarray], log_zeta: np.ndarray
     ) -> GramMatrices:
         """Products of some columns (own zeta first) and residuals, by run and block."""
 
         def of(run: int) -> tuple[np.ndarray, np.ndarray]:
             grams, counts = [], []
-            for index, channel in enumerate(self.case.channels):
+            for index, channel in enumerate(self.dataset.channels):
                 both = np.concatenate([columns[run][index], residual[run][index][:, None]], axis=1)
                 recorded = np.isfinite(both[:, -1]).all()
-                parts = self.splitters[run].split(channel, both)
+                parts = self.splits[run].split(channel, both)
                 for part in parts.values():
                     part = part if recorded else np.zeros_like(part)
                     grams.append(part.T @ part)
                     counts.append(len(part) if recorded else 0)
             return np.array(grams), np.array(counts)
 
-        found = self.case.map_runs(of)
+        found = self.dataset.map_runs(of)
         return GramMatrices(
-            block_names(self.case.channels),
+            block_names(self.dataset.channels),
             np.array([gram for gram, _ in found]),
             np.array([count for _, count in found]),
-            log_zeta + self.reference,
+            log_zeta + self.log_reference_zeta,
         )
 
 
@@ -160,7 +160,7 @@ def _sensitivity(
     effect: type[AbstractEffect], trial: Trial, path: LinearizedRun, node: Array
 ) -> InputSensitivity:
     program = program_of(effect)
-    return effect_sensitivity(program.effect, trial, path, node, grid(effect), program.held)
+    return effect_sensitivity(program.effect, trial, path, node, shape_grid(effect), program.held)
 
 
 def _of_effect(columns: np.ndarray, effect: type[AbstractEffect]) -> np.ndarray:
@@ -177,7 +177,7 @@ def _variants(
     variants: list[ShapeVariant] = []
     scale: list[float] = []
     for effect in effects:
-        values = {name: np.asarray(v) for name, v in grid(effect).items()}
+        values = {name: np.asarray(v) for name, v in shape_grid(effect).items()}
         names = shapes(effect)
         sizes = [len(field_metadata(effect)[name]["starts"]) for name in names]
         first = len(variants)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 # Length of the bins [s] that part slow from fast.
-BIN = 0.5
+BIN_TIME = 0.5
 
 
 KINDS = ("slow", "fast")
@@ -26,13 +26,13 @@ class SlowFastSplit:
         back: Samples of the line through the bin means, shape (samples, bins).
     """
 
-    mean: np.ndarray
-    back: np.ndarray
+    bin_means: np.ndarray
+    interpolation: np.ndarray
 
     @classmethod
     def of(cls, time: np.ndarray) -> "SlowFastSplit":
         """For samples at these times [s]."""
-        place = np.floor((time - time[0]) / BIN + 1e-9).astype(int)
+        place = np.floor((time - time[0]) / BIN_TIME + 1e-9).astype(int)
         used, place = np.unique(place, return_inverse=True)
         bins = len(used)
         mean = np.zeros((bins, len(time)))
@@ -44,7 +44,7 @@ class SlowFastSplit:
 
     def split(self, channel: str, values: np.ndarray) -> dict[str, np.ndarray]:
         """Slow and fast part of columns of samples, shape (samples, columns)."""
-        means = self.mean @ values
-        fast = values - self.back @ means
+        means = self.bin_means @ values
+        fast = values - self.interpolation @ means
         slow = np.diff(means, axis=0) if channel == "x" else means
         return {"slow": slow, "fast": fast}

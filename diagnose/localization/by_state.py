@@ -1,82 +1,82 @@
-"""The gap cut by state: angular velocity, slip, sinkage, travel and the wheel's angle."""
+"""Partitions of the gap by state: angular velocity, slip, sinkage, travel and wheel angle."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from diagnose.localization.kinematics import RunKinematics
+from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.localization.shares import Partition, RunMisfit, partition_by_bin
-from diagnose.localization.spectrum import STANDS
+from diagnose.localization.spectrum import STANDING_LABEL
 
-# About as many bins in a state variable.
-STATE_BINS = 5
+NOT_RECORDED_LABEL = "not recorded"
 
+EDGE_ROUNDING = 1e-6
+"""Share of an axis' range by which a value may lie under an edge and still count as on it."""
 
-# Their edges lie on a grid of about as many steps.
-EDGE_STEPS = 25
-
-
-# Share of an axis' range by which a value may lie under an edge and still count as on it.
-ROUNDING = 1e-6
+DEG_PER_RAD = float(np.rad2deg(1.0))
 
 
-SLIP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.5)
-
-
-UNSEEN = "not recorded"
-
-
-def by_state(runs: Sequence[RunMisfit]) -> list[Partition]:
-    """An axis for every variable of the state that some run tells."""
-
-    def all_of(pick, scale: float = 1.0) -> list[np.ndarray] | None:
-        values = [pick(run.motion) for run in runs]
-        if all(v is None for v in values):
-            return None
-        nothing = [np.full(len(run.motion.time), np.nan) for run in runs]
-        return [n if v is None else scale * v for v, n in zip(values, nothing, strict=True)]
-
-    degrees = float(np.rad2deg(1.0))
+def by_state(
+    runs: Sequence[RunMisfit], settings: LocalizationSettings = DEFAULT_LOCALIZATION
+) -> list[Partition]:
+    """Partition by every state variable that is known of some run."""
     axes = [
-        ("angular velocity", "deg/s", all_of(lambda m: m.omega, degrees), None, UNSEEN),
-        ("slip", "", all_of(lambda m: m.slip), np.array(SLIP_EDGES), STANDS),
-        ("sinkage", "mm", all_of(lambda m: m.sinkage, 1e3), None, UNSEEN),
-        ("travel", "m", all_of(lambda m: m.travel), None, UNSEEN),
+        ("angular velocity", "deg/s", DEG_PER_RAD, lambda m: m.omega, None, NOT_RECORDED_LABEL),
+        ("slip", "", 1.0, lambda m: m.slip, np.array(settings.slip_edges), STANDING_LABEL),
+        ("sinkage", "mm", 1e3, lambda m: m.sinkage, None, NOT_RECORDED_LABEL),
+        ("travel", "m", 1.0, lambda m: m.travel, None, NOT_RECORDED_LABEL),
         (
             "wheel angle",
             "deg",
-            all_of(lambda m: np.mod(m.angle, 2 * np.pi), degrees),
+            DEG_PER_RAD,
+            lambda m: np.mod(m.angle, 2 * np.pi),
             np.arange(45.0, 360.0, 45.0),
-            UNSEEN,
+            NOT_RECORDED_LABEL,
         ),
     ]
-    cuts = []
-    for axis, unit, values, edges, otherwise in axes:
+    partitions = []
+    for axis, unit, scale, variable, edges, otherwise in axes:
+        values = _values(runs, variable, scale)
         if values is None:
             continue
-        edges = _edges(np.concatenate(values)) if edges is None else edges
+        edges = _edges(np.concatenate(values), settings) if edges is None else edges
         labels = [*_labels(edges, unit), otherwise]
-        slack = ROUNDING * float(np.abs(edges).max(initial=0))
+        slack = EDGE_ROUNDING * float(np.abs(edges).max(initial=0))
         places = [
             np.where(np.isfinite(v), np.searchsorted(edges - slack, v), len(edges) + 1)
             for v in values
         ]
-        cuts.append(partition_by_bin(runs, axis, labels, places))
-    return cuts
+        partitions.append(partition_by_bin(runs, axis, labels, places))
+    return partitions
 
 
-def _edges(values: np.ndarray) -> np.ndarray:
+def _values(
+    runs: Sequence[RunMisfit],
+    variable: Callable[[RunKinematics], np.ndarray | None],
+    scale: float,
+) -> list[np.ndarray] | None:
+    """A variable of every run times `scale`, NaN where it is not known; None where it never is."""
+    values = [variable(run.motion) for run in runs]
+    if all(v is None for v in values):
+        return None
+    nothing = [np.full(len(run.motion.time), np.nan) for run in runs]
+    return [n if v is None else scale * v for v, n in zip(values, nothing, strict=True)]
+
+
+def _edges(values: np.ndarray, settings: LocalizationSettings) -> np.ndarray:
     """Inner edges of bins at round numbers, with about as much time in each."""
     values = values[np.isfinite(values)]
     low, high = np.percentile(values, [1, 99]) if len(values) else (0.0, 0.0)
     if not high - low > 1e-6 * max(abs(low), abs(high), 1e-9):
         return np.zeros(0)
-    wide = (high - low) / EDGE_STEPS
+    wide = (high - low) / settings.edge_steps
     power = 10.0 ** np.floor(np.log10(wide))
     step = power * next(each for each in (1, 2, 5, 10) if each * power >= wide)
-    # A wheel that stands says little of where the edges should be.
+    # The time at which a wheel stands says little of where the edges should be.
     moving = values[np.abs(values) > 0.01 * max(abs(low), abs(high))]
-    parts = np.percentile(moving, np.linspace(0, 100, STATE_BINS + 1)[1:-1])
+    parts = np.percentile(moving, np.linspace(0, 100, settings.state_bins + 1)[1:-1])
     edges = np.unique(np.round(step * np.round(parts / step), 9))
     return edges[(edges > low) & (edges < high)]
 

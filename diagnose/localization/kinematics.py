@@ -1,4 +1,4 @@
-"""How a run moved, from what was commanded and what was recorded of it, smoothed."""
+"""Kinematics of a recorded run, from its command and its smoothed readings."""
 
 from dataclasses import dataclass
 
@@ -6,37 +6,32 @@ import numpy as np
 
 from diagnose.dataset import RigDataset, pitch
 from diagnose.linear.residual_blocks import SlowFastSplit
+from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from drftjax.physics.command import with_zeros
 from drftjax.physics.rig import DrivenCarriage
 
-# Under this share of its fastest rim speed a wheel counts as standing.
-STANDING = 0.02
-
-
-# A speed that changes by less than this share of the fastest in a second is steady.
-STEADY = 0.02
-
-
 PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
+"""Phases of a command, in the order of `RunKinematics.phase`."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunKinematics:
-    """One run's motion at the samples compared.
+    """Motion of one run at the samples compared; every array has the shape (samples,).
 
     Attributes:
         time: Of the samples, from the run's start [s].
         omega: Commanded angular velocity [rad/s].
         angle: Wheel angle as commanded [rad].
-        turning: Turning so far, either way [rad].
-        travel: Way from the start [m]; None where nothing tells it.
+        turning: Angle turned so far in either direction, never falling [rad].
+        travel: Distance from the start, negative backward [m]; None where it is not known.
         vx: Carriage speed [m/s]; None likewise.
         sinkage: Depth of the axle below free rolling [m]; None likewise.
         vz: Speed of rising [m/s]; None likewise.
         radius: Rim radius [m].
-        grousers: Grousers in a turn; 0 without any.
-        phase: Number of each sample's phase of the command, in the order of `PHASES`.
-        bins: Number of each sample's half second.
+        grousers: Grousers on the wheel; 0 without any.
+        phase: Index of each sample's phase of the command in `PHASES`.
+        bins: Index of each sample's half second.
+        standing_speed: Share of the fastest rim speed below which the wheel stands [-].
     """
 
     time: np.ndarray
@@ -51,45 +46,54 @@ class RunKinematics:
     grousers: int
     phase: np.ndarray
     bins: np.ndarray
+    standing_speed: float
 
     @property
     def slip_speed(self) -> np.ndarray | None:
-        """How fast the rim runs ahead of the ground [m/s]."""
+        r"""Speed of the rim over the ground, $r\omega - v$ [m/s]."""
         return None if self.vx is None else self.radius * self.omega - self.vx
 
     @property
     def slip(self) -> np.ndarray | None:
-        """Slip ratio [-]; NaN where the wheel stands."""
+        r"""Slip ratio $(r\omega - v) / (r\omega)$ [-]; NaN where the wheel stands."""
         if self.slip_speed is None:
             return None
         rim = self.radius * self.omega
-        turning = np.abs(rim) > STANDING * max(float(np.abs(rim).max(initial=0)), 1e-9)
-        return np.where(turning, self.slip_speed / np.where(turning, rim, 1), np.nan)
+        fastest = max(float(np.abs(rim).max(initial=0)), 1e-9)
+        turns = np.abs(rim) > self.standing_speed * fastest
+        return np.where(turns, self.slip_speed / np.where(turns, rim, 1), np.nan)
 
 
 def kinematics_of_run(
-    case: RigDataset, run: int, splitter: SlowFastSplit | None = None
+    dataset: RigDataset,
+    run: int,
+    splitter: SlowFastSplit | None = None,
+    settings: LocalizationSettings = DEFAULT_LOCALIZATION,
 ) -> RunKinematics:
-    """How a run moved.
+    """Motion of a run at the samples compared.
+
+    Positions are means over half seconds, linear in between; speeds are differences of these.
 
     Args:
-        case: Its case.
-        run: Its number.
+        dataset: The runs.
+        run: Index of the run.
         splitter: Of its samples; made where none is given.
+        settings: Numbers of the phases.
     """
-    trial, time = case.runs[run].trial, case.time(run)
+    trial, time = dataset.runs[run].trial, dataset.time(run)
     splitter = SlowFastSplit.of(time) if splitter is None else splitter
     knots, omegas = np.asarray(trial.time), np.asarray(trial.omega)
     driven = isinstance(trial.simulator.rig.carriage, DrivenCarriage)
-    recorded = dict(zip(case.channels, case.recorded(run), strict=True))
+    recorded = dict(zip(dataset.channels, dataset.recording(run), strict=True))
 
     def smooth(channel: str) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """A channel and its rate; None where it was not recorded."""
         values = recorded.get(channel)
         if values is None or not np.isfinite(values).all():
             return None, None
-        means, centres = splitter.mean @ values, splitter.mean @ time
+        means, centres = splitter.bin_means @ values, splitter.bin_means @ time
         rate = np.gradient(means, centres) if len(means) > 1 else np.zeros(1)
-        return splitter.back @ means, splitter.back @ rate
+        return splitter.interpolation @ means, splitter.interpolation @ rate
 
     z, vz = smooth("z")
     if driven:
@@ -99,44 +103,47 @@ def kinematics_of_run(
         x, vx = smooth("x")
         travel = None if x is None else x - x[0]
     radius = float(trial.simulator.wheel.radius)
-    between, either_way, vxs = with_zeros(knots, omegas, np.asarray(trial.vx))
-    either_way = np.abs(either_way)
-    speed = radius * either_way + (np.abs(vxs) if driven else 0)
-    gap = pitch(case.trials[run])
+    fine_knots, fine_omegas, fine_vxs = with_zeros(knots, omegas, np.asarray(trial.vx))
+    speed = radius * np.abs(fine_omegas) + (np.abs(fine_vxs) if driven else 0)
+    grouser_pitch = pitch(dataset.trials[run])
     return RunKinematics(
-        time,
-        np.interp(time, knots, omegas),
-        float(trial.start.angle) + _integral(time, knots, omegas),
-        _integral(time, between, either_way),
-        travel,
-        vx,
-        None if z is None else -z,
-        vz,
-        radius,
-        round(2 * np.pi / gap) if np.isfinite(gap) else 0,
-        _phases(time, between, speed),
-        np.argmax(splitter.mean > 0, axis=0),
+        time=time,
+        omega=np.interp(time, knots, omegas),
+        angle=float(trial.start.angle) + _integral(time, knots, omegas),
+        turning=_integral(time, fine_knots, np.abs(fine_omegas)),
+        travel=travel,
+        vx=vx,
+        sinkage=None if z is None else -z,
+        vz=vz,
+        radius=radius,
+        grousers=round(2 * np.pi / grouser_pitch) if np.isfinite(grouser_pitch) else 0,
+        phase=_phases(time, fine_knots, speed, settings),
+        bins=np.argmax(splitter.bin_means > 0, axis=0),
+        standing_speed=settings.standing_speed,
     )
 
 
 def _integral(time: np.ndarray, knots: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Integral from zero to `time` of a rate given at knots, straight between them."""
+    """Integral from zero to `time` of a rate given at knots, linear between them."""
     grid = np.union1d(knots, time)
     along = np.interp(grid, knots, rate)
     total = np.r_[0, np.cumsum(np.diff(grid) * (along[1:] + along[:-1]) / 2)]
     return np.interp(time, grid, total)
 
 
-def _phases(time: np.ndarray, knots: np.ndarray, speed: np.ndarray) -> np.ndarray:
+def _phases(
+    time: np.ndarray, knots: np.ndarray, speed: np.ndarray, settings: LocalizationSettings
+) -> np.ndarray:
+    """Index in `PHASES` of each time, from the commanded speed at knots [m/s]."""
     fastest = max(float(speed.max(initial=0)), 1e-12)
     now = np.interp(time, knots, speed)
-    # Over a quarter of a second, so that rounding in a recorded command is no acceleration.
-    ahead, behind = (np.interp(time + shift, knots, speed) for shift in (0.125, -0.125))
-    growth = (ahead - behind) / 0.25
+    half = settings.growth_window / 2
+    ahead, behind = (np.interp(time + shift, knots, speed) for shift in (half, -half))
+    growth = (ahead - behind) / settings.growth_window
     phase = np.full(len(time), PHASES.index("steady"))
-    phase[growth > STEADY * fastest] = PHASES.index("accelerate")
-    phase[growth < -STEADY * fastest] = PHASES.index("decelerate")
-    standing = now < STANDING * fastest
+    phase[growth > settings.steady_growth * fastest] = PHASES.index("accelerate")
+    phase[growth < -settings.steady_growth * fastest] = PHASES.index("decelerate")
+    standing = now < settings.standing_speed * fastest
     first = np.argmax(~standing) if (~standing).any() else len(time)
     later = np.arange(len(time)) >= first
     phase[standing & ~later] = PHASES.index("stand")

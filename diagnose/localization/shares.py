@@ -1,4 +1,10 @@
-"""The gap cut by an axis: how much of it lies in each bin, and how sure that is."""
+r"""Shares of the gap in the bins of an axis, with bootstrap intervals.
+
+The gap is the integral over time of the squared residual in noise floors, summed over channels,
+$\sum_c \int (r_c / n_c)^2 \mathrm{d}t$. A bin's share is the part of it from the times at which a
+run was in that bin; its interval comes from drawing half seconds (and runs of a group) with
+replacement.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,15 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.localization.kinematics import RunKinematics
-
-# Intervals hold the share with this probability.
-PROBABILITY = 0.9
-
-
-DRAWS = 400
-
-
-SEED = 20240
+from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 
 
 @dataclass(frozen=True)
@@ -22,11 +20,11 @@ class GapShare:
     """Share of the gap in one bin of one axis.
 
     Attributes:
-        axis: What the gap is cut by.
+        axis: Name of the axis.
         label: The bin, with its unit.
-        share: Of the squared residual over time, in units of the floor [-].
-        interval: That holds it with a probability of 90 %.
-        time: Share of the time spent there; NaN where that means nothing.
+        share: Of the squared residual over time, in noise floors squared [-].
+        interval: Its bounds with a probability of 90 %.
+        time: Share of the time spent in the bin [-]; NaN where that has no meaning.
     """
 
     axis: str
@@ -38,30 +36,38 @@ class GapShare:
 
 @dataclass(frozen=True, eq=False)
 class RunMisfit:
-    """One run's error.
+    """Residual of one run, and its motion.
 
     Attributes:
-        motion: How it moved.
-        error: In floors, shape (channels, samples); zero where not recorded.
-        spacing: Time that a sample stands for [s].
+        motion: Kinematics of the run.
+        residual: In noise floors, shape (channels, samples); zero where not recorded.
+        spacing: Time between samples [s].
     """
 
     motion: RunKinematics
-    error: np.ndarray
+    residual: np.ndarray
     spacing: float
 
     @property
     def power(self) -> np.ndarray:
-        """Of every sample, over channels."""
-        return (self.error**2).sum(axis=0)
+        """Squared residual of every sample, summed over channels, shape (samples,)."""
+        return (self.residual**2).sum(axis=0)
 
     @property
     def whole(self) -> float:
-        """Power over time [s]."""
+        """Integral of the power over time [s]."""
         return self.spacing * float(self.power.sum())
 
     def in_bins(self, place: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """`values` (rows, samples) over the time of half seconds, shape (half seconds, rows)."""
+        """Integrals over time of values in each half second.
+
+        Args:
+            place: Index of the half second of each value, shape (values,).
+            values: Shape (rows, values).
+
+        Returns:
+            Shape (half seconds, rows).
+        """
         count = int(self.motion.bins.max()) + 1
         sums = np.stack([np.bincount(place, row, count) for row in values], axis=1)
         return self.spacing * sums
@@ -69,7 +75,15 @@ class RunMisfit:
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """An axis: by run, power over time, and time, of each half second in each bin of it."""
+    """The gap divided into the bins of an axis.
+
+    Attributes:
+        axis: Name of the axis.
+        labels: Of its bins.
+        power: By run, integral of the power in each half second and bin [s], shape (half seconds,
+            bins).
+        time: The same of the time spent there [s]; None where that has no meaning.
+    """
 
     axis: str
     labels: Sequence[str]
@@ -80,7 +94,14 @@ class Partition:
 def partition_by_bin(
     runs: Sequence[RunMisfit], axis: str, labels: Sequence[str], places: Sequence[np.ndarray]
 ) -> Partition:
-    """An axis by the number of each sample's bin."""
+    """Partition by the bin of each sample.
+
+    Args:
+        runs: The runs.
+        axis: Name of the axis.
+        labels: Of its bins.
+        places: By run, index of each sample's bin, shape (samples,).
+    """
     power, time = [], []
     for run, place in zip(runs, places, strict=True):
         inside = (place == np.arange(len(labels))[:, None]).astype(float)
@@ -90,7 +111,7 @@ def partition_by_bin(
 
 
 def partition_by_label(runs: Sequence[RunMisfit], axis: str, names: Sequence[str]) -> Partition:
-    """An axis by a name of each run."""
+    """Partition by a name of each run."""
     labels = list(dict.fromkeys(names))
     places = [
         np.full(len(run.motion.time), labels.index(name))
@@ -99,22 +120,28 @@ def partition_by_label(runs: Sequence[RunMisfit], axis: str, names: Sequence[str
     return partition_by_bin(runs, axis, labels, places)
 
 
-def bootstrap_counts(random: np.random.Generator, sizes: list[int], groups: Sequence) -> np.ndarray:
-    """How often each half second is drawn, shape (draws, half seconds of all runs).
+def bootstrap_counts(
+    random: np.random.Generator,
+    sizes: list[int],
+    groups: Sequence,
+    draws: int = DEFAULT_LOCALIZATION.draws,
+) -> np.ndarray:
+    """Number of times that each half second is drawn, shape (draws, half seconds of all runs).
 
     Runs are drawn from their group, as many as it has; half seconds from each run drawn.
 
     Args:
-        random: Where the lots come from.
+        random: Generator of the draws.
         sizes: Half seconds of each run.
-        groups: What each run stands for.
+        groups: Key of each run's group.
+        draws: Number of draws.
     """
-    times = np.zeros((DRAWS, len(sizes)), int)
+    times = np.zeros((draws, len(sizes)), int)
     # In the order of the runs: a set of names has another one in every process.
     for group in dict.fromkeys(groups):
         members = [k for k, each in enumerate(groups) if each == group]
         even = np.full(len(members), 1 / len(members))
-        times[:, members] = random.multinomial(len(members), even, size=DRAWS)
+        times[:, members] = random.multinomial(len(members), even, size=draws)
     parts = [
         random.multinomial(times[:, k] * size, np.full(size, 1 / size))
         for k, size in enumerate(sizes)
@@ -122,39 +149,52 @@ def bootstrap_counts(random: np.random.Generator, sizes: list[int], groups: Sequ
     return np.concatenate(parts, axis=1).astype(float)
 
 
-def shares_of(cut: Partition, draws: np.ndarray, total: float) -> list[GapShare]:
-    """The share of every bin, with its interval; bins where no time was spent are left out.
+def interval_of(
+    drawn: np.ndarray, share: float, settings: LocalizationSettings = DEFAULT_LOCALIZATION
+) -> tuple[float, float]:
+    """Interval of a share from its bootstrap draws, which holds the share itself.
 
     Args:
-        cut: The axis.
-        draws: By `drawn_anew`, shape (draws, half seconds of all runs).
-        total: The whole gap, squared error in floors over time [s]: a draw of next to nothing of it
-            tells nothing.
+        drawn: Shares of the draws [-], shape (draws,).
+        share: Of all runs [-].
+        settings: Probability of the interval.
     """
-    power = np.concatenate(cut.power)
+    tail = 50 * (1 - settings.probability)
+    low, high = np.percentile(drawn, [tail, 100 - tail])
+    return float(min(low, share)), float(max(high, share))
+
+
+def shares_of(
+    partition: Partition,
+    draws: np.ndarray,
+    total: float,
+    settings: LocalizationSettings = DEFAULT_LOCALIZATION,
+) -> list[GapShare]:
+    """Share of every bin, with its interval; bins in which no time was spent are left out.
+
+    Args:
+        partition: The axis.
+        draws: By `bootstrap_counts`, shape (draws, half seconds of all runs).
+        total: The whole gap [s]: a draw of next to nothing of it counts as the share of all runs.
+        settings: Probability of the intervals.
+    """
+    power = np.concatenate(partition.power)
     share = power.sum(axis=0) / power.sum()
     drawn = draws @ power
     whole = drawn.sum(axis=1, keepdims=True)
     drawn = np.where(whole > 1e-12 * total, drawn / np.maximum(whole, 1e-300), share)
-    tail = 50 * (1 - PROBABILITY)
-    low, high = np.percentile(drawn, [tail, 100 - tail], axis=0)
     time = np.full(len(share), np.nan)
-    if cut.time is not None:
-        spent = np.concatenate(cut.time).sum(axis=0)
+    if partition.time is not None:
+        spent = np.concatenate(partition.time).sum(axis=0)
         time = spent / spent.sum()
     return [
         GapShare(
-            cut.axis,
+            partition.axis,
             label,
             float(share[k]),
-            (float(min(low[k], share[k])), float(max(high[k], share[k]))),
+            interval_of(drawn[:, k], float(share[k]), settings),
             float(time[k]),
         )
-        for k, label in enumerate(cut.labels)
-        if cut.time is None or time[k] > 0
+        for k, label in enumerate(partition.labels)
+        if partition.time is None or time[k] > 0
     ]
-
-
-# What a sentence names holds this share of the gap at least, what is most of it that; and how many
-# it names at most.
-LEAST_TOLD, MOST, MOST_TOLD = 0.25, 0.5, 3

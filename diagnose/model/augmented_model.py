@@ -59,7 +59,7 @@ class AugmentedModel:
     """
 
     effects: tuple[type[AbstractEffect], ...] = ()
-    shaped: bool = True
+    shapes_are_free: bool = True
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ class AugmentedModel:
         for index, effect in enumerate(self.effects):
             about = field_metadata(effect)
             found += [FreeField(index, name, about[name]["typical"]) for name in strengths(effect)]
-            if self.shaped:
+            if self.shapes_are_free:
                 found += [FreeField(index, name, None) for name in shapes(effect)]
         return tuple(found)
 
@@ -86,7 +86,7 @@ class AugmentedModel:
     def program(self) -> tuple["AugmentedModel", tuple[Held, ...], np.ndarray]:
         """What is compiled: a model, its numbers that no fit changes, its coordinates by these."""
         programs = [program_of(each) for each in self.effects]
-        general = AugmentedModel(tuple(each.effect for each in programs), self.shaped)
+        general = AugmentedModel(tuple(each.effect for each in programs), self.shapes_are_free)
         mix = np.zeros((len(general.free), len(self.free)))
         for column, own in enumerate(self.free):
             names = strengths(self.effects[own.index])

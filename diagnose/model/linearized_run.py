@@ -64,7 +64,7 @@ class LinearizedRun(eqx.Module):
     motion: Float[Array, "all 5"]
     omega: Float[Array, " all"]
     middle_time: Float[Array, " nodes"]
-    middle: Float[Array, "nodes 5"]
+    middle_motion: Float[Array, "nodes 5"]
     middle_omega: Float[Array, " nodes"]
     forces: Float[Array, "nodes 3"]
     state_transition: Float[Array, "nodes 5 5"]
@@ -237,7 +237,13 @@ def repair_outlier_maps(path: LinearizedRun, pitch: float) -> LinearizedRun:
     number = np.arange(nodes)
     nearest = np.where(number - before <= after - number, before, after)
     index = np.r_[nearest, nodes : len(carry)]
-    maps = ("carry", "gather", "enter", "forces_carry", "forces_enter")
+    maps = (
+        "state_transition",
+        "substep_sum",
+        "input_matrix",
+        "force_by_state",
+        "force_by_input",
+    )
     return replace(path, **{name: getattr(path, name)[index] for name in maps})
 
 

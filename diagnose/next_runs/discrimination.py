@@ -20,7 +20,7 @@ from diagnose.model.augmented_model import AugmentedModel, with_effects
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.physics.integrator import sharpest_ramp, steady_step
-from drftjax.recorded.observation import SHOWN, comparable
+from drftjax.recorded.observation import SHOWN, comparable_channels
 from drftjax.recorded.prepared_run import STEPS_A_ROW
 from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.trial import Trial
@@ -102,7 +102,9 @@ def next_run(
     for count in sorted({len(others), 1}, reverse=True):
         proposals = []
         for variation, apart in zip(variations, parted, strict=True):
-            proposals += _proposals(variation.words, apart[:count], comparable(driven), floor)
+            proposals += _proposals(
+                variation.words, apart[:count], comparable_channels(driven), floor
+            )
         told = (first, *others[:count])
         advice = {"tells": ["+".join(reported_names(each.names) or ("none",)) for each in told]}
         advice |= _best_of(proposals, variations[0].words, set(case.channels))

@@ -15,7 +15,8 @@ import numpy as np
 
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
-from drftjax.setups.setup import CommandSetUp, SetUp, StartSetUp, ZetaKnots
+from drftjax.setups.setup import CommandSetUp, SetUp, StartSetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.statics import standing_sinkage
 
 # Loads of the lightest and the heaviest run, as shares of the rig's own.

@@ -129,8 +129,8 @@ def weights(found: Diagnosis) -> Figure:
 
 def residuals(found: Diagnosis) -> Figure:
     """Simulated less recorded, one row for each run, one column for each channel."""
-    case = found.case
-    lines = [("reference model", BEFORE, found.before)]
+    case = found.dataset
+    lines = [("reference model", BEFORE, found.residual_before)]
     if found.selected.effects:
         lines.append((*_with_what(found), found.selected.after))
     runs = range(min(len(case.runs), MOST_RUNS))
@@ -156,7 +156,7 @@ def residuals(found: Diagnosis) -> Figure:
 
 def unknown_signal(found: Diagnosis, signal: UnknownEffect) -> Figure:
     """The simplest unknown signal against every variable that the runs tell."""
-    case, stage = found.case, signal.stage
+    case, stage = found.dataset, signal.stage
     shares = dict(signal.follows)
     panels = [(name, signal_against(case, stage, name)) for name in VARIABLES if name in shares]
     lines = -(-len(panels) // COLUMNS)

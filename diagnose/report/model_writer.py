@@ -27,7 +27,7 @@ def model_toml(found: Diagnosis) -> str:
     Wheel, rig, start and command are those of the first run. zeta is the mean over the runs. The
     effects stand with their numbers, and these with their standard errors in comments.
     """
-    candidates = found.case.runs
+    candidates = found.dataset.runs
     setup = copy.deepcopy(candidates[0].setup)
     zeta = np.array([float(each.setup.terrain.zeta) for each in candidates])  # pyright: ignore
     zeta = zeta * np.exp(found.selected.log_zeta)
@@ -60,12 +60,16 @@ def estimate_in_words(number: ParameterEstimate) -> str:
 
 
 def _head(found: Diagnosis) -> list[str]:
-    names = ", ".join(printable(each.name) for each in found.case.runs)
+    names = ", ".join(printable(each.name) for each in found.dataset.runs)
     lines = [f"{MARK} {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
-        on = "runs left out" if len(group_by_condition(found.case.runs)) > 1 else "these very runs"
+        on = (
+            "runs left out"
+            if len(group_by_condition(found.dataset.runs)) > 1
+            else "these very runs"
+        )
         explains = (
             "No effect that is known explains these runs."
             if found.verdict == (UNKNOWN,)
@@ -79,7 +83,7 @@ def _head(found: Diagnosis) -> list[str]:
         lines.append("No effect explains these runs; the likeliest one that is known stands below.")
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect shrinks the gap of these runs: this is the reference model.")
-    if own := found.case.runs[0].setup.effects:
+    if own := found.dataset.runs[0].setup.effects:
         names = ", ".join(str(each["name"]) for each in own)
         lines.append(f"The set-up that was given had effects, which are not in this file: {names}.")
     lines += [

@@ -42,7 +42,7 @@ def in_words(found: Diagnosis) -> list[Table | str]:
 def verdict(found: Diagnosis) -> str:
     """What was found, in one sentence."""
     weight = certainty_in_words(found)
-    alone = len(found.case.runs) == 1
+    alone = len(found.dataset.runs) == 1
     runs = "this run" if alone else "these runs"
     if found.verdict == (NONE,):
         if missed := _missed_by_far(found):
@@ -115,7 +115,7 @@ def group_sentences(found: Diagnosis) -> list[str]:
     sentences = []
     for group in found.groups:
         first, others = group[0], " or ".join(map(_worded, group[1:]))
-        alone = len(found.case.runs) == 1
+        alone = len(found.dataset.runs) == 1
         runs, rule = ("this run", "rules") if alone else ("these runs", "rule")
         if others and first == NONE:
             sentences.append(f"What {runs} {rule} out least: {others}.")
@@ -176,9 +176,9 @@ def _stand_in_sentence(found: Diagnosis) -> str:
 
 def step_sentences(found: Diagnosis) -> list[str]:
     """How far the gap shrinks as effects are added one by one, where there are several."""
-    if not found.steps:
+    if not found.stepwise:
         return []
-    steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.steps]
+    steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.stepwise]
     return [f"Added one by one, each fitted anew: {'; then '.join(steps)}."]
 
 
@@ -190,7 +190,7 @@ def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
 
 
 def _measured_on(found: Diagnosis, what: str) -> str:
-    if len(group_by_condition(found.case.runs)) > 1:
+    if len(group_by_condition(found.dataset.runs)) > 1:
         return f"on runs left out while {what} found"
     return f"on the very runs that {what} found on, which flatters it"
 
@@ -264,14 +264,16 @@ def gap_table(found: Diagnosis) -> Table:
 def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """By run: name, title, duration, zeta, and the gap before and after by channel."""
     rows = []
-    for number, each in enumerate(found.case.runs):
+    for number, each in enumerate(found.dataset.runs):
         zeta = float(each.setup.terrain.zeta) * np.exp(found.selected.matches[number].log_zeta)  # pyright: ignore
         cells = [
-            _rms_pair(found.before[number][place], found.selected.after[number][place], channel)
-            for place, channel in enumerate(found.case.channels)
+            _rms_pair(
+                found.residual_before[number][place], found.selected.after[number][place], channel
+            )
+            for place, channel in enumerate(found.dataset.channels)
         ]
-        time = found.case.time(number)
-        duration = f"{len(time) * found.case.spacing(number):.1f}"
+        time = found.dataset.time(number)
+        duration = f"{len(time) * found.dataset.sample_interval(number):.1f}"
         rows.append((each.name, printable(each.setup.title), duration, f"{zeta:.4f}", *cells))
     return rows
 
@@ -285,7 +287,7 @@ def _rms_pair(before: np.ndarray, after: np.ndarray, channel: str) -> str:
 
 
 def run_columns(found: Diagnosis) -> tuple[str, ...]:
-    channels = (f"{c} [{SHOWN[c][0]}]" for c in found.case.channels)
+    channels = (f"{c} [{SHOWN[c][0]}]" for c in found.dataset.channels)
     return ("run", "title", "compared [s]", "zeta", *channels)
 
 
@@ -302,7 +304,7 @@ def page(found: Diagnosis) -> str:
     )
     return environment.get_template("report.html").render(
         version=__version__,
-        names=[each.name for each in found.case.runs],
+        names=[each.name for each in found.dataset.runs],
         verdict=verdict(found),
         sentences=[
             *group_sentences(found),

@@ -40,17 +40,17 @@ class WeightSettings:
         none, unknown, pair: Logarithms of what is believed before any run, over a single effect.
     """
 
-    slow: float = 0.05
-    fast: float = 0.005
-    zeta: float = 0.6
-    floor: float = 1.2
-    form: float = 0.01
-    unseen: float = 0.5
-    number: float = 1.5
-    reached: float = 0.15
-    none: float = 0.5
-    unknown: float = 1.0
-    pair: float = -4.0
+    slow_worth: float = 0.05
+    fast_worth: float = 0.005
+    zeta_worth: float = 0.6
+    model_error_factor: float = 1.2
+    formula_error_share: float = 0.01
+    held_out_share: float = 0.5
+    parameter_cost: float = 1.5
+    unknown_residual_share: float = 0.15
+    log_prior_none: float = 0.5
+    log_prior_unknown: float = 1.0
+    log_prior_pair: float = -4.0
 
 
 SCALE = WeightSettings()
@@ -69,10 +69,10 @@ class ScoredHypothesis:
     """
 
     names: tuple[str, ...]
-    left: np.ndarray
-    fitted: np.ndarray
-    scatter: float
-    numbers: int
+    held_out_power: np.ndarray
+    fitted_power: np.ndarray
+    zeta_variance: float
+    parameter_count: int
 
 
 def log_weights(
@@ -96,12 +96,12 @@ def log_weights(
         chance: Mean square of what repeats differ by in each block. What of it is beyond noise and
             a model's own error is neither held against a model nor for `unknown` to explain.
     """
-    floor = (scale.floor * np.array([FLOOR[block] for block in blocks])) ** 2
+    floor = (scale.model_error_factor * np.array([FLOOR[block] for block in blocks])) ** 2
     by_chance = np.maximum(chance - noise - floor, 0)
-    beyond = np.maximum(judged[0].left - noise - floor - by_chance, 0)
-    allowed = floor + by_chance + scale.form**2 * beyond
-    worth = number * np.array([getattr(scale, kind) for _, kind in blocks])
-    zeta = scale.zeta * max(runs - 1, 0)
+    beyond = np.maximum(judged[0].held_out_power - noise - floor - by_chance, 0)
+    allowed = floor + by_chance + scale.formula_error_share**2 * beyond
+    worth = number * np.array([getattr(scale, f"{kind}_worth") for _, kind in blocks])
+    zeta = scale.zeta_worth * max(runs - 1, 0)
 
     def evidence(left: np.ndarray, scatter: float) -> float:
         explained = -0.5 * float((worth * np.log(left + allowed)).sum())
@@ -109,13 +109,15 @@ def log_weights(
 
     found = []
     for each in judged:
-        before = {0: scale.none, 1: 0.0}.get(len(each.names), scale.pair)
-        predicted, fitted = (evidence(left, each.scatter) for left in (each.left, each.fitted))
-        told = scale.unseen * predicted + (1 - scale.unseen) * fitted
-        found.append(told - scale.number * each.numbers + before)
-    left = judged[0].left - (1 - scale.reached**2) * beyond
-    unwritten = evidence(left, judged[0].scatter)
-    return np.array(found), unwritten + scale.unknown - scale.number * 3
+        before = {0: scale.log_prior_none, 1: 0.0}.get(len(each.names), scale.log_prior_pair)
+        predicted, fitted = (
+            evidence(left, each.zeta_variance) for left in (each.held_out_power, each.fitted_power)
+        )
+        told = scale.held_out_share * predicted + (1 - scale.held_out_share) * fitted
+        found.append(told - scale.parameter_cost * each.parameter_count + before)
+    left = judged[0].held_out_power - (1 - scale.unknown_residual_share**2) * beyond
+    unwritten = evidence(left, judged[0].zeta_variance)
+    return np.array(found), unwritten + scale.log_prior_unknown - scale.parameter_cost * 3
 
 
 def weights(

@@ -81,7 +81,7 @@ def reassign_unknown(
     return {**share, (name,): moved, (UNKNOWN,): 0.0}
 
 
-def by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
+def weight_by_name(share: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     """Weight of each name: that of every hypothesis it is part of."""
     total: dict[str, float] = {}
     for names, weight in share.items():

@@ -206,7 +206,9 @@ def fit_unknown_effect(
 
 def equivalent_effect(one: Correction) -> str | None:
     """The effect of the list that a curve would be a form of, where it explains the runs."""
-    least = max(SCALE.reached * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap)))
+    least = max(
+        SCALE.unknown_residual_share * one.added.before, AT_FLOOR * math.sqrt(len(one.added.gap))
+    )
     explains = one.added.helps and one.added.left <= least
     if not explains or not _of_places(np.asarray(one.effect.values())):
         return None
@@ -260,12 +262,14 @@ def _corrected(
     """What a curve, fitted by simulation, leaves of the gap on runs left out; None if one fails."""
     met = at_mean_sinkage(bench, predict_held_out(bench, found))
     after = residuals_of(met)
-    if not bench.case.all_finite(after):
+    if not bench.dataset.all_finite(after):
         return None
     (effect,) = effects_of(found)
     assert isinstance(effect, Curve)
     plain = with_values(curve.kind, np.asarray(effect.values()).tolist())
-    added = SelectedEffects((plain,), found.log_zeta, met, gaps(bench.case, before, after, floors))
+    added = SelectedEffects(
+        (plain,), found.log_zeta, met, gaps(bench.dataset, before, after, floors)
+    )
     return Correction(plain, explained, added)
 
 

@@ -200,7 +200,7 @@ def _of_run(case: RigDataset, run: int, log_zeta: float, residual: Sequence[np.n
     path = case.linearized(run, log_zeta)
     time = case.time(run)
     if residual is None:
-        given = case.predicted(AugmentedModel(), run, log_zeta, np.zeros(0)) - case.recorded(run)
+        given = case.prediction(AugmentedModel(), run, log_zeta, np.zeros(0)) - case.recording(run)
     else:
         given = residual[run]
     splitter = SlowFastSplit.of(time)
@@ -249,7 +249,7 @@ class _Slow:
         found = []
         for index, (channel, rows) in enumerate(zip(self.channels, values, strict=True)):
             seen = np.isfinite(self.given[index]).all()
-            means = self.splitter.mean @ np.where(seen, rows, 0)
+            means = self.splitter.bin_means @ np.where(seen, rows, 0)
             slow = np.diff(means, axis=0) if channel == "x" else means
             found.append((slow if seen else slow[:0]) / floor_of(channel))
         return found

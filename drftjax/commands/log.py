@@ -146,7 +146,7 @@ def import_(
 
 def _mapping(given: str) -> Path:
     """A mapping's file, given by its path or by the name of one that ships with the project."""
-    from drftjax.common.package_data import data_file, data_names
+    from drftjax.common.packages import data_file, data_names
     from drftjax.runlog.validation import nearest
 
     if Path(given).is_file():

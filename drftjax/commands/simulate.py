@@ -98,7 +98,7 @@ def simulate(
     if zeta is not None:
         chosen.terrain.zeta = zeta
     if inertial is not None:
-        chosen.terrain.inertial_coefficient = inertial
+        chosen.terrain.put_number("inertial_coefficient", inertial)
     if step is not None:
         chosen.integrator.step = step
     log = simulated_run(chosen, interval=1 / rate, at=sampled)

@@ -137,6 +137,18 @@ class AbstractEffect(eqx.Module):
     about: ClassVar[EffectInfo]
 
 
+class Memoryless(eqx.Module):
+    """Mixin of effects that depend on the present alone; stands before the abstract class."""
+
+    def begin(self, *args: Any, **kwargs: Any) -> Memory:
+        """No memory, whatever the run starts from."""
+        return ()
+
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
+        """No memory after the step either."""
+        return ()
+
+
 class Adjustable(Protocol):
     """A model by the parts whose numbers an adjustment may change."""
 
@@ -182,7 +194,7 @@ class AbstractDrive(AbstractEffect):
         """
 
 
-class MemorylessDrive(AbstractDrive):
+class MemorylessDrive(Memoryless, AbstractDrive):
     """A drive whose speed depends on the present alone."""
 
     @abc.abstractmethod
@@ -193,9 +205,6 @@ class MemorylessDrive(AbstractDrive):
             omega: What is asked for, effects before this one included [rad/s].
             angle: Wheel angle that this leads to at the end of the step [rad].
         """
-
-    def begin(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Memory:
-        return ()
 
     def turn(
         self,
@@ -239,14 +248,8 @@ class AbstractStressFactor(AbstractEffect):
         """Factor on each plate's stress [-], one at the null."""
 
 
-class MemorylessZetaFactor(AbstractZetaFactor):
+class MemorylessZetaFactor(Memoryless, AbstractZetaFactor):
     """A factor on zeta that depends on the present alone."""
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        return ()
 
 
 class AbstractSurface(AbstractEffect):
@@ -273,14 +276,8 @@ class AbstractSurface(AbstractEffect):
         """
 
 
-class MemorylessSurface(AbstractSurface):
+class MemorylessSurface(Memoryless, AbstractSurface):
     """A surface that no wheel changes."""
-
-    def begin(self) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        return ()
 
 
 class AbstractPlane(AbstractSurface):
@@ -326,6 +323,10 @@ class AbstractLoad(AbstractEffect):
         """Force (x, z) on the axle [N]; the step linearises it in `velocity` [m/s]."""
 
 
+class MemorylessLoad(Memoryless, AbstractLoad):
+    """A load that depends on the present alone."""
+
+
 class AbstractSandLoad(AbstractLoad):
     """A further force of the sand, which a force sensor reads too."""
 
@@ -356,13 +357,3 @@ def along_x(force: Float[Array, ""]) -> Float[Array, "2"]:
 def along_z(force: Float[Array, ""]) -> Float[Array, "2"]:
     """A force (x, z) [N] that acts upward."""
     return jnp.stack([jnp.zeros_like(force), force])
-
-
-class MemorylessLoad(AbstractLoad):
-    """A load that depends on the present alone."""
-
-    def begin(self, position: Float[Array, "2"]) -> Memory:
-        return ()
-
-    def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        return ()

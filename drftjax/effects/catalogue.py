@@ -4,13 +4,12 @@ A package adds effects by the entry-point group `drft.effects`: a name, and wher
 """
 
 import dataclasses
-import inspect
 from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import cache
-from importlib.metadata import entry_points
 
 from drftjax.common.errors import InputError
+from drftjax.common.packages import load_plugins, require_concrete
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect, EffectInfo
 from drftjax.effects.drive import DRIVE
@@ -44,16 +43,14 @@ def catalogue() -> dict[str, type[AbstractEffect]]:
         InputError: where a package adds something that is no effect, or takes a name.
     """
     known = {each.about.name: each for each in OURS}
-    for entry in entry_points(group=GROUP):
-        try:
-            added = entry.load()
-        except Exception as error:
-            raise InputError(f"the effect {entry.name!r} of {entry.value} fails: {error}") from None
-        if not (isinstance(added, type) and issubclass(added, AbstractEffect)):
-            raise InputError(f"the effect {entry.name!r} of {entry.value} is no effect class")
-        _require_whole(added, f"the effect {entry.name!r} of {entry.value}")
+    for _, label, added in load_plugins(GROUP, AbstractEffect, "effect"):
+        if not isinstance(getattr(added, "about", None), EffectInfo):
+            raise InputError(
+                f"{label} has no `about`; it must say its name, stage, formula and meaning"
+            )
+        require_concrete(added, label, "effect of its stage")
         if added.about.name in (*known, correction.NAME):
-            raise InputError(f"the effect {added.about.name!r} of {entry.value} is there already")
+            raise InputError(f"{label} takes the name {added.about.name!r}, which is there already")
         known[added.about.name] = added
     for each in known.values():
         if each.about.form_of and each.about.form_of not in known:
@@ -62,19 +59,6 @@ def catalogue() -> dict[str, type[AbstractEffect]]:
                 "no such effect"
             )
     return known
-
-
-def _require_whole(effect: type[AbstractEffect], what: str) -> None:
-    """Refuse a class that lacks what every effect has.
-
-    Raises:
-        InputError: says what it lacks.
-    """
-    if not isinstance(getattr(effect, "about", None), EffectInfo):
-        raise InputError(f"{what} has no `about`; it must say its name, stage, formula and meaning")
-    if inspect.isabstract(effect):
-        lacking = ", ".join(sorted(effect.__abstractmethods__))
-        raise InputError(f"{what} lacks {lacking}, which every effect of its stage has")
 
 
 def effect_class(name: str) -> type[AbstractEffect]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.observation import drop_refused, refused_readings
 from drftjax.recorded.prepared_run import PreparedRun, names_of, prepare_run
+from drftjax.recorded.refused_readings import drop_refused, refused_readings
 from drftjax.runlog.files import each_once, run_files
 from drftjax.runlog.plausibility import doubts
 from drftjax.runlog.record import RunLog
@@ -53,8 +53,8 @@ def gather(
             try:
                 run = run_from(*surveyed)
                 each = ready(name, run)
-                if sinkage and "z" not in each.observation.channels:
-                    raise InputError("has no /measured/z, so its sinkage is not known")
+                if sinkage:
+                    each.observation.sinkage()
                 candidates.append(each)
                 for doubt in doubts(drop_refused(run)):
                     tell(f"note: {path}: {doubt}")

@@ -1,18 +1,14 @@
-"""What a recorded run offers to a fit: its channels at the recorded times."""
+"""Observation of a recorded run: channels, noise and samples that a simulation is compared with."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.commanded_motion import STANDS, commanded_speed
-from drftjax.runlog.record import CHANNELS, Measured, RunLog
-
-if TYPE_CHECKING:
-    pass
+from drftjax.recorded.commanded_motion import DEFAULT_MOTION, MotionSettings, commanded_speed
+from drftjax.runlog.record import CHANNELS, RunLog
 
 FREE_CHANNELS = ("x", "z", "torque")
 
@@ -20,34 +16,48 @@ FREE_CHANNELS = ("x", "z", "torque")
 DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 
 
-# An instrument's noise cannot be told finer than this [m, N, N m].
-SMALLEST_NOISE = {"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3}
-
-
 # A median absolute second difference of white noise is this many standard deviations.
 SECOND_DIFFERENCE_SCALE = 0.6745 * np.sqrt(6.0)
 
 
-# Words of /online's flags: a tick had a reading of its own, and the loop refused it.
-FRESH, REFUSED = "fresh", "refused"
+def _smallest_noise() -> Mapping[str, float]:
+    return MappingProxyType({"x": 1e-6, "z": 1e-6, "fx": 1e-2, "fz": 1e-2, "torque": 1e-3})
 
 
-# Word of /events for the same, with the value read; told within so long of the reading [s].
-READING_REFUSED, NEAR = "reading_refused", 0.2
+@dataclass(frozen=True)
+class ObservationSettings:
+    """Numbers that decide which samples are compared, and how noisy they are at least.
+
+    Attributes:
+        min_noise: Smallest standard deviation of an instrument's noise by channel [m, N, N m]: no
+            rig's instruments resolve less.
+        clock_rounding: Difference of two clocks that write the same instant [s].
+        motion: Speeds that count as standing.
+    """
+
+    min_noise: Mapping[str, float] = field(default_factory=_smallest_noise)
+    clock_rounding: float = 1e-9
+    motion: MotionSettings = DEFAULT_MOTION
 
 
-# Two clocks that write the same time may differ by this [s].
-ROUNDING = 1e-9
+DEFAULT_OBSERVATION = ObservationSettings()
+
+
+# Of the default settings, for code that is given none.
+SMALLEST_NOISE = DEFAULT_OBSERVATION.min_noise
+
+
+ROUNDING = DEFAULT_OBSERVATION.clock_rounding
 
 
 @dataclass(frozen=True)
 class Observation:
-    """The channels of one run that a fit compares.
+    """Recorded channels of one run that a simulation is compared with.
 
     Attributes:
-        time: Recorded times from the run's start [s], shape (samples,).
+        time: Recorded times from the first command on [s], shape (samples,).
         channels: Names among x, z, fx, fz, torque.
-        values: What was recorded [m, N, N m], shape (channels, samples).
+        values: Recorded values [m, N, N m], shape (channels, samples).
         noise: Standard deviation of the instrument's white noise, shape (channels,).
         counts: True for samples that are compared, shape (samples,).
         unused: Channels that were recorded and are not compared.
@@ -73,8 +83,11 @@ class Observation:
     def of(self, compare: Sequence[str]) -> "Observation":
         """The same with no other channels compared than these, of those that are.
 
+        Args:
+            compare: Names of channels.
+
         Raises:
-            InputError: where none is left.
+            InputError: none is left.
         """
         kept = [number for number, name in enumerate(self.channels) if name in compare]
         if len(kept) == len(self.channels):
@@ -90,8 +103,18 @@ class Observation:
             unused=(*self.unused, *others),
         )
 
+    def sinkage(self) -> np.ndarray:
+        """Recorded sinkage H = -z [m], shape (samples,).
+
+        Raises:
+            InputError: the run has none.
+        """
+        if "z" not in self.channels:
+            raise InputError("has no /measured/z, so its sinkage is not known")
+        return -self.values[self.channels.index("z")]
+
     def by_channel(self) -> dict[str, tuple[np.ndarray, float]]:
-        """Values and noise by the channel's name."""
+        """Values [m, N, N m], shape (samples,), and noise in their unit, by channel."""
         return {
             name: (values, float(noise))
             for name, values, noise in zip(self.channels, self.values, self.noise, strict=True)
@@ -99,77 +122,33 @@ class Observation:
 
 
 def intervals_of(time: np.ndarray) -> np.ndarray:
-    """Whole usual intervals from the sample before [-], infinite first, of times [s] (samples,)."""
+    """Whole usual intervals from the sample before [-].
+
+    Args:
+        time: Times of the samples [s], shape (samples,).
+
+    Returns:
+        Intervals, more than one after a gap and infinite for the first sample, shape (samples,).
+    """
     steps = np.diff(time)
     usual = np.median(steps) if len(steps) else 1.0
     return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
 
 
-def refused_readings(run: RunLog) -> NDArray[np.bool_]:
-    """Rows of /measured that the loop refused as jumps, or as no height a wheel can have.
-
-    Each tick with a fresh reading has the next row. Where there are not as many of both, as in a
-    run that was cut off, the log does not tell which rows they are.
+def comparable_channels(driven: bool) -> tuple[str, ...]:
+    """Names of the channels that are compared where they are recorded.
 
     Args:
-        run: Made in the loop or not.
-
-    Returns:
-        True for each such row, shape (samples,).
+        driven: True where the carriage is driven, so that its x is given; False where it is free.
     """
-    none = np.zeros(len(run.measured.time), bool)
-    if run.online is None:
-        return none | _told_by_events(run)
-    bits = {word: bit for bit, word in run.online.meanings.items()}
-    if not {FRESH, REFUSED} <= set(bits):
-        return none
-    fresh, refused = ((run.online.flags & bits[word]) != 0 for word in (FRESH, REFUSED))
-    return refused[fresh] if fresh.sum() == len(none) else none
-
-
-def _told_by_events(run: RunLog) -> NDArray[np.bool_]:
-    """The same of a run whose carriage was free, which has no flags: by the readings told."""
-    found = np.zeros(len(run.measured.time), bool)
-    if run.events is None:
-        return found
-    codes = [code for code, word in run.events.meanings.items() if word == READING_REFUSED]
-    told = np.isin(run.events.code, codes)
-    channels = [each for each in (run.measured.z, run.measured.x) if each is not None]
-    for time, value in zip(run.events.event_time[told], run.events.arg[told], strict=True):
-        same = np.any([each == value for each in channels], axis=0)
-        near = same & (np.abs(run.measured.time - time) <= NEAR)
-        if near.any():
-            away = np.where(near, np.abs(run.measured.time - time), np.inf)
-            found[int(np.argmin(away))] = True
-    return found
-
-
-def drop_refused(run: RunLog) -> RunLog:
-    """The run without the readings that the loop refused.
-
-    Raises:
-        InputError: where it refused them all.
-    """
-    kept = ~refused_readings(run)
-    if kept.all():
-        return run
-    if not kept.any():
-        raise InputError("the loop refused all its readings; at least one must be sound")
-    measured = run.measured
-    channels = {name: values[kept] for name, values in measured.channels().items()}
-    return replace(run, measured=Measured(time=measured.time[kept], **channels))
-
-
-def comparable(driven: bool) -> tuple[str, ...]:
-    """Channels that are compared where they are recorded, with a driven or a free carriage."""
     return DRIVEN_CHANNELS if driven else FREE_CHANNELS
 
 
 def require_channels(names: Sequence[str]) -> None:
-    """Refuse channels to compare that there are not, or none.
+    """Refuse an empty list of channels to compare, or names that are no channels.
 
     Raises:
-        InputError: names them, and what there is.
+        InputError: names them, and the channels that there are.
     """
     strange = [each for each in names if each not in CHANNELS]
     if strange or not names:
@@ -180,26 +159,32 @@ def require_channels(names: Sequence[str]) -> None:
 
 
 def observe(
-    run: RunLog, radius: float, *, keep_rest: bool = False, compare: Sequence[str] = CHANNELS
+    run: RunLog,
+    radius: float,
+    *,
+    keep_rest: bool = False,
+    compare: Sequence[str] = CHANNELS,
+    settings: ObservationSettings = DEFAULT_OBSERVATION,
 ) -> Observation:
-    """The channels of a run that its simulation predicts.
+    """Channels of a recorded run that its simulation predicts.
 
     With a free carriage these are x, z and torque, with a driven one z, the forces and torque: x is
     then given.
 
     Args:
-        run: What was recorded.
-        radius: Of the rim [m]; it says when the wheel stands beside a carriage that moves.
-        keep_rest: Whether the samples after the wheel has stopped for good are compared too. A
+        run: Recorded run.
+        radius: Rim radius [m]; decides when the wheel stands beside a carriage that moves.
+        keep_rest: True to compare the samples after the wheel has stopped for good, too. A
             standing wheel holds whatever sinkage it has reached, so they say nothing of the
             sand's parameters, and what a rig does at rest is not the model's matter.
         compare: Channels that are compared, of those that the simulation predicts.
+        settings: Smallest noise of each channel, and speeds that count as standing.
 
     Raises:
-        InputError: where the run has none of them, never moves, or was not recorded meanwhile.
+        InputError: the run has none of the channels, never moves, or was not recorded meanwhile.
     """
     require_channels(compare)
-    predicted = comparable(driven=run.command.vx is not None)
+    predicted = comparable_channels(driven=run.command.vx is not None)
     wanted = tuple(each for each in predicted if each in compare)
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)
@@ -217,23 +202,24 @@ def observe(
     if not np.any(run.command.omega) and (vx is None or not np.any(vx)):
         raise InputError("the commanded profile never moves the wheel")
     values = np.stack([getattr(run.measured, each) for each in channels])
-    noise = [max(white_noise(v), SMALLEST_NOISE[c]) for v, c in zip(values, channels, strict=True)]
+    noise = [instrument_noise(c, v, settings) for v, c in zip(values, channels, strict=True)]
     time = run.measured.time - run.command.time[0]
     # Before the command begins and past its end nothing is simulated.
     end = float(run.command.time[-1] - run.command.time[0])
-    last = end if keep_rest else min(end, _last_motion(run, radius))
-    counts = (time >= -ROUNDING) & (time <= last + ROUNDING)
+    last = end if keep_rest else min(end, _last_motion(run, radius, settings.motion))
+    rounding = settings.clock_rounding
+    counts = (time >= -rounding) & (time <= last + rounding)
     if not counts.any():
         raise InputError("nothing to compare; no sample lies within the commanded profile")
     unused = tuple(each for each in recorded if each not in wanted)
     return Observation(time, channels, values, np.array(noise), counts, unused)
 
 
-def _last_motion(run: RunLog, radius: float) -> float:
-    """Time from the run's start after which neither wheel nor carriage is asked to move [s]."""
+def _last_motion(run: RunLog, radius: float, settings: MotionSettings) -> float:
+    """Time from the first command after which neither wheel nor carriage is to move [s]."""
     command = run.command
-    asked = commanded_speed(radius, command.omega, command.vx)
-    moving = asked > STANDS * asked.max()
+    speed = commanded_speed(radius, command.omega, command.vx)
+    moving = speed > settings.standing_share * speed.max()
     if moving[-1]:
         return np.inf
     last = int(np.flatnonzero(moving)[-1])
@@ -241,13 +227,35 @@ def _last_motion(run: RunLog, radius: float) -> float:
 
 
 def white_noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise on a slow signal, from its second differences."""
+    r"""Standard deviation of white noise on a slow signal, from its second differences.
+
+    $\hat\sigma = \mathrm{median}|y_{i+1} - 2 y_i + y_{i-1}| / (0.6745 \sqrt 6)$.
+
+    Args:
+        values: Samples at even intervals, shape (samples,).
+
+    Returns:
+        Standard deviation in the unit of the samples; 0 of fewer than three.
+    """
     if len(values) < 3:
         return 0.0
     return float(np.median(np.abs(np.diff(values, 2))) / SECOND_DIFFERENCE_SCALE)
 
 
-# Reports show lengths in mm.
+def instrument_noise(
+    channel: str, values: np.ndarray, settings: ObservationSettings = DEFAULT_OBSERVATION
+) -> float:
+    """Standard deviation of an instrument's noise, at least what any instrument of its kind has.
+
+    Args:
+        channel: Name among x, z, fx, fz, torque.
+        values: Its samples [m, N, N m], shape (samples,).
+        settings: Smallest noise of each channel.
+    """
+    return max(white_noise(values), settings.min_noise[channel])
+
+
+# Unit in reports and factor from SI: lengths in mm.
 SHOWN = {
     "x": ("mm", 1e3),
     "z": ("mm", 1e3),

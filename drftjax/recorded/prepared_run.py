@@ -1,4 +1,8 @@
-"""Runs on their way into a fit: from files, run logs and set-ups to what can be simulated."""
+"""Prepared runs: recorded runs made ready for simulation and comparison.
+
+`prepare_run` takes four steps: `drop_refused` takes out the readings that the loop refused,
+`setup_for` gives the set-up, `observe` the channels that are compared, `start_state` the start.
+"""
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
@@ -6,21 +10,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.integrator import steady_step
 from drftjax.recorded.observation import (
-    ROUNDING,
-    SMALLEST_NOISE,
+    DEFAULT_OBSERVATION,
     Observation,
-    drop_refused,
+    ObservationSettings,
     observe,
-    white_noise,
 )
+from drftjax.recorded.refused_readings import drop_refused
+from drftjax.recorded.start_state import DEFAULT_START, StartSettings, start_state
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
-from drftjax.runlog.record import CHANNELS, Measured, RunLog
+from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, put_effects
 from drftjax.simulation.trial import Trial
@@ -32,38 +34,15 @@ FIT_METHOD = "held pace"
 STEPS_A_ROW = 5
 
 
-# Recorded sinkage and travel are averaged over so much of the rest before the run [s]. A wheel
-# creeps into the sand: where it stands for longer, a straight line tells its sinkage at the start.
-START_WINDOW, CREEP_WINDOW = 0.2, 0.5
-
-
-# Fewer samples make no line that tells it better than their mean.
-LEAST_SAMPLES = 10
-
-
-# Where the curvature of its creep is so many standard errors, a parabola does; noise that lasts
-# over a few samples makes four.
-CURVED = 6.0
-
-
-# A wheel still settles where a straight line through that rises by more than so many standard
-# errors (instruments' slow errors reach ten), and by more than so much in that time [m].
-SETTLING, SETTLED = 30.0, 2e-4
-
-
-# What a measured or rounded command moves by while the wheel rests [m]: less than scales tell.
-STILL = 1e-5
-
-
 @dataclass(frozen=True)
 class PreparedRun:
-    """A run on its way into a fit.
+    """Recorded run with set-up, start and observation, ready to be simulated and compared.
 
     Attributes:
         name: The run, as reports call it.
-        setup: Its set-up and commands.
-        trial: What is simulated.
-        observation: What was recorded.
+        setup: Its set-up and commands, the start as recorded.
+        trial: Simulator, start and command, built from the set-up.
+        observation: Recorded channels that a simulation is compared with.
         made_in_loop: The run log itself where it was made in the loop; None for others.
     """
 
@@ -85,106 +64,74 @@ def prepare_run(
     step: float | None = None,
     keep_rest: bool = False,
     compare: Sequence[str] = CHANNELS,
+    start_settings: StartSettings = DEFAULT_START,
+    settings: ObservationSettings = DEFAULT_OBSERVATION,
 ) -> PreparedRun:
-    """A recorded run made ready: its set-up as believed, its start as recorded.
+    """Make a recorded run ready: its set-up as believed, its start as recorded.
 
     Args:
         name: The run, as reports call it.
-        run: What was recorded.
-        model: Wheel, sand, rig and effects in place of what the run log believes of them.
-        fitted: Names of what will be fitted: effects whose numbers are among them are added.
-        zeta: Scaling factor to start from [-]; the set-up's where none is given.
-        method: Integrator.
-        step: Its step [s]; where none is given, the longest that the command allows.
+        run: Recorded run.
+        model, fitted, zeta, method, step: See `setup_for`.
         keep_rest, compare: See `observe`.
+        start_settings: Which samples give the start, and by which curve.
+        settings: Which samples are compared, and how noisy they are at least.
 
     Raises:
-        InputError: where the run cannot be simulated or compared.
+        RunError: the run cannot be simulated or compared.
     """
     made_in_loop = None if run.online is None else run
     try:
         run = drop_refused(run)
         require_upright(run)
-        setup = setup_from_run(run) if model is None else _commanded(model, run)
-        observation = observe(run, setup.wheel.radius, keep_rest=keep_rest, compare=compare)
-        put_effects(setup, fitted)
-        setup.integrator.method = method  # pyright: ignore[reportAttributeAccessIssue]
-        setup.integrator.step = (
-            steady_step(setup.wheel.radius, run.command.time, run.command.omega)
-            if step is None
-            else step
+        setup = setup_for(run, model, fitted=fitted, zeta=zeta, method=method, step=step)
+        observation = observe(
+            run, setup.wheel.radius, keep_rest=keep_rest, compare=compare, settings=settings
         )
-        # Of a wheel that sets off sooner, no more than its rest tells the start.
-        window = min(START_WINDOW, _sets_off(run, setup.wheel.radius) + ROUNDING)
-        begun = observation.begun
-        first = observation.time[begun][0]
-        early = begun & (observation.time <= max(window, first))
-        told = early.sum() > 1 or window < START_WINDOW
-        if _settles(observation.time, run.measured, early):
-            early = observation.time == first
-        if run.measured.z is not None and told:
-            height = float(run.measured.z[early].mean())
-            creeping = begun & (observation.time <= CREEP_WINDOW)
-            stands = _sets_off(run, setup.wheel.radius) >= CREEP_WINDOW
-            if stands and early.sum() > 1 and creeping.sum() >= LEAST_SAMPLES:
-                height = _crept_from(observation.time[creeping], run.measured.z[creeping])
-            setup.start.sinkage = -height
-        if run.measured.x is not None and told:
-            setup.start.x = float(run.measured.x[early].mean())
-        if zeta is not None:
-            setup.terrain.zeta = zeta
+        setup.start = start_state(run, setup, start_settings, settings)
         trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
         return PreparedRun(name, setup, trial, observation, made_in_loop)
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 
 
-def _sets_off(run: RunLog, radius: float) -> float:
-    """Time from the run's start up to which neither wheel nor carriage is asked to move [s]."""
-    command = run.command
-    speeds = np.stack(
-        [radius * command.omega, 0 * command.omega if command.vx is None else command.vx]
-    )
-    steps = np.diff(command.time) * (speeds[:, 1:] + speeds[:, :-1]) / 2
-    gone = np.abs(np.cumsum(steps, axis=1)).max(axis=0) > STILL
-    last = int(np.argmax(gone)) if gone.any() else len(gone)
-    return float(command.time[last] - command.time[0])
-
-
-def _settles(time: np.ndarray, measured: Measured, early: np.ndarray) -> bool:
-    """Whether the wheel moves by more than its instruments' noise in these samples."""
-    if early.sum() < 3:
-        return False
-    time = time[early] - time[early].mean()
-    spread = time @ time
-    for name in ("x", "z"):
-        values = getattr(measured, name)
-        if values is None:
-            continue
-        noise = max(white_noise(values), SMALLEST_NOISE[name])
-        slope = abs(time @ values[early]) / spread
-        if slope > max(SETTLING * noise / np.sqrt(spread), SETTLED / np.ptp(time)):
-            return True
-    return False
-
-
-def _crept_from(time: np.ndarray, height: np.ndarray) -> float:
-    """Height at the first of these times of a wheel that creeps [m].
+def setup_for(
+    run: RunLog,
+    model: SetUp | None = None,
+    *,
+    fitted: Sequence[str] = (),
+    zeta: float | None = None,
+    method: str = FIT_METHOD,
+    step: float | None = None,
+) -> SetUp:
+    """Set-up that a recorded run is simulated with.
 
     Args:
-        time, height: What was recorded while it stood [s, m], shape (samples,).
+        run: Recorded run, for its command, and for its set-up where no model is given.
+        model: Wheel, sand, rig and effects in place of those that the run log names; not changed.
+        fitted: Names of parameters to be fitted: effects whose numbers are among them are added.
+        zeta: Scaling factor to start from [-]; the set-up's where none is given.
+        method: Integrator, by its name in a set-up file.
+        step: Its step [s]; where none is given, the longest that the command allows.
+
+    Raises:
+        InputError: names what the run log lacks.
     """
-    powers = np.vander(time - time[0], 3)
-    (curvature, _, at_first), square, *_ = np.linalg.lstsq(powers, height)
-    noise = max(float(np.sqrt(square.sum() / (len(time) - 3))), SMALLEST_NOISE["z"])
-    error = noise * np.sqrt(np.linalg.inv(powers.T @ powers)[0, 0])
-    if abs(curvature) < CURVED * error:
-        at_first = np.polyfit(powers[:, 1], height, 1)[1]
-    return float(at_first)
+    setup = setup_from_run(run) if model is None else _under_command(model, run)
+    put_effects(setup, fitted)
+    setup.integrator.method = method
+    setup.integrator.step = (
+        steady_step(setup.wheel.radius, run.command.time, run.command.omega)
+        if step is None
+        else step
+    )
+    if zeta is not None:
+        setup.terrain.zeta = zeta
+    return setup
 
 
-def _commanded(model: SetUp, run: RunLog) -> SetUp:
-    """A model under a recorded run's command, with the carriage that the run had."""
+def _under_command(model: SetUp, run: RunLog) -> SetUp:
+    """A copy of the model under a recorded run's command, with the carriage that the run had."""
     setup = copy.deepcopy(model)
     command = run.command
     vx = None if command.vx is None else command.vx.tolist()
@@ -200,14 +147,14 @@ Run: TypeAlias = str | Path | RunLog | tuple[SetUp, RunLog] | PreparedRun
 def prepare_runs(
     runs: Run | Sequence[Run] | Mapping[str, Run], model: SetUp | None = None, **options
 ) -> list[PreparedRun]:
-    """Runs made ready, each with a name of its own.
+    """Make runs ready, each with a name of its own.
 
     Args:
-        runs: Files, run logs, pairs of a model and a run log, or candidates: one, several, or
+        runs: Files, run logs, pairs of a model and a run log, or prepared runs: one, several, or
             several by name. Run logs without a name go by their number.
         model: Wheel, sand and rig of all runs that do not bring their own; each run log's where
             none is given.
-        options: See `candidate`.
+        options: See `prepare_run`.
 
     Raises:
         InputError: names the run, and what must hold.
@@ -216,10 +163,13 @@ def prepare_runs(
 
 
 def named_runs(runs: Run | Sequence[Run] | Mapping[str, Run]) -> dict[str, object]:
-    """Runs as `candidates_of` takes them, by their names.
+    """Runs by their names.
+
+    Args:
+        runs: As `prepare_runs` takes them.
 
     Raises:
-        InputError: where two have one name.
+        InputError: two runs have one name.
     """
     if isinstance(runs, Mapping):
         named: dict[str, object] = dict(runs)
@@ -246,11 +196,17 @@ def _is_pair(run: object) -> bool:
 
 
 def as_prepared(name: str, run: object, model: SetUp | None = None, **options: Any) -> PreparedRun:
-    """One run made ready; see `candidates_of`.
+    """Make one run ready.
+
+    Args:
+        name: The run, as reports call it.
+        run: File, run log, pair of a model and a run log, or prepared run.
+        model: Wheel, sand and rig of a run that does not bring its own.
+        options: See `prepare_run`.
 
     Raises:
-        RunError: where it cannot be used.
-        InputError: for what is no run.
+        RunError: the run cannot be used.
+        InputError: the object is no run.
     """
     if isinstance(run, PreparedRun):
         return replace(run, observation=run.observation.of(options.get("compare", CHANNELS)))
@@ -266,7 +222,14 @@ def as_prepared(name: str, run: object, model: SetUp | None = None, **options: A
 
 
 def names_of(paths: list[Path]) -> list[str]:
-    """Each run's file stem, with its folder where two are the same, then numbered."""
+    """Names of runs by their files: the stem, with its folder where two are the same, numbered.
+
+    Args:
+        paths: Files.
+
+    Returns:
+        One name for each file; no two are the same.
+    """
     stems = [path.stem for path in paths]
     names: list[str] = []
     for path in paths:

@@ -1,102 +1,171 @@
-"""Runs under the same condition, and the noise that their difference shows."""
+"""Repeats: runs of one condition, which is one command, wheel, rig and sand.
+
+One definition serves fits and diagnoses. Numbers of set-ups and commands agree within what files
+of different makers round; carriage speeds and sands within what runs made alike differ by.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from drftjax.recorded.observation import ROUNDING, intervals_of
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.runlog.record import RecordedCommand
+from drftjax.setups.setup import RigSetUp, SetUp, WheelSetUp
 
 
-def noise_after_interpolation(time: np.ndarray, wanted: np.ndarray) -> float:
-    """Share of white noise's power that is left where a recording is read at other times."""
-    after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
-    way = np.clip((wanted - time[after - 1]) / (time[after] - time[after - 1]), 0, 1)
-    return float(np.mean(way**2 + (1 - way) ** 2))
+@dataclass(frozen=True)
+class RepeatTolerances:
+    """Differences that two repeats may have.
+
+    Attributes:
+        relative, absolute: Of wheel speeds and of the numbers of wheel and rig: share of their
+            size, and what is added to it for numbers near zero, in their own unit. Files of
+            different makers round by as much.
+        carriage_speed: Of a driven carriage's speed, as a share of its top speed [-]: in the loop
+            it is tuned to the sinkage, and no two runs get the same.
+        log_zeta: Of the zeta that is believed of the sand before any fit [-], by its logarithm:
+            sand that is prepared alike scatters by a few per cent.
+        shared: The shorter run lasts for this share of the longer one at least [-], and each was
+            recorded for as much of the other's time: one may have been stopped early.
+        shared_by_fits: The same for the residuals of fits [-]. With more missing, the numbers
+            fitted to one suit other parts of the run than the other's, and a residual that grows in
+            both would be counted as noise.
+        position: Between the places at which they begin [m], where effects may depend on the place.
+        angle: Between the wheel angles at which they begin [rad], likewise.
+    """
+
+    relative: float = 1e-6
+    absolute: float = 1e-9
+    carriage_speed: float = 0.02
+    log_zeta: float = 0.2
+    shared: float = 0.5
+    shared_by_fits: float = 0.95
+    position: float = 5e-3
+    angle: float = float(np.deg2rad(1.0))
 
 
-def interpolate_recorded(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Whether a recording can be read at other times: not outside it, and not where it has gaps.
+DEFAULT_TOLERANCES = RepeatTolerances()
+
+
+@dataclass(frozen=True, eq=False)
+class RunCondition:
+    """Command, wheel, rig and sand of a run, as they are believed to be before any fit.
+
+    Attributes:
+        command: What was asked of the rig.
+        wheel, rig: Their set-ups.
+        log_zeta: Logarithm of the sand's zeta [-]; None where it is not known before the fit.
+    """
+
+    command: RecordedCommand
+    wheel: WheelSetUp
+    rig: RigSetUp
+    log_zeta: float | None = None
+
+    @classmethod
+    def of(cls, setup: SetUp) -> "RunCondition":
+        """The condition that a set-up describes; a zeta that varies over time counts as unknown."""
+        zeta = setup.terrain.zeta
+        log_zeta = float(np.log(zeta)) if isinstance(zeta, float) else None
+        return cls(setup.command.build(), setup.wheel, setup.rig, log_zeta)
+
+    @property
+    def duration(self) -> float:
+        """Length of the command [s]."""
+        return float(self.command.time[-1] - self.command.time[0])
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Key that sorts the longest run first, and runs of equal length by their numbers alone."""
+        command, rig = self.command, self.rig
+        zeta = np.inf if self.log_zeta is None else self.log_zeta
+        load = (rig.mass_x, rig.mass_z, rig.drawbar_load)
+        vx = () if command.vx is None else command.vx
+        return (-self.duration, zeta, *load, *vx, *command.omega)
+
+
+def group_by_condition(
+    runs: Sequence[PreparedRun], tolerances: RepeatTolerances = DEFAULT_TOLERANCES
+) -> list[list[int]]:
+    """Runs of the same condition, by index; one that was stopped early is among them.
 
     Args:
-        time: Of its samples [s], increasing.
-        wanted: Other times [s], shape (times,).
+        runs: The runs.
+        tolerances: Differences that runs of one condition may have.
+
+    Returns:
+        Groups of one run or more, each ascending, in the order of their first runs.
     """
-    inside = (wanted >= time[0] - ROUNDING) & (wanted <= time[-1] + ROUNDING)
-    after = np.clip(np.searchsorted(time, wanted - ROUNDING), 0, len(time) - 1)
-    at_sample = np.abs(time[after] - wanted) <= ROUNDING
-    return inside & (at_sample | (intervals_of(time)[after] <= 1))
+    return group_conditions([RunCondition.of(each.setup) for each in runs], tolerances)
 
 
-# Loads [kg, N] and commands [rad/s] are the same within this.
-SAME = 1e-6
+def group_conditions(
+    conditions: Sequence[RunCondition], tolerances: RepeatTolerances = DEFAULT_TOLERANCES
+) -> list[list[int]]:
+    """Equal conditions, by index, like `group_by_condition`.
 
-
-# Carriages whose speed was tuned to the sinkage repeat each other within this share of their top.
-SAME_PACE = 0.02
-
-
-# Runs whose sands are believed to differ by more than this in log zeta do not repeat each other.
-SAME_SAND = 0.2
-
-
-# A run that was stopped early is of the condition of another where it holds this share of it.
-LEAST_SHARED = 0.5
-
-
-def group_by_condition(candidates: Sequence[PreparedRun]) -> list[list[int]]:
-    """Runs of the same command and load, by number; one that was stopped early is among them.
-
-    Each run is held against the longest of a group, so that the order of the runs is no matter.
+    Each condition is compared with the longest one of a group, so that the groups do not depend on
+    the order of the runs.
     """
     groups: list[list[int]] = []
-    for number in sorted(range(len(candidates)), key=lambda each: _rank(candidates[each])):
+    for index in sorted(range(len(conditions)), key=lambda each: conditions[each].rank):
         for group in groups:
-            if _alike(candidates[group[0]], candidates[number]):
-                group.append(number)
+            if _equal(conditions[group[0]], conditions[index], tolerances):
+                group.append(index)
                 break
         else:
-            groups.append([number])
+            groups.append([index])
     return sorted(sorted(group) for group in groups)
 
 
-def _rank(one: PreparedRun) -> tuple[float, ...]:
-    """What orders runs, whatever they are called: the longest first."""
-    command, rig, sand = one.setup.command, one.setup.rig, one.setup.terrain.zeta
-    zeta = sand if isinstance(sand, float) else np.inf
-    load = (rig.mass_x, rig.mass_z, rig.drawbar_load)
-    return (-_lasts(one), zeta, *load, *(command.vx or ()), *command.omega)
+def _equal(one: RunCondition, other: RunCondition, tolerances: RepeatTolerances) -> bool:
+    return (
+        _equal_numbers(one.wheel, other.wheel, tolerances)
+        and _equal_numbers(one.rig, other.rig, tolerances)
+        and _equal_sands(one, other, tolerances)
+        and _equal_commands(one, other, tolerances)
+    )
 
 
-def _lasts(one: PreparedRun) -> float:
-    time = one.setup.command.time
-    return time[-1] - time[0]
+def _equal_numbers(
+    one: WheelSetUp | RigSetUp, other: WheelSetUp | RigSetUp, tolerances: RepeatTolerances
+) -> bool:
+    """True where all fields of two set-ups of one kind agree."""
+    for name in one.__struct_fields__:
+        a, b = getattr(one, name), getattr(other, name)
+        if isinstance(a, float) and isinstance(b, float):
+            if abs(a - b) > tolerances.relative * max(abs(a), abs(b)) + tolerances.absolute:
+                return False
+        elif a != b:
+            return False
+    return True
 
 
-def _alike(one: PreparedRun, other: PreparedRun) -> bool:
-    """Whether two runs repeat one condition for as long as both go on."""
-    rigs = one.setup.rig, other.setup.rig
-    loads = [(each.mass_x, each.mass_z, each.drawbar_load) for each in rigs]
-    if not np.allclose(*loads, rtol=0, atol=SAME):
-        return False
-    sands = [each.setup.terrain.zeta for each in (one, other)]
-    known = [np.log(sand) for sand in sands if isinstance(sand, float)]
-    if np.ptp(known or [0.0]) > SAME_SAND:
-        return False
-    a, b = one.setup.command, other.setup.command
+def _equal_sands(one: RunCondition, other: RunCondition, tolerances: RepeatTolerances) -> bool:
+    if one.log_zeta is None or other.log_zeta is None:
+        return True
+    return abs(one.log_zeta - other.log_zeta) <= tolerances.log_zeta
+
+
+def _equal_commands(one: RunCondition, other: RunCondition, tolerances: RepeatTolerances) -> bool:
+    """True where two commands agree for as long as both go on."""
+    a, b = one.command, other.command
+    end = min(one.duration, other.duration)
     if (a.vx is None) != (b.vx is None):
         return False
-    ends = _lasts(one), _lasts(other)
-    if min(ends) < LEAST_SHARED * max(ends):
+    if end < tolerances.shared * max(one.duration, other.duration):
         return False
-    # Straight lines agree where they agree at the corners of both.
-    times = [np.asarray(each.time) - each.time[0] for each in (a, b)]
-    corners = np.union1d(*times)
-    corners = corners[corners <= min(ends)]
+    # Speeds are linear between knots: they agree where they agree at the knots of both.
+    times = [each.time - each.time[0] for each in (a, b)]
+    knots = np.union1d(*times)
+    knots = knots[knots <= end]
 
-    def agree(first: Sequence[float], second: Sequence[float], share: float = 0.0) -> bool:
-        values = [np.interp(corners, t, v) for t, v in zip(times, (first, second), strict=True)]
-        top = float(np.abs(values).max())
-        return np.allclose(*values, rtol=0, atol=max(SAME, share * top))
+    def agree(first: np.ndarray, second: np.ndarray, relative: float) -> bool:
+        speeds = [np.interp(knots, t, v) for t, v in zip(times, (first, second), strict=True)]
+        allowed = relative * float(np.abs(speeds).max()) + tolerances.absolute
+        return bool(np.abs(np.subtract(*speeds)).max() <= allowed)
 
-    return agree(a.omega, b.omega) and (a.vx is None or agree(a.vx, b.vx or (), SAME_PACE))
+    return agree(a.omega, b.omega, tolerances.relative) and (
+        a.vx is None or b.vx is None or agree(a.vx, b.vx, tolerances.carriage_speed)
+    )

@@ -7,7 +7,8 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.check import read_run_guarded
 from drftjax.runlog.plausibility import require_upright, standing_problems
 from drftjax.runlog.record import RunLog
-from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp, StartSetUp, TerrainSetUp, WheelSetUp
+from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp, StartSetUp, WheelSetUp
+from drftjax.setups.terrain_setup import DynamicTerrain
 
 
 def setup_like(path: Path) -> tuple[SetUp, RunLog]:
@@ -63,7 +64,7 @@ def setup_from_run(run: RunLog) -> SetUp:
         ),
         title=run.title,
         wheel=wheel,
-        terrain=TerrainSetUp(
+        terrain=DynamicTerrain(
             **given(("zeta", "scaling_factor_initial"), ("bulk_density", "bulk_density"))
         ),
         rig=RigSetUp(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
+from drftjax.common.packages import require_known
 from drftjax.common.structured_files import read_document, to_structure
 from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
 from drftjax.effects.serialization import Entry, build_effects
@@ -23,14 +24,6 @@ from drftjax.physics.integrator import (
 from drftjax.physics.outline_wheel import OutlineWheel, read_outline
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
 from drftjax.physics.state import State
-from drftjax.physics.stress import (
-    COEFFICIENT_NAMES,
-    AbstractStressLaw,
-    Dynamic,
-    QuasiStatic,
-    StressCoefficients,
-)
-from drftjax.physics.terrain import ConstantZeta, KnotZeta, Terrain
 from drftjax.physics.wheel import (
     DEFAULT_PLATE_SIZE,
     DEFAULT_REACH,
@@ -40,6 +33,7 @@ from drftjax.physics.wheel import (
 )
 from drftjax.runlog.record import RecordedCommand as RunCommand
 from drftjax.runlog.validation import text_problems
+from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp, with_law
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
 
@@ -54,13 +48,6 @@ INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
     "rosenbrock": Rosenbrock,
     "held pace": HeldPace,
     "explicit": Explicit,
-}
-
-
-COEFFICIENTS = {
-    "generic": StressCoefficients.generic,
-    "loose poppy seeds": StressCoefficients.loose_poppy_seeds,
-    "close poppy seeds": StressCoefficients.close_poppy_seeds,
 }
 
 
@@ -100,59 +87,6 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
             plate_size=self.plate_size,
             reach=reach,
         )
-
-
-class ZetaKnots(msgspec.Struct, forbid_unknown_fields=True):
-    """zeta at knots in time [s] from the command's first knot on, linear in between."""
-
-    time: list[float]
-    value: list[float]
-
-
-class TerrainSetUp(msgspec.Struct, forbid_unknown_fields=True):
-    """[terrain]: zeta, the stress law and its numbers (bulk_density in kg/m3)."""
-
-    zeta: float | ZetaKnots = 0.7823
-    law: Literal["dynamic", "quasi-static"] = "dynamic"
-    coefficients: str | list[float] = "generic"
-    inertial_coefficient: float = 1.1
-    bulk_density: float = 1490.0
-    height_decrease: float = 1.0
-
-    def stress_coefficients(self) -> StressCoefficients:
-        """The nine coefficients, of a named set or as listed."""
-        if isinstance(self.coefficients, str):
-            if self.coefficients not in COEFFICIENTS:
-                raise InputError(
-                    f"stress coefficients {self.coefficients!r} are not known; give one of "
-                    f"{', '.join(map(repr, COEFFICIENTS))} or nine numbers in N/cm3"
-                )
-            return COEFFICIENTS[self.coefficients]()
-        if len(self.coefficients) != len(COEFFICIENT_NAMES):
-            raise InputError(
-                f"stress coefficients are {len(self.coefficients)} numbers, must be nine "
-                f"({' '.join(COEFFICIENT_NAMES)} in N/cm3)"
-            )
-        return StressCoefficients(self.coefficients)
-
-    def put_coefficient(self, name: str, value: float) -> None:
-        """Write one of the nine [N/cm3]; a named set becomes a list."""
-        values = self.stress_coefficients().values.tolist()
-        values[COEFFICIENT_NAMES.index(name)] = value
-        self.coefficients = values
-
-    def build(self) -> Terrain:
-        coefficients = self.stress_coefficients()
-        law: AbstractStressLaw = (
-            QuasiStatic(coefficients)
-            if self.law == "quasi-static"
-            else Dynamic(
-                self.inertial_coefficient, self.bulk_density, self.height_decrease, coefficients
-            )
-        )
-        if isinstance(self.zeta, ZetaKnots):
-            return Terrain(KnotZeta(self.zeta.time, self.zeta.value), law)
-        return Terrain(ConstantZeta(self.zeta), law)
 
 
 class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -230,7 +164,7 @@ def _farthest(values: ArrayLike) -> float:
 class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
     """[integrator]: the method and its step in seconds."""
 
-    method: Literal["rosenbrock", "held pace", "explicit"] = "rosenbrock"
+    method: str = "rosenbrock"
     step: float = DEFAULT_STEP
 
 
@@ -240,7 +174,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
     command: CommandSetUp
     title: str = "simulated run"
     wheel: WheelSetUp = msgspec.field(default_factory=WheelSetUp)
-    terrain: TerrainSetUp = msgspec.field(default_factory=TerrainSetUp)
+    terrain: TerrainSetUp = msgspec.field(default_factory=DynamicTerrain)
     rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
     start: StartSetUp = msgspec.field(default_factory=StartSetUp)
     integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
@@ -258,6 +192,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         """
         for reason in text_problems("title", self.title):
             raise InputError(reason)
+        require_known("integrator.method", self.integrator.method, INTEGRATORS)
         require_between("integrator step", self.integrator.step, 1e-6, 0.1, " s")
         simulator = Simulator(
             self.wheel.build(),
@@ -296,13 +231,26 @@ def read_setup(path: str | Path) -> SetUp:
         InputError: names the file, the entry and what must hold.
     """
     path = Path(path)
-    setup = to_structure(read_document(path), SetUp, path)
+    setup = to_structure(read_tables(path), SetUp, path)
     find_outline(setup.wheel, path)
     try:
         setup.trial()
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
     return setup
+
+
+def read_tables(path: Path) -> dict[str, Any]:
+    """Tables of a set-up file (TOML or JSON), its [terrain] with the name of a stress law.
+
+    Raises:
+        InputError: names the file, and an unknown law or numbers that its law has not.
+    """
+    document = read_document(path)
+    try:
+        return with_law(document)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
 
 
 def find_outline(wheel: WheelSetUp, path: Path) -> None:

@@ -89,7 +89,7 @@ def with_believed_values(setup: SetUp, sinkage: float, zeta: float) -> record.Re
         mass_x=setup.rig.mass_x,
         mass_z=setup.rig.mass_z,
         gravity=setup.rig.gravity,
-        bulk_density=setup.terrain.bulk_density,
+        bulk_density=getattr(setup.terrain, "bulk_density", None),
         sinkage_static=None if in_the_air else sinkage,
         scaling_factor_initial=None if in_the_air else zeta,
     )

@@ -1,40 +1,68 @@
-"""Tuners of zeta by name, and their numbers in a file."""
+"""Tuners of zeta by name, those of installed packages included, and their numbers in a file.
+
+A package adds a tuner by the entry-point group `drft.tuners`: its name, and a class derived from
+`drftjax.tuning.step_tuner.AbstractTuner` that takes `tick` and its numbers as keywords.
+"""
 
 import inspect
-from collections.abc import Callable
-from typing import Literal
+from functools import cache
 
 import msgspec
 
 from drftjax.common.errors import InputError
+from drftjax.common.packages import require_known, with_plugins
 from drftjax.tuning.kalman_tuner import KalmanTuner
 from drftjax.tuning.pi_tuner import ProportionalIntegralTuner
 from drftjax.tuning.step_tuner import AbstractTuner, StepTuner
 
-TUNERS: dict[str, Callable[..., AbstractTuner]] = {
+GROUP = "drft.tuners"
+
+
+OWN: dict[str, type[AbstractTuner]] = {
     "step": StepTuner,
     "pi": ProportionalIntegralTuner,
     "kalman": KalmanTuner,
 }
 
 
-class TunerSetUp(msgspec.Struct, frozen=True):
-    """A tuner by name, and those of its numbers that are not its own defaults."""
+@cache
+def tuners() -> dict[str, type[AbstractTuner]]:
+    """Classes of tuners by name.
 
-    name: Literal["step", "pi", "kalman"] = "step"
+    Raises:
+        InputError: names a plug-in that is no tuner, is abstract, or takes a name twice.
+    """
+    return with_plugins(OWN, GROUP, AbstractTuner, "tuner")
+
+
+class TunerSetUp(msgspec.Struct, frozen=True):
+    """Tuner by name, and those of its numbers that differ from its defaults.
+
+    Attributes:
+        name: Key of `tuners`.
+        numbers: Values by field, in the tuner's own units.
+    """
+
+    name: str = "step"
     numbers: dict[str, float] = msgspec.field(default_factory=dict)
 
     def build(self, tick: float) -> AbstractTuner:
-        """The tuner at this control period [s].
+        """The tuner with these numbers.
+
+        Args:
+            tick: Control period [s].
 
         Raises:
-            InputError: a number that it does not have, or that cannot be.
+            InputError: for an unknown tuner, a number that it does not have, or a value out of
+                bounds.
         """
-        kind = TUNERS[self.name]
-        known = [name for name in inspect.signature(kind).parameters if name != "tick"]
+        known = tuners()
+        require_known("the tuner", self.name, known)
+        kind = known[self.name]
+        fields = [name for name in inspect.signature(kind).parameters if name != "tick"]
         for name in self.numbers:
-            if name not in known:
+            if name not in fields:
                 raise InputError(
-                    f"the tuner {self.name!r} has no number {name!r}, it has {', '.join(known)}"
+                    f"the tuner {self.name!r} has no number {name!r}, it has {', '.join(fields)}"
                 )
-        return kind(tick=tick, **self.numbers)
+        return kind(tick=tick, **self.numbers)  # pyright: ignore[reportArgumentType, reportCallIssue]

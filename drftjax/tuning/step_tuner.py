@@ -6,8 +6,7 @@ is moved by one fixed step where they differ by more than a tolerance:
 $$H_{real} - H_{sim} < -\epsilon_H:\ \zeta \to \zeta + \Delta\zeta \qquad
   H_{real} - H_{sim} > \epsilon_H:\ \zeta \to \zeta - \Delta\zeta$$
 
-Angular velocity and the simulated speed drive the rig, and nothing but $H_{real}$ comes back, so a
-recorded run can be replayed: `replay` steps the very loop that runs online.
+`drftjax.tuning.replay` steps the same tick beside a recorded run.
 """
 
 import abc
@@ -18,7 +17,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.common.arrays import Real, as_real, require_between
@@ -27,10 +25,6 @@ from drftjax.physics.state import Output, State
 from drftjax.physics.terrain import LARGEST_ZETA, PerStepZeta
 from drftjax.simulation.rollout import step_times
 from drftjax.simulation.simulator import Simulator
-
-# A sample is old after so many of the record's usual intervals; loggers come a little late.
-OLD = 1.5
-
 
 # Ticks of the paper's kind; longer ones are a slip of units [s].
 LONGEST_TICK = 10.0
@@ -197,33 +191,6 @@ def tuned_tick(
     return Loop(state, zeta, memory), Tick(error, zeta, output)
 
 
-def replay(
-    simulator: Simulator,
-    start: Loop,
-    commands: Command,
-    recorded: Float[Array, " ticks"],
-    tuner: AbstractTuner,
-) -> tuple[Loop, Tick]:
-    """The tuner beside a recorded run, as it would have tuned while the run was made.
-
-    Args:
-        simulator: Every number of wheel, terrain and rig; its own zeta is not used.
-        start: State and zeta at the first tick.
-        commands: For every step, shape (ticks, substeps); see `tick_commands`.
-        recorded: Sinkage known at each tick [m], shape (ticks,); see `known_sinkage`.
-        tuner: How zeta is moved.
-
-    Returns:
-        The loop at the end, and every tick.
-    """
-    simulator = with_zeta_per_step(simulator)
-
-    def tick(loop: Loop, inputs: tuple[Command, Array]) -> tuple[Loop, Tick]:
-        return tuned_tick(simulator, tuner, loop, *inputs)
-
-    return jax.lax.scan(tick, with_tuner_memory(tuner, start), (commands, recorded))
-
-
 def tick_commands(
     ticks: int,
     substeps: int,
@@ -236,22 +203,3 @@ def tick_commands(
     times = step_times(ticks * substeps, as_real(tick) / substeps)
     commands = command_at(times, time, omega, vx)
     return jax.tree.map(lambda values: values.reshape(ticks, substeps), commands)
-
-
-def known_sinkage(tick_time: np.ndarray, time: np.ndarray, sinkage: np.ndarray) -> np.ndarray:
-    """The newest recorded sinkage [m] at or before each tick; NaN where there is none or it is old.
-
-    A sample is old where the next one would have come, by the record's usual interval: the loop
-    tunes nothing while no fresh reading comes, and a replay of it must not either.
-
-    Args:
-        tick_time: Starts of the ticks [s].
-        time: Times of the record [s], increasing.
-        sinkage: What was recorded [m].
-    """
-    # A sample of the tick's own instant counts, whatever the rounding of either clock.
-    newest = np.searchsorted(time, tick_time + 1e-9, side="right") - 1
-    known = np.maximum(newest, 0)
-    usual = np.median(np.diff(time)) if len(time) > 1 else np.inf
-    fresh = (newest >= 0) & (tick_time - np.asarray(time)[known] < OLD * usual)
-    return np.where(fresh, np.asarray(sinkage)[known], np.nan)

@@ -52,14 +52,14 @@ def paper(
 
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.common.structured_files import as_json
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp
-    from hils.experiment.experiment import Experiment, by_tick, loosening_rig, make
+    from hils.experiment.experiment import Experiment, loosening_rig, run_experiment, runs_by_tick
     from hils.experiment.figures import ripple_figure, runs_figure, trajectory_figure
-    from hils.experiment.report import report
+    from hils.experiment.report import markdown_report
     from hils.rig_sim.config import read_virtual_setup
 
     experiment = Experiment(
@@ -75,10 +75,10 @@ def paper(
     make_folder(output)
     console = Console()
     with console.status("compiling") as status:
-        result = make(experiment, status.update)
-        others = by_tick(experiment, tell=status.update) if ticks else {}
+        result = run_experiment(experiment, status.update)
+        others = runs_by_tick(experiment, tell=status.update) if ticks else {}
 
-    text = report(result, others)
+    text = markdown_report(result, others)
     document = result.document() | {
         "by_tick": [
             {"tick": each, "rmse_z_mm": made.rmse * 1e3, "zeta_end": float(made.zeta[-1])}

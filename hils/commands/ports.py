@@ -48,7 +48,7 @@ def ports(
     """List serial ports, and which of them answer HELLO."""
     from drftjax.common.arrays import require_between
     from hils.link.ports import ListedPort, latency_timer, require_baud_rate
-    from hils.link.ports import ports as listed
+    from hils.link.ports import list_ports as listed
 
     require_baud_rate(baud)
     require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")

@@ -42,8 +42,11 @@ def run(
     baud: Annotated[int, typer.Option(help="Baud rate of the port.")] = USUAL_BAUD,
     tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
     tuner: Annotated[
-        Literal["step", "pi", "kalman"],
-        typer.Option(help="How zeta is moved: eq. 7's fixed step, or one of docs/hils-tuners.md."),
+        str,
+        typer.Option(
+            help="How zeta is moved: step (eq. 7's fixed step), pi, kalman (docs/hils-tuners.md), "
+            "or one that an installed package adds."
+        ),
     ] = "step",
     zeta_step: Annotated[
         float | None,
@@ -125,8 +128,8 @@ def run(
     from hils.control.loop import Overruns
     from hils.control.loop_config import LoopSetUp
     from hils.control.loop_config import profile as profile_of
-    from hils.monitor.terminal import viewable
-    from hils.procedure.operator_prompts import Terminal, Unattended
+    from hils.monitor.terminal import has_own_terminal
+    from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts
     from hils.procedure.procedure import Procedure, ZeroAt
     from hils.series import Series, file_names, make_series
 
@@ -154,9 +157,9 @@ def run(
         countdown=countdown,
         title=title,
     )
-    view = viewable() and not no_ui
+    view = has_own_terminal() and not no_ui
     series = Series(port, baud, file_names(output, repeat), between, fifo, view, not no_plot)
-    code = make_series(procedure, series, Unattended() if yes else Terminal())
+    code = make_series(procedure, series, UnattendedPrompts() if yes else TerminalPrompts())
     if code:
         raise typer.Exit(code)
 

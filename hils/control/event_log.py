@@ -33,7 +33,7 @@ class EventLog:
             self._noted.add((code, arg))
             self.event(code, arg)
 
-    def noted(self, code: Event, arg: float | None = None) -> bool:
+    def has_noted(self, code: Event, arg: float | None = None) -> bool:
         """Whether such an event was noted, with this number where one is given."""
         return any(each == code and arg in (None, number) for each, number in self._noted)
 

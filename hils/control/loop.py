@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from hils.clock import AbstractClock
 from hils.control.event_log import EventLog
 from hils.control.limits import REST, Reading, RigCommand, Verdict
-from hils.control.measurements import MeasurementTracker, RigUnresponsive, TouchdownZero, channels
+from hils.control.measurements import (
+    MeasurementTracker,
+    RigUnresponsive,
+    TouchdownZero,
+    measured_channels,
+)
 from hils.control.stop_request import StopReason, StopRequest
 from hils.control.tick import AbstractTick, LoopState, TickInput, TickOutput
 from hils.events import Event, TickFlag
@@ -105,7 +110,7 @@ class TickLoop:
         self._conduct, self._loop, self._tick = conduct, conduct.loop, conduct.loop.tick
         self._link, self._clock, self._rows, self._stop = link, clock, rows, stop
         self._log, self._listener = log, MeasurementTracker(link, log, zero, ack, self._tick)
-        self._channels = channels(zero.x_scale)
+        self._channels = measured_channels(zero.x_scale)
         self._policy, self._valid_ms = overruns, valid_ms
         # Room for the whole profile and the longest ramp: nothing grows while the loop runs.
         ramp = self._loop.commands.omega / self._loop.ramp + LONGEST_REST
@@ -157,7 +162,9 @@ class TickLoop:
         arrival, reading = self._listener.poll(woken)
         ramping = self._ramps(number)
 
-        given = TickInput(reading, skipped, ramping, reading is not None and self._listener.old)
+        given = TickInput(
+            reading, skipped, ramping, reading is not None and self._listener.answers_old_command
+        )
         state, said = self._conduct.step(state, given)
         if said.demand is None:
             self._log.event(Event.DIVERGED, said.after.z)
@@ -203,7 +210,7 @@ class TickLoop:
         if not self._conduct.driven:
             return
         refused = reading is not None and said.verdict is not Verdict.USED
-        old = reading is not None and self._listener.old
+        old = reading is not None and self._listener.answers_old_command
         self._old += old
         before = said.before
         rows.online(
@@ -272,7 +279,7 @@ class TickLoop:
     # Ends ---------------------------------------------------------------------------------------
 
     def _look_at_requests(self) -> None:
-        wish = self._stop.wish
+        wish = self._stop.first_reason
         if self._stop.emergency:
             self._link.send(EmergencyStop(EMERGENCY))
             self._log.note(Event.EMERGENCY_STOP, 0.0 if wish is None else wish.arg)

@@ -41,7 +41,7 @@ class TouchdownZero(NamedTuple):
         )
 
 
-def channels(x_scale: float) -> tuple[str, ...]:
+def measured_channels(x_scale: float) -> tuple[str, ...]:
     """What of /measured a rig with this scale of x gives."""
     return ("x", "z") if x_scale else ("z",)
 
@@ -89,7 +89,7 @@ class MeasurementTracker:
         self._stale = False
         self.reading_time = 0.0
         self.rig_us: int | None = None
-        self.old = False
+        self.answers_old_command = False
 
     def begin(self, start: float) -> None:
         """The run starts at this time [s]; what came before is no reading of it."""
@@ -112,7 +112,7 @@ class MeasurementTracker:
         silent = now - (self._start if arrival is None else max(arrival.time, self._start))
         stale = max(STALE_TICKS * self._tick, STALE_TIME)
         behind = now - self._answered(arrival, now)
-        self.old = behind > stale
+        self.answers_old_command = behind > stale
         age = max(silent, behind)
         if age > stale:
             self._look_for_reset()
@@ -164,7 +164,7 @@ class MeasurementTracker:
             raise RigUnresponsive(f"the rig went {state.name}{why}")
 
     def _look_for_reset(self) -> None:
-        stranger = self._link.quality().stranger
+        stranger = self._link.quality().foreign_state
         if stranger is not None and stranger.boot_id != self._ack.boot_id:
             self._reset(stranger.boot_id)
 

@@ -14,10 +14,10 @@ STOP_SIGNAL = signal.SIGUSR2
 EMERGENCY_SIGNAL = signal.SIGUSR1
 
 
-EMERGENCIES = (EMERGENCY_SIGNAL, signal.SIGQUIT)
+EMERGENCY_SIGNALS = (EMERGENCY_SIGNAL, signal.SIGQUIT)
 
 
-WISHES = {
+REASON_BY_SIGNAL = {
     signal.SIGINT: "interrupted by Ctrl-C",
     signal.SIGTERM: "asked to stop (SIGTERM)",
     signal.SIGHUP: "the terminal was closed",
@@ -27,7 +27,7 @@ WISHES = {
 }
 
 
-EVENTS = {STOP_SIGNAL: Event.STOP_ASKED}
+EVENT_BY_SIGNAL = {STOP_SIGNAL: Event.STOP_ASKED}
 
 
 class StopReason(NamedTuple):
@@ -55,22 +55,22 @@ class StopRequest:
     """
 
     def __init__(self):
-        self.wish: StopReason | None = None
+        self.first_reason: StopReason | None = None
         self.emergency = False
-        self.uncut = False
+        self.uninterruptible = False
 
     @property
     def reason(self) -> str:
         """Why the run is to end, in words."""
-        why = "" if self.wish is None else self.wish.reason
+        why = "" if self.first_reason is None else self.first_reason.reason
         if not self.emergency:
             return why
         return f"emergency stop: {why}" if why else "emergency stop"
 
     def ask(self, wish: StopReason, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
-        self.emergency = self.emergency or emergency or self.wish is not None
-        self.wish = self.wish or wish
+        self.emergency = self.emergency or emergency or self.first_reason is not None
+        self.first_reason = self.first_reason or wish
 
     @contextmanager
     def on_signals(self) -> Iterator[None]:
@@ -81,13 +81,15 @@ class StopRequest:
 
         def asked(number: int, frame: FrameType | None) -> None:
             kind = signal.Signals(number)
-            emergency = kind in EMERGENCIES
-            event = Event.EMERGENCY_STOP if emergency else EVENTS.get(kind, Event.INTERRUPTED)
-            self.ask(StopReason(WISHES[kind], event, number), emergency)
-            if not self.uncut:
+            emergency = kind in EMERGENCY_SIGNALS
+            event = (
+                Event.EMERGENCY_STOP if emergency else EVENT_BY_SIGNAL.get(kind, Event.INTERRUPTED)
+            )
+            self.ask(StopReason(REASON_BY_SIGNAL[kind], event, number), emergency)
+            if not self.uninterruptible:
                 raise KeyboardInterrupt
 
-        before = {kind: signal.signal(kind, asked) for kind in WISHES}
+        before = {kind: signal.signal(kind, asked) for kind in REASON_BY_SIGNAL}
         try:
             yield
         finally:

@@ -24,7 +24,7 @@ from hils.control.compiled_step import NO_READING
 from hils.control.loop_config import LoopSetUp, Start, shared_physics
 from hils.control.stop_request import StopRequest
 from hils.experiment.spectrum import Spectrum, order, spectrum
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import BedSetUp, VirtualSetUp
@@ -39,7 +39,7 @@ PAPER_HILS, PAPER_DRFT, PAPER_RIPPLE = 5.0e-3, 8.4e-3, 1.68
 
 
 # Its claim for z of HILS (sim) and HILS (real) [m].
-CLOSE = 1e-3
+PAPER_RMSE = 1e-3
 
 
 # Shortest stretch at the top speed in which a ripple can be told [s].
@@ -52,7 +52,7 @@ TICKS = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08)
 Values = NDArray[np.floating]
 
 
-Tell = Callable[[str], None]
+ReportProgress = Callable[[str], None]
 
 
 def loosening_rig(loss: float = 0.3, decay: float = 2.0, scatter: float = 0.03) -> VirtualSetUp:
@@ -184,10 +184,10 @@ class ExperimentResult:
     def means(self) -> dict[str, Trajectory]:
         """Mean trajectory over the runs: HILS (sim), HILS (real), DRFT and free."""
         return {
-            "HILS (sim)": mean([each.simulated for each in self.hils]),
-            "HILS (real)": mean([each.measured for each in self.hils]),
-            "DRFT": mean([each.predicted for each in self.free]),
-            "free": mean([each.measured for each in self.free]),
+            "HILS (sim)": mean_trajectory([each.simulated for each in self.hils]),
+            "HILS (real)": mean_trajectory([each.measured for each in self.hils]),
+            "DRFT": mean_trajectory([each.predicted for each in self.free]),
+            "free": mean_trajectory([each.measured for each in self.free]),
         }
 
     def distances(self) -> dict[str, TrajectoryDistance]:
@@ -196,13 +196,13 @@ class ExperimentResult:
         free = means.pop("free")
         return {name: trajectory_distance(path, free) for name, path in means.items()}
 
-    def steady(self) -> tuple[slice, float]:
+    def steady_stretch(self) -> tuple[slice, float]:
         """The ticks of the longest stretch at the top speed, and that speed [rad/s]."""
-        return steady(self.omega, self.experiment.loop.tick)
+        return steady_stretch(self.omega, self.experiment.loop.tick)
 
     def spectra(self) -> dict[str, Spectrum]:
         """Mean amplitude spectra over the HILS runs, at the steady speed."""
-        stretch, _ = self.steady()
+        stretch, _ = self.steady_stretch()
         kinds: dict[str, Callable[[HilsRun], Values]] = {
             "z, HILS (sim)": lambda each: each.simulated.z,
             "z, HILS (real)": lambda each: each.measured.z,
@@ -219,7 +219,7 @@ class ExperimentResult:
 
     def document(self) -> dict[str, Any]:
         """All of it but the curves, for a file; lengths in mm, as their names say."""
-        experiment, (_, top) = self.experiment, self.steady()
+        experiment, (_, top) = self.experiment, self.steady_stretch()
         loop = experiment.loop
         return {
             "schema": SCHEMA,
@@ -240,7 +240,7 @@ class ExperimentResult:
                 }
                 for each in self.hils
             ],
-            "close": sum(each.rmse < CLOSE for each in self.hils),
+            "close": sum(each.rmse < PAPER_RMSE for each in self.hils),
             "from_free_mm": {
                 name: {kind: value * 1e3 for kind, value in found._asdict().items()}
                 for name, found in self.distances().items()
@@ -267,7 +267,9 @@ class ExperimentResult:
         return rms(np.std([each.measured.z for each in self.free], axis=0, ddof=1))
 
 
-def make(experiment: Experiment, tell: Tell = lambda said: None) -> ExperimentResult:
+def run_experiment(
+    experiment: Experiment, tell: ReportProgress = lambda said: None
+) -> ExperimentResult:
     """Make the HILS runs and the free ones, one after the other, in virtual time.
 
     Args:
@@ -281,7 +283,9 @@ def make(experiment: Experiment, tell: Tell = lambda said: None) -> ExperimentRe
     time = np.arange(physics.ticks) * experiment.loop.tick
     # What was asked at a tick's start is the end of the tick before.
     omega = np.r_[0.0, physics.omega[:-1, -1]]
-    steady(omega, experiment.loop.tick)  # so that what cannot be told is said before the runs
+    steady_stretch(
+        omega, experiment.loop.tick
+    )  # so that what cannot be told is said before the runs
     hils, free = [], []
     for number in range(experiment.runs):
         tell(f"HILS run {number + 1} of {experiment.runs}")
@@ -304,12 +308,12 @@ def hils_run(experiment: Experiment, seed: int) -> HilsRun:
 def free_run(experiment: Experiment, seed: int) -> FreeRun:
     """One run with a free carriage, and DRFT from its start."""
     start, rows = _made(experiment, seed, free=True)
-    predicted = drft(experiment.loop, start)
+    predicted = predict_by_drft(experiment.loop, start)
     time = np.arange(len(predicted.x)) * experiment.loop.tick
     return FreeRun(seed, start, _measured(rows, time), predicted)
 
 
-def drft(loop: LoopSetUp, start: Start) -> Trajectory:
+def predict_by_drft(loop: LoopSetUp, start: Start) -> Trajectory:
     """The loop's simulation over its profile with zeta held, on the ticks."""
     held = TunerSetUp("step", {"zeta_step": 0.0})
     physics = shared_physics(msgspec.structs.replace(loop, tuner=held))
@@ -321,8 +325,10 @@ def drft(loop: LoopSetUp, start: Start) -> Trajectory:
     return Trajectory(*np.array(places).T)
 
 
-def by_tick(
-    experiment: Experiment, ticks: tuple[float, ...] = TICKS, tell: Tell = lambda said: None
+def runs_by_tick(
+    experiment: Experiment,
+    ticks: tuple[float, ...] = TICKS,
+    tell: ReportProgress = lambda said: None,
 ) -> dict[float, HilsRun]:
     """One HILS run at each tick [s], on the first run's bed with its noise."""
     made = {}
@@ -337,7 +343,7 @@ def by_tick(
 # Measures -----------------------------------------------------------------------------------------
 
 
-def steady(omega: Values, tick: float) -> tuple[slice, float]:
+def steady_stretch(omega: Values, tick: float) -> tuple[slice, float]:
     """The ticks of the longest stretch at the top speed, and how fast that is [rad/s].
 
     Args:
@@ -364,7 +370,7 @@ def rms(values: Values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def mean(paths: list[Trajectory]) -> Trajectory:
+def mean_trajectory(paths: list[Trajectory]) -> Trajectory:
     """The mean place at each time."""
     return Trajectory(
         *(np.mean([getattr(path, axis) for path in paths], axis=0) for axis in ("x", "z"))
@@ -389,7 +395,9 @@ def trajectory_distance(path: Trajectory, other: Trajectory) -> TrajectoryDistan
 def _made(experiment: Experiment, seed: int, free: bool) -> tuple[Start, InMemorySink]:
     soft, rows = soft_rig(experiment.rig, seed=seed), InMemorySink()
     procedure = Procedure(loop=experiment.loop, free=free)
-    report = run(procedure, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
+    report = run(
+        procedure, soft.link, soft.clock, rows, UnattendedPrompts(quiet=True), StopRequest()
+    )
     return _begun(report, seed), rows
 
 

@@ -30,7 +30,7 @@ def runs_figure(result: ExperimentResult) -> Figure:
     for each in result.hils:
         middle.plot(result.time, MM * each.error, color="C0", lw=0.6, alpha=0.6)
         below.plot(result.time, each.zeta, color="C2", lw=0.8, alpha=0.7)
-    tolerance = tolerance_of(result)
+    tolerance = tuner_tolerance(result)
     for side in (-tolerance, tolerance):
         middle.axhline(MM * side, color="0.4", lw=0.7, ls="--")
     middle.set_ylabel("z, sim - real [mm]")
@@ -63,7 +63,7 @@ def trajectory_figure(result: ExperimentResult) -> Figure:
 
 def ripple_figure(result: ExperimentResult) -> Figure:
     """Amplitude spectra at the steady speed, mean over the HILS runs."""
-    _, top = result.steady()
+    _, top = result.steady_stretch()
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     for name, found in result.spectra().items():
@@ -75,7 +75,7 @@ def ripple_figure(result: ExperimentResult) -> Figure:
     below.set_xlabel("frequency [Hz]")
     for axes in (above, below):
         axes.set_yscale("log")
-        mark(axes, result)
+        mark_frequencies(axes, result)
         axes.legend(fontsize=8)
     orders = above.secondary_xaxis(
         "top",
@@ -85,15 +85,15 @@ def ripple_figure(result: ExperimentResult) -> Figure:
     return figure
 
 
-def mark(axes: Axes, result: ExperimentResult) -> None:
+def mark_frequencies(axes: Axes, result: ExperimentResult) -> None:
     """Lines where the grousers pass, and at the frequency that the paper reports."""
-    _, top = result.steady()
+    _, top = result.steady_stretch()
     grousers = result.experiment.rig.wheel.grouser_count * top / (2 * np.pi)
     axes.axvline(grousers, color="0.5", lw=0.8, ls=":", label=f"grousers, {grousers:.2f} Hz")
     axes.axvline(PAPER_RIPPLE, color="k", lw=0.8, ls="--", label=f"the paper's {PAPER_RIPPLE} Hz")
 
 
-def tolerance_of(result: ExperimentResult) -> float:
+def tuner_tolerance(result: ExperimentResult) -> float:
     """The tuner's dead band [m]; 0 where it has none."""
     loop = result.experiment.loop
     return float(getattr(loop.tuner.build(loop.tick), "tolerance", 0.0))

@@ -4,13 +4,13 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from hils.experiment.experiment import CLOSE, PAPER_DRFT, PAPER_HILS, ExperimentResult, HilsRun
+from hils.experiment.experiment import PAPER_DRFT, PAPER_HILS, PAPER_RMSE, ExperimentResult, HilsRun
 from hils.experiment.spectrum import order
 
 MM = 1e3
 
 
-def report(result: ExperimentResult, ticks: Mapping[float, HilsRun]) -> str:
+def markdown_report(result: ExperimentResult, ticks: Mapping[float, HilsRun]) -> str:
     """Every table.
 
     Args:
@@ -36,10 +36,10 @@ def runs_table(result: ExperimentResult) -> str:
         )
         for number, each in enumerate(result.hils, start=1)
     ]
-    close = sum(each.rmse < CLOSE for each in result.hils)
+    close = sum(each.rmse < PAPER_RMSE for each in result.hils)
     head = ("run", "H at rest, mm", "ζ(0)", "ζ at the end", "RMSE of z, mm", "largest, mm")
-    said = f"RMSE of z between HILS (sim) and HILS (real) under {MM * CLOSE:g} mm: "
-    return f"{table(head, rows)}\n\n{said}{close} of {len(rows)}."
+    said = f"RMSE of z between HILS (sim) and HILS (real) under {MM * PAPER_RMSE:g} mm: "
+    return f"{markdown_table(head, rows)}\n\n{said}{close} of {len(rows)}."
 
 
 def trajectory_table(result: ExperimentResult) -> str:
@@ -55,12 +55,12 @@ def trajectory_table(result: ExperimentResult) -> str:
     ]
     head = ("mean of", "in the plane, mm", "z(t), mm", "x(t), mm", "z(x), mm", "the paper's, mm")
     scatter = f"Free runs differ from each other by {MM * result.scatter():.2f} mm in z (sd)."
-    return f"{table(head, rows)}\n\n{scatter}"
+    return f"{markdown_table(head, rows)}\n\n{scatter}"
 
 
 def lines_table(result: ExperimentResult) -> str:
     """The three strongest lines of each spectrum at the steady speed."""
-    _, top = result.steady()
+    _, top = result.steady_stretch()
     rows = []
     for name, found in result.spectra().items():
         unit = (1.0, "") if name == "zeta" else (1e6, " µm")
@@ -70,7 +70,7 @@ def lines_table(result: ExperimentResult) -> str:
             for line in found.lines()
         ]
         rows.append((name, *lines, *["-"] * (3 - len(lines))))
-    return table(("of", "strongest line (order)", "second", "third"), rows)
+    return markdown_table(("of", "strongest line (order)", "second", "third"), rows)
 
 
 def ticks_table(ticks: Mapping[float, HilsRun]) -> str:
@@ -85,10 +85,10 @@ def ticks_table(ticks: Mapping[float, HilsRun]) -> str:
                 f"{each.zeta[-1]:.3f}",
             )
         )
-    return table(("tick, ms", "RMSE of z, mm", "largest, mm", "ζ at the end"), rows)
+    return markdown_table(("tick, ms", "RMSE of z, mm", "largest, mm", "ζ at the end"), rows)
 
 
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+def markdown_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """A table in Markdown."""
     head = tuple(head)
     lines = [head, ("---",) * len(head), *map(tuple, rows)]

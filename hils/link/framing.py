@@ -11,7 +11,7 @@ from hils.link.messages import (
     HelloAck,
     StateReport,
     decode,
-    newer,
+    is_newer,
 )
 
 # So many of its own emergency stops an end knows when they come back.
@@ -59,16 +59,16 @@ class Receiver:
         self._last: int | None = None
         self._own: deque[Frame] = deque(maxlen=OWN)
         self._drops: Counter[Drop] = Counter()
-        self.counted = 0
-        self.stranger: HelloAck | StateReport | None = None
-        self.halted: EmergencyStop | None = None
+        self.accepted = 0
+        self.foreign_state: HelloAck | StateReport | None = None
+        self.foreign_stop: EmergencyStop | None = None
 
     def expect(self, session: int) -> None:
         """From here on only frames of this session count, starting at any sequence number."""
         self._session, self._last = session, None
-        self.stranger, self.halted = None, None
+        self.foreign_state, self.foreign_stop = None, None
 
-    def sent(self, frame: Frame) -> None:
+    def note_sent(self, frame: Frame) -> None:
         """This end has sent a frame: an emergency stop that a line echoes is not the other's."""
         if isinstance(frame.message, EmergencyStop):
             self._own.append(frame)
@@ -94,18 +94,18 @@ class Receiver:
             cause = Drop.DIRECTION
         elif found.session != self._session:
             cause = Drop.SESSION
-        elif self._last is not None and not newer(found.seq, self._last):
+        elif self._last is not None and not is_newer(found.seq, self._last):
             cause = Drop.ORDER
         else:
             self._last = found.seq
-            self.counted += 1
+            self.accepted += 1
             if isinstance(found.message, HelloAck):
                 # What was still on the line of an earlier boot says nothing of this one.
-                self.stranger = None
+                self.foreign_state = None
             return found
         self._drops[cause] += 1
         if isinstance(found, Frame) and isinstance(found.message, HelloAck | StateReport):
-            self.stranger = found.message
+            self.foreign_state = found.message
         if isinstance(found, Frame) and isinstance(found.message, EmergencyStop):
-            self.halted = found.message
+            self.foreign_stop = found.message
         return None

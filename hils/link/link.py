@@ -66,8 +66,8 @@ class LinkQuality(msgspec.Struct, frozen=True):
     bytes_received: int
     replaced: int
     drops: dict[Drop, int]
-    stranger: HelloAck | StateReport | None
-    halted: EmergencyStop | None
+    foreign_state: HelloAck | StateReport | None
+    foreign_stop: EmergencyStop | None
 
     @property
     def dropped(self) -> int:
@@ -185,7 +185,7 @@ class Inbox:
         self._reports.clear()
         return taken
 
-    def news(self) -> bool:
+    def take_news(self) -> bool:
         """Whether anything came since this or the other two were last called."""
         news, self._news = self._news, False
         return news
@@ -204,13 +204,13 @@ def quality_of(time: float, inbox: Inbox, outbox: SendQueue) -> LinkQuality:
     return LinkQuality(
         time,
         outbox.sent,
-        receiver.counted,
+        receiver.accepted,
         outbox.bytes_sent,
         inbox.bytes_received,
         outbox.replaced,
         receiver.drops,
-        receiver.stranger,
-        receiver.halted,
+        receiver.foreign_state,
+        receiver.foreign_stop,
     )
 
 
@@ -259,7 +259,7 @@ class InProcessLink(AbstractLink):
     def send(self, message: Message) -> int:
         self._require_line()
         frame = self._outbox.put(message, self._clock.now())
-        self._inbox.receiver.sent(frame)
+        self._inbox.receiver.note_sent(frame)
         self._exchange(self._outbox.take())
         self._require_line()
         return frame.seq
@@ -277,7 +277,7 @@ class InProcessLink(AbstractLink):
 
     def wait(self, deadline: float) -> bool:
         self._look()
-        while not (news := self._inbox.news()) and self._clock.now() < deadline:
+        while not (news := self._inbox.take_news()) and self._clock.now() < deadline:
             self._clock.sleep_until(min(deadline, self._clock.now() + GRAIN))
             self._look()
         return news

@@ -266,7 +266,7 @@ _LAYOUTS: dict[type, _Layout[Any]] = {
 _BY_NUMBER = {layout.number: layout for layout in _LAYOUTS.values()}
 
 
-def name(kind: type) -> str:
+def message_name(kind: type) -> str:
     """A message type's name in the table of `docs/wire.md`."""
     return _LAYOUTS[kind].name
 
@@ -326,7 +326,7 @@ def decode(packet: bytes) -> Frame | Drop:
     return Frame(message, session, seq, t_us)
 
 
-def newer(new: int, last: int) -> bool:
+def is_newer(new: int, last: int) -> bool:
     """Whether a sequence number comes after another, over the wrap at 2^32."""
     return 0 < (new - last) & U32 < 1 << 31
 
@@ -356,7 +356,7 @@ class Reason(enum.IntEnum):
     DRIVE = 10
 
 
-MEANINGS = {
+REASON_MEANINGS = {
     Reason.NONE: "none given",
     Reason.WATCHDOG: "watchdog: no valid command in time",
     Reason.ANOTHER_SESSION: "a frame of another session",
@@ -375,5 +375,5 @@ def reason_in_words(rig_id: int, reason: int) -> str:
     """A rig's reason, in words where they are known: other rigs have numbers of their own."""
     if rig_id != VIRTUAL_RIG:
         return f"reason {reason} (see its firmware)"
-    words = {int(each): said for each, said in MEANINGS.items()}.get(reason, "unknown")
+    words = {int(each): said for each, said in REASON_MEANINGS.items()}.get(reason, "unknown")
     return f"reason {reason} ({words})"

@@ -82,7 +82,7 @@ class PortLink(AbstractLink):
         with self._changed:
             self._require_line()
             frame = self._outbox.put(message, self._clock.now())
-            self._inbox.receiver.sent(frame)
+            self._inbox.receiver.note_sent(frame)
         self._port.wake()
         return frame.seq
 
@@ -104,7 +104,7 @@ class PortLink(AbstractLink):
         with self._changed:
             while True:
                 self._require_line()
-                if self._inbox.news():
+                if self._inbox.take_news():
                     return True
                 left = deadline - self._clock.now()
                 if left <= 0.0:

@@ -375,7 +375,7 @@ class ListedPort(NamedTuple):
     description: str
 
 
-def ports() -> list[ListedPort]:
+def list_ports() -> list[ListedPort]:
     """The serial ports of this machine, by name."""
     from serial.tools.list_ports import comports
 

@@ -2,7 +2,7 @@
 
 It wraps where the rows go and whom the procedure talks to, so neither knows of it:
 
-    rows, dialogue = onlooker.rows(recorder), onlooker.dialogue(terminal)
+    rows, prompts = observer.rows(recorder), observer.prompts(terminal)
 """
 
 import math
@@ -17,7 +17,7 @@ from hils.control.stop_request import StopRequest
 from hils.events import Event, Phase, TickFlag
 from hils.link.link import AbstractLink, LinkQuality
 from hils.monitor.live_view import LiveView
-from hils.monitor.status import INTERVAL, RecentMessages, RunStatus, known, plain
+from hils.monitor.status import INTERVAL, RecentMessages, RunStatus, finite_or_none, printable_line
 from hils.procedure.active_runs import ActiveRun
 from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure
@@ -72,7 +72,9 @@ class RunObserver:
         stop: StopRequest,
     ):
         self._run, self._show, self._clock = run, show, clock
-        self._named = {name: plain(getattr(run, name)) for name in ("title", "port", "output")}
+        self._named = {
+            name: printable_line(getattr(run, name)) for name in ("title", "port", "output")
+        }
         self._quality, self._stop = quality, stop
         self._on = False
         self._due = -math.inf
@@ -89,14 +91,14 @@ class RunObserver:
 
     def rows(self, rows: RowSink) -> RowSink:
         """Rows that are recorded as before, and seen."""
-        return _SeenRows(rows, self)
+        return _ObservedRows(rows, self)
 
-    def dialogue(self, dialogue: AbstractPrompts) -> AbstractPrompts:
-        """A dialogue that is held on the view while that is there."""
-        return _SeenDialogue(dialogue, self)
+    def prompts(self, prompts: AbstractPrompts) -> AbstractPrompts:
+        """A prompts that is held on the view while that is there."""
+        return _ObservedPrompts(prompts, self)
 
     @property
-    def on(self) -> bool:
+    def is_showing(self) -> bool:
         """Whether the view has the terminal."""
         return self._on
 
@@ -117,36 +119,36 @@ class RunObserver:
 
     # What is seen -------------------------------------------------------------------------------
 
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+    def on_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         """The run has come to this phase."""
         self._phase = phase
         if phase is Phase.COUNTDOWN:
             self._start, self._time = self._clock.now() + lasts, -lasts
         self._tell()
 
-    def told(self, text: str) -> None:
+    def on_message(self, text: str) -> None:
         """Something was said."""
         self._words.add(text)
         self._later.append(text)
         self._tell()
 
-    def commanded(self, time: float, omega: float, vx: float | None) -> None:
+    def on_command(self, time: float, omega: float, vx: float | None) -> None:
         """The loop has asked this of the rig; the one thing that comes on each tick."""
         self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
         self._tell_in_time(self._clock.now())
 
-    def settles(self, sinkage: float) -> None:
+    def on_sinkage(self, sinkage: float) -> None:
         """The wheel is measured so deep before the loop begins."""
         self._real, now = sinkage, self._clock.now()
         if self._phase is Phase.COUNTDOWN:
             self._time = now - self._start
         self._tell_in_time(now)
 
-    def measured(self, z: float) -> None:
+    def on_measurement(self, z: float) -> None:
         """A reading came."""
         self._real = -z
 
-    def ticked(self, row: OnlineRow) -> None:
+    def on_tick(self, row: OnlineRow) -> None:
         """The loop has made a tick."""
         self._online = row
         self._latest = max(self._latest, row.late)
@@ -155,7 +157,7 @@ class RunObserver:
         if row.flags & RAMPING and self._phase is Phase.RUNNING:
             self._phase = Phase.RAMPING
 
-    def happened(self, code: int, arg: float) -> None:
+    def on_event(self, code: int, arg: float) -> None:
         """Something beside the ticks."""
         if code == Event.STARTED:
             self._phase = Phase.RUNNING
@@ -176,27 +178,27 @@ class RunObserver:
         if not self._on:
             return
         sent, received, dropped = self._traffic()
-        run, online, wish = self._run, self._online, self._stop.wish
+        run, online, wish = self._run, self._online, self._stop.first_reason
         self._show(
             RunStatus(
                 phase=self._phase,
-                time=known(self._time),
+                time=finite_or_none(self._time),
                 duration=run.duration,
                 **self._named,
-                real=known(self._real),
-                simulated=None if online is None else known(-online.z_sim),
-                zeta=None if online is None else known(online.zeta),
-                slip=known(self._slip()),
-                omega=known(self._omega),
-                vx=known(self._vx),
+                real=finite_or_none(self._real),
+                simulated=None if online is None else finite_or_none(-online.z_sim),
+                zeta=None if online is None else finite_or_none(online.zeta),
+                slip=finite_or_none(self._slip()),
+                omega=finite_or_none(self._omega),
+                vx=finite_or_none(self._vx),
                 latest=self._latest,
-                age=None if online is None else known(online.age),
+                age=None if online is None else finite_or_none(online.age),
                 missed=self._missed,
                 refused=self._refused,
                 sent=sent,
                 received=received,
                 dropped=dropped,
-                stopping="" if wish is None else plain(wish.reason),
+                stopping="" if wish is None else printable_line(wish.reason),
                 words=self._words.list(),
             )
         )
@@ -218,11 +220,11 @@ class RunObserver:
         return self._sent, self._received, quality.dropped
 
 
-class _SeenRows:
-    """Rows that an onlooker sees."""
+class _ObservedRows:
+    """Rows that an observer sees."""
 
-    def __init__(self, rows: RowSink, onlooker: RunObserver):
-        self._rows, self._onlooker = rows, onlooker
+    def __init__(self, rows: RowSink, observer: RunObserver):
+        self._rows, self._observer = rows, observer
 
     @property
     def alive(self) -> bool:
@@ -240,85 +242,85 @@ class _SeenRows:
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
         self._rows.command(time, omega, vx)
-        self._onlooker.commanded(time, omega, vx)
+        self._observer.on_command(time, omega, vx)
 
     def measured(self, time: float, *values: float) -> None:
         self._rows.measured(time, *values)
-        self._onlooker.measured(values[-1])  # x, where it is measured, comes before z
+        self._observer.on_measurement(values[-1])  # x, where it is measured, comes before z
 
     def online(self, row: OnlineRow) -> None:
         self._rows.online(row)
-        self._onlooker.ticked(row)
+        self._observer.on_tick(row)
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
         self._rows.event(time, code, arg)
-        self._onlooker.happened(code, arg)
+        self._observer.on_event(code, arg)
 
     def close(self, end_reason: str) -> object:
-        self._onlooker.enter(Phase.CLOSING)
+        self._observer.on_phase(Phase.CLOSING)
         return self._rows.close(end_reason)
 
 
-class _SeenDialogue(AbstractPrompts):
-    """A dialogue that goes to the view while that has the terminal."""
+class _ObservedPrompts(AbstractPrompts):
+    """A prompts that goes to the view while that has the terminal."""
 
-    def __init__(self, dialogue: AbstractPrompts, onlooker: RunObserver):
-        self._dialogue, self._onlooker = dialogue, onlooker
+    def __init__(self, prompts: AbstractPrompts, observer: RunObserver):
+        self._dialogue, self._observer = prompts, observer
 
-    def tell(self, text: str) -> None:
-        if self._onlooker.on:
-            self._onlooker.told(text)
+    def say(self, text: str) -> None:
+        if self._observer.is_showing:
+            self._observer.on_message(text)
         else:
-            self._dialogue.tell(text)
+            self._dialogue.say(text)
 
-    def mention(self, text: str) -> None:
-        if self._onlooker.on:
-            self._onlooker.told(text)
+    def say_if_free(self, text: str) -> None:
+        if self._observer.is_showing:
+            self._observer.on_message(text)
         else:
-            self._dialogue.mention(text)
+            self._dialogue.say_if_free(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._dialogue.confirm(text, meanwhile)
 
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
-        self._onlooker.enter(phase, lasts)
+    def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
+        self._observer.on_phase(phase, lasts)
 
-    def show(self, sinkage: float) -> None:
-        self._onlooker.settles(sinkage)
+    def show_sinkage(self, sinkage: float) -> None:
+        self._observer.on_sinkage(sinkage)
 
 
 class ObservedRun(NamedTuple):
     """Where a run's rows and words go.
 
     Attributes:
-        rows, dialogue: To give to the run.
+        rows, prompts: To give to the run.
         begin: Lets the view have the terminal; no question can be asked from then on.
     """
 
     rows: RowSink
-    dialogue: AbstractPrompts
+    prompts: AbstractPrompts
     begin: Callable[[], None]
 
 
-def unobserved_run(rows: RowSink, dialogue: AbstractPrompts) -> ObservedRun:
+def without_observer(rows: RowSink, prompts: AbstractPrompts) -> ObservedRun:
     """Nobody looks on."""
-    return ObservedRun(rows, dialogue, lambda: None)
+    return ObservedRun(rows, prompts, lambda: None)
 
 
 @contextmanager
-def observed_run(
+def with_live_view(
     under_way: ActiveRun,
     output: Path,
     procedure: Procedure,
     link: AbstractLink,
     clock: AbstractClock,
     rows: RowSink,
-    dialogue: AbstractPrompts,
+    prompts: AbstractPrompts,
     stop: StopRequest,
 ) -> Iterator[ObservedRun]:
     """Within this there is a live view.
 
-    What is told while the view has the terminal is told to the dialogue at the end.
+    What is told while the view has the terminal is told to the prompts at the end.
     """
     setup = procedure.loop.setup
     command = setup.command.build()
@@ -330,10 +332,10 @@ def observed_run(
         setup.wheel.radius,
     )
     view = LiveView(under_way)
-    onlooker = RunObserver(seen, view.show, clock, link.quality, stop)
+    observer = RunObserver(seen, view.show, clock, link.quality, stop)
     try:
-        yield ObservedRun(onlooker.rows(rows), onlooker.dialogue(dialogue), onlooker.begin)
+        yield ObservedRun(observer.rows(rows), observer.prompts(prompts), observer.begin)
     finally:
         view.close()
-        for text in onlooker.end():
-            dialogue.tell(text)
+        for text in observer.end():
+            prompts.say(text)

@@ -105,21 +105,21 @@ class RecentMessages:
 
     def add(self, text: str) -> None:
         """One more."""
-        self._kept.append(plain(text))
+        self._kept.append(printable_line(text))
 
     def list(self) -> list[str]:
         """The oldest first."""
         return list(self._kept)
 
 
-def plain(text: str) -> str:
+def printable_line(text: str) -> str:
     """A line without anything that a terminal could take for an order."""
     line = " ".join(text.split())
     line = "".join(each if each.isprintable() else "?" for each in line)
     return line if len(line) <= LONGEST_WORD else line[: LONGEST_WORD - 1] + "…"
 
 
-def known(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """The number, or None where it is not finite."""
     return value if math.isfinite(value) else None
 

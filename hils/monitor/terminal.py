@@ -35,11 +35,11 @@ class Keyboard:
         self._ours: list[Any] | None = None
 
     @property
-    def there(self) -> bool:
+    def is_available(self) -> bool:
         """Whether keys can be read."""
         return self._found is not None
 
-    def by_key(self) -> None:
+    def read_by_key(self) -> None:
         """Give each key at once, unseen."""
         found = attributes(self._descriptor)
         if found is None:
@@ -52,7 +52,7 @@ class Keyboard:
         _apply(self._descriptor, termios.TCSANOW, found)
         self._ours = attributes(self._descriptor)
 
-    def give_back(self) -> None:
+    def release(self) -> None:
         """As it was found, unless someone else has set it since; what was typed is dropped.
 
         Once the control program has died, a shell may have the terminal again and have set it for
@@ -76,7 +76,7 @@ def attributes(descriptor: int) -> list[Any] | None:
         return None
 
 
-def viewable() -> bool:
+def has_own_terminal() -> bool:
     """Whether this program has a terminal to itself on which a view can be drawn."""
     try:
         output = sys.stdout.fileno()

@@ -86,7 +86,7 @@ class View:
                     self._draw(now)
         finally:
             if self._on:
-                self._keyboard.give_back()
+                self._keyboard.release()
                 write(_OUTPUT, LEAVE)
 
     def _look(self) -> bool:
@@ -106,9 +106,9 @@ class View:
         if self._on:
             return
         self._on = True
-        self._keyboard.by_key()
+        self._keyboard.read_by_key()
         write(_OUTPUT, ENTER)
-        if self._keyboard.there:
+        if self._keyboard.is_available:
             self._heard.append(_INPUT)
 
     def _take_keys(self) -> None:
@@ -126,7 +126,7 @@ class View:
         except OSError:
             return
         width, height = max(width, 20), max(height, 4)
-        lines = self._picture.lines(width, height, now, self._keyboard.there)
+        lines = self._picture.lines(width, height, now, self._keyboard.is_available)
         text = (_LINE_END + b"\r\n").join(line.encode("utf-8", "replace") for line in lines)
         write(_OUTPUT, _HOME + text + _LINE_END + _REST)
 

@@ -19,7 +19,7 @@ from drftjax.setups.simulated_run import with_believed_values
 from drftjax.simulation.statics import zeta_from_sinkage
 from hils.control.limits import CommandLimits, require_profile
 from hils.control.loop_config import LoopRecord, LoopSetUp, Start
-from hils.control.measurements import channels
+from hils.control.measurements import measured_channels
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS
 from hils.link.messages import VIRTUAL_RIG, HelloAck
 from hils.procedure.settling import SettledWheel
@@ -36,7 +36,7 @@ LEAST_SINKAGE = 5e-4
 MOST_OVER = 0.02
 
 
-def within_limits(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
+def apply_rig_limits(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
     """The loop within the rig's own limits.
 
     Raises:
@@ -131,7 +131,7 @@ def run_log_head(loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free:
         setup=with_believed_values(loop.setup, start.sinkage, start.zeta),
         source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=title,
-        channels=channels(ack.x_scale),
+        channels=measured_channels(ack.x_scale),
         driven=not free,
         online=None if free else online,
         event_meanings=EVENT_MEANINGS,

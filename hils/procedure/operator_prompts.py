@@ -25,11 +25,11 @@ class AbstractPrompts(abc.ABC):
     """Tells what happens and asks for what only hands can do."""
 
     @abc.abstractmethod
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Say a sentence, if anybody listens."""
 
     @abc.abstractmethod
-    def mention(self, text: str) -> None:
+    def say_if_free(self, text: str) -> None:
         """Say a sentence that may be lost: the rig waits for commands, and nothing for a screen."""
 
     @abc.abstractmethod
@@ -45,11 +45,11 @@ class AbstractPrompts(abc.ABC):
         """
 
     @abc.abstractmethod
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+    def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         """The run comes to this phase, which lasts so long where that is known [s]."""
 
     @abc.abstractmethod
-    def show(self, sinkage: float) -> None:
+    def show_sinkage(self, sinkage: float) -> None:
         """The wheel that stands is measured so deep [m]; called often, and must not wait."""
 
 
@@ -71,13 +71,13 @@ def _say_if_at_once(text: str) -> None:
     _say(text)
 
 
-class Terminal(AbstractPrompts):
+class TerminalPrompts(AbstractPrompts):
     """A person at the terminal, who presses Enter."""
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         _say(text)
 
-    def mention(self, text: str) -> None:
+    def say_if_free(self, text: str) -> None:
         _say_if_at_once(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
@@ -101,32 +101,32 @@ class Terminal(AbstractPrompts):
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None
 
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+    def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
-    def show(self, sinkage: float) -> None:
+    def show_sinkage(self, sinkage: float) -> None:
         pass
 
 
-class Unattended(AbstractPrompts):
+class UnattendedPrompts(AbstractPrompts):
     """Nobody is asked: a virtual rig, or one that prepares itself."""
 
     def __init__(self, quiet: bool = False):
         self._quiet = quiet
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         if not self._quiet:
             _say(text)
 
-    def mention(self, text: str) -> None:
+    def say_if_free(self, text: str) -> None:
         if not self._quiet:
             _say_if_at_once(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
-        self.tell(f"{text}: taken as done")
+        self.say(f"{text}: taken as done")
 
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+    def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
-    def show(self, sinkage: float) -> None:
+    def show_sinkage(self, sinkage: float) -> None:
         pass

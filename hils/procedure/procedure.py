@@ -31,9 +31,9 @@ from hils.procedure.initial_state import (
     LEAST_SINKAGE,
     LEAST_ZETA,
     MOST_ZETA,
+    apply_rig_limits,
     run_log_head,
     starting_point,
-    within_limits,
     zeta_by_sinkage,
 )
 from hils.procedure.operator_prompts import AbstractPrompts
@@ -116,7 +116,7 @@ class RunReport:
     start: Start | None
     loop: LoopReport | None
     quality: LinkQuality
-    wish: StopReason | None = None
+    stop_reason: StopReason | None = None
     unfinished: str = ""
 
 
@@ -125,7 +125,7 @@ def run(
     link: AbstractLink,
     clock: AbstractClock,
     rows: RowSink,
-    dialogue: AbstractPrompts,
+    prompts: AbstractPrompts,
     stop: StopRequest,
     before_motion: Callable[[], None] = lambda: None,
 ) -> RunReport:
@@ -135,7 +135,7 @@ def run(
         procedure: What the run is to be.
         link, clock: The rig.
         rows: Takes what is recorded; not begun yet.
-        dialogue: Whom to talk to.
+        prompts: Whom to talk to.
         stop: Asks for the run's end; looked at from ARM on. From then on signals leave nothing
             but their wish; whoever has told of the run lets them interrupt again.
         before_motion: Called once when all is ready, before ARM.
@@ -146,7 +146,7 @@ def run(
     """
     reason, report = "not begun", None
     try:
-        report = _run(procedure, link, clock, rows, dialogue, stop, before_motion)
+        report = _run(procedure, link, clock, rows, prompts, stop, before_motion)
         reason = report.reason
     except InputError as error:
         reason = str(error)
@@ -158,22 +158,22 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
-        unfinished = _close(rows, reason, dialogue)
+        unfinished = _close(rows, reason, prompts)
         if unfinished and report is None and unfinished != reason:
-            dialogue.tell(unfinished)
+            prompts.say(unfinished)
     assert report is not None  # or else it was raised
-    wish = stop.wish
+    wish = stop.first_reason
     if wish is not None and wish.event is Event.EMERGENCY_STOP:
         wish = wish._replace(reason=stop.reason)
-    return replace(report, wish=wish, unfinished=unfinished)
+    return replace(report, stop_reason=wish, unfinished=unfinished)
 
 
-def _close(rows: RowSink, reason: str, dialogue: AbstractPrompts) -> str:
+def _close(rows: RowSink, reason: str, prompts: AbstractPrompts) -> str:
     """End the recording; why it could not be finished, empty where it was."""
 
     def tell() -> None:
         with suppress(OSError):  # the terminal may be gone
-            dialogue.tell(f"The recording is being closed, for {CLOSE_LIMIT:.0f} s at most.")
+            prompts.say(f"The recording is being closed, for {CLOSE_LIMIT:.0f} s at most.")
 
     notice = threading.Timer(SLOW_CLOSE, tell)
     notice.start()
@@ -192,7 +192,7 @@ def _run(
     link: AbstractLink,
     clock: AbstractClock,
     rows: RowSink,
-    dialogue: AbstractPrompts,
+    prompts: AbstractPrompts,
     stop: StopRequest,
     before_motion: Callable[[], None],
 ) -> RunReport:
@@ -202,9 +202,9 @@ def _run(
     log.event(Event.CONNECTED, ack.boot_id)
     try:
         if ack.state in STOPPED:
-            dialogue.tell(_stopped_before(ack.state))
+            prompts.say(_stopped_before(ack.state))
         title = procedure.title or procedure.loop.setup.title
-        loop = within_limits(procedure.loop, ack, procedure.free)
+        loop = apply_rig_limits(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
         head = run_log_head(loop, expected, ack, title, procedure.free)
         rows.require_room(head)
@@ -213,19 +213,19 @@ def _run(
         if isinstance(conduct, TunedTick):
             conduct.precompile(expected)
         if procedure.zero is ZeroAt.HELD:
-            dialogue.confirm(
+            prompts.confirm(
                 "Hold the wheel where its rim just touches the undisturbed sand",
-                session.require_unhalted,
+                session.require_no_rig_stop,
             )
         zero = touch_down(session, link, clock, ack)
         if procedure.zero is ZeroAt.POWER_UP:
             zero = zero._replace(z=0.0)
         log.event(Event.TOUCHED_DOWN, zero.z)
-        dialogue.confirm(
+        prompts.confirm(
             "Let the wheel down, so that it rests on the sand by its own weight",
-            session.require_unhalted,
+            session.require_no_rig_stop,
         )
-        session.require_unhalted()
+        session.require_no_rig_stop()
         rows.require_room(head)  # again: a question may stay open for long
         before_motion()
     except BaseException:
@@ -234,22 +234,24 @@ def _run(
         raise
     valid_ms = watchdog_ms(tick_us)
     driven = not procedure.free
-    standing = StandingWheel(session, link, clock, stop, loop.tick, driven, valid_ms, dialogue.show)
+    standing = StandingWheel(
+        session, link, clock, stop, loop.tick, driven, valid_ms, prompts.show_sinkage
+    )
     ramp = loop.commands.omega / loop.ramp
-    rest = Shutdown(session, link, clock, ack, stop, log, standing.rest, loop.tick, ramp)
+    rest = Shutdown(session, link, clock, ack, stop, log, standing.hold_command, loop.tick, ramp)
     settled, start, looped, reason = None, None, None, "failed"
     rested = False
     try:
-        stop.uncut = True
-        dialogue.enter(Phase.SETTLING)
-        session.arm(standing.rest)
+        stop.uninterruptible = True
+        prompts.enter_phase(Phase.SETTLING)
+        session.arm(standing.hold_command)
         log.event(Event.ARMED)
-        dialogue.mention("Armed. The wheel settles.")
+        prompts.say_if_free("Armed. The wheel settles.")
         settled = standing.settle(zero)
         log.event(Event.SETTLED, settled.sinkage)
         start = starting_point(loop, settled, procedure.zeta, procedure.free, statics)
-        dialogue.mention(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
-        dialogue.enter(Phase.COUNTDOWN, procedure.countdown)
+        prompts.say_if_free(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
+        prompts.enter_phase(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
         start = Start(standing.hold(began - loop.tick / 2, zero, settled), start.zeta)
         state = conduct.begin(start)
@@ -265,7 +267,7 @@ def _run(
     except LinkLost as lost:
         reason = f"link lost: {lost}"
     finally:
-        rested = _to_rest(session, rest, log, dialogue)
+        rested = _to_rest(session, rest, log, prompts)
     return RunReport(
         reason,
         looped is not None and looped.completed,
@@ -277,22 +279,22 @@ def _run(
     )
 
 
-def _to_rest(session: Session, rest: Shutdown, log: EventLog, dialogue: AbstractPrompts) -> bool:
+def _to_rest(session: Session, rest: Shutdown, log: EventLog, prompts: AbstractPrompts) -> bool:
     """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
     try:
         try:
             session.stop()
             log.event(Event.STOP_SENT)
-            dialogue.enter(Phase.STOPPING)
+            prompts.enter_phase(Phase.STOPPING)
         finally:
             rested = rest.bring_to_rest()
     except LinkLost:
         log.note(Event.LINK_LOST)
-        dialogue.tell("The rig cannot be reached: its own watchdog brings it to rest.")
+        prompts.say("The rig cannot be reached: its own watchdog brings it to rest.")
         return False
     log.event(Event.DISCONNECTED)
     if not rested:
-        dialogue.tell("The rig has not confirmed that it rests: use its emergency stop.")
+        prompts.say("The rig has not confirmed that it rests: use its emergency stop.")
     return rested
 
 

@@ -20,7 +20,7 @@ from hils.link.messages import (
     RigState,
     StateReport,
     Stop,
-    newer,
+    is_newer,
     reason_in_words,
 )
 from hils.link.timing import watchdog_us
@@ -41,7 +41,7 @@ class RigStopped(InputError):
     """The rig ended the run by itself; the message says how it told so."""
 
 
-def new_session() -> int:
+def draw_session_number() -> int:
     """A session number at random, never zero: a rig that knows no session may send zero."""
     return 1 + secrets.randbelow(0xFFFF)
 
@@ -56,7 +56,10 @@ class Session:
     """
 
     def __init__(
-        self, link: AbstractLink, clock: AbstractClock, number: Callable[[], int] = new_session
+        self,
+        link: AbstractLink,
+        clock: AbstractClock,
+        number: Callable[[], int] = draw_session_number,
     ):
         self._link, self._clock, self._number = link, clock, number
         self._hello: Hello | None = None
@@ -109,12 +112,12 @@ class Session:
         """
         hello, ack = self._require_open()
         for greeting in (False, True):
-            self.require_unhalted()
+            self.require_no_rig_stop()
             if greeting:
                 self._greet_anew(hello, ack)
             self._said = None
             self._armed_by = self._ask(Arm(), _says_ready, hold, hello.tick_us * 1e-6)
-            self.require_unhalted()
+            self.require_no_rig_stop()
             if self._armed_by is not None:
                 return
             if self._said is None or self._said.state is RigState.FAULT:
@@ -122,7 +125,7 @@ class Session:
         self._require_same_boot(ack)
         raise InputError(_unready(self._link.name, self._said, ack.rig_id))
 
-    def require_unhalted(self) -> None:
+    def require_no_rig_stop(self) -> None:
         """Refuse to go on with a rig that made an emergency stop of its own since HELLO.
 
         It is answered by one of the same reason. A HELLO would let the rig move again, so whoever
@@ -146,7 +149,7 @@ class Session:
         )
 
     @property
-    def halted(self) -> EmergencyStop | None:
+    def rig_stop(self) -> EmergencyStop | None:
         """The last emergency stop that came while this waited for an answer, since HELLO."""
         return self._halted
 
@@ -161,7 +164,7 @@ class Session:
         """
         _, ack = self._require_open()
         reports = self._link.reports()
-        stranger = self._link.quality().stranger
+        stranger = self._link.quality().foreign_state
         heard = [each.frame.message for each in reports]
         if stranger is not None:
             heard.append(stranger)
@@ -192,7 +195,7 @@ class Session:
         """
         return self._ask(EmergencyStop(reason), _says_stopped) is not None
 
-    def require_here(self) -> None:
+    def require_not_reset(self) -> None:
         """Where a rig before ARM sends nothing any more: refuse one that was reset since HELLO.
 
         It is taken leave of, which a rig that knows no session answers with its boot number.
@@ -216,11 +219,11 @@ class Session:
         if self.connect(hello).boot_id != ack.boot_id:
             raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
         # What it said before it heard this HELLO has come before its answer.
-        self._halted = self._halted or self._link.quality().halted
-        self.require_unhalted()
+        self._halted = self._halted or self._link.quality().foreign_stop
+        self.require_no_rig_stop()
 
     def _require_same_boot(self, ack: HelloAck) -> None:
-        stranger = self._link.quality().stranger
+        stranger = self._link.quality().foreign_state
         if stranger is not None and stranger.boot_id != ack.boot_id:
             raise InputError(
                 f"the rig on {self._link.name} was reset before it was armed: start again"
@@ -235,7 +238,7 @@ class Session:
         state = _state(arrival)
         if self._armed_by is None or state is None or state in READY:
             return
-        if not newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
+        if not is_newer(arrival.frame.seq, self._armed_by.frame.seq):  # from before it was armed
             return
         message = arrival.frame.message
         reason = (

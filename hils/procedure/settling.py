@@ -70,7 +70,7 @@ def touch_down(
     last = _time_of(link.newest())
     while (deadline := begun + _lasts(len(heights))) > clock.now():
         link.wait(deadline)
-        session.require_unhalted()
+        session.require_no_rig_stop()
         arrival = link.newest()
         if arrival is None or _time_of(arrival) == last:
             continue
@@ -82,7 +82,7 @@ def touch_down(
         heights.append(measurement.z)
         places.append(measurement.x)
     if len(heights) < TOUCH_DOWN_READINGS:
-        session.require_here()
+        session.require_not_reset()
         raise InputError(
             f"{link.name}: {len(heights)} measurements came in {LONGEST_TOUCH_DOWN:g} s while the "
             f"wheel was held at touch-down, needs {TOUCH_DOWN_READINGS}; a rig at rest sends one "
@@ -131,7 +131,7 @@ class StandingWheel:
     ):
         self._link, self._clock, self._stop = link, clock, stop
         self._session, self._tick, self._show = session, tick, show
-        self.rest = Drive(0.0, 0.0, driven, valid_ms)
+        self.hold_command = Drive(0.0, 0.0, driven, valid_ms)
         self._due = self._heard = clock.now()
 
     def settle(self, zero: TouchdownZero) -> SettledWheel:
@@ -202,9 +202,9 @@ class StandingWheel:
         seen = _time_of(self._link.newest())
         self._due = self._heard = self._clock.now()
         while self._clock.now() < until:
-            if self._stop.wish is not None:
+            if self._stop.first_reason is not None:
                 raise RunAborted(self._stop.reason)
-            self._link.send(self.rest)
+            self._link.send(self.hold_command)
             self._due += self._tick
             if self._due < self._clock.now():  # late: no burst of commands to catch up
                 self._due = self._clock.now()

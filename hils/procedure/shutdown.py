@@ -134,7 +134,7 @@ class Shutdown:
     def _say_goodbye(self) -> None:
         self._session.bye()
         self._note_wish()
-        halted = self._session.halted
+        halted = self._session.rig_stop
         # One of the same reason is the rig's answer.
         if halted is None or halted.reason == self._said or self._is_noted(halted):
             return
@@ -152,7 +152,7 @@ class Shutdown:
 
     def _stopped_by_itself(self) -> bool:
         """Whether it was reset, so that it answers no STOP, or wants its own ESTOP answered."""
-        stranger = self._link.quality().stranger
+        stranger = self._link.quality().foreign_state
         if stranger is not None and self._was_reset(stranger):
             return True
         for each in self._link.reports():
@@ -184,25 +184,25 @@ class Shutdown:
         self._stop.ask(StopReason(why, Event.EMERGENCY_STOP, message.reason))
 
     def _heed(self, state: RigState, fault: int = 0) -> None:
-        if state in STOPPED and not self._log.noted(Event.EMERGENCY_STOP):
+        if state in STOPPED and not self._log.has_noted(Event.EMERGENCY_STOP):
             self._log.note(Event.RIG_STATE, state)
         if fault:
             self._log.note(Event.RIG_FAULT, fault)
-        if self._stop.wish is None and (fault or state is RigState.FAULT):
+        if self._stop.first_reason is None and (fault or state is RigState.FAULT):
             why = f"the rig reports fault {fault}" if fault else "the rig went FAULT"
             event, arg = (Event.RIG_FAULT, fault) if fault else (Event.RIG_STATE, state)
             self._stop.ask(StopReason(why, event, arg))
 
     def _note_wish(self) -> None:
-        wish = self._stop.wish
+        wish = self._stop.first_reason
         if wish is None:
             return
         self._log.note(wish.event, wish.arg)
-        if self._stop.emergency and not self._log.noted(Event.EMERGENCY_STOP):
+        if self._stop.emergency and not self._log.has_noted(Event.EMERGENCY_STOP):
             self._log.note(Event.EMERGENCY_STOP, wish.arg)
 
     def _is_noted(self, halted: EmergencyStop) -> bool:
-        return self._log.noted(Event.EMERGENCY_STOP, halted.reason)
+        return self._log.has_noted(Event.EMERGENCY_STOP, halted.reason)
 
 
 class _Watch:

@@ -137,7 +137,7 @@ class RecorderProcess:
 
     def _append(self, kind: Kind, rows: Rows) -> None:
         assert self._recording is not None
-        sound, events = self._sound.sanitized(kind, rows)
+        sound, events = self._sound.sanitize(kind, rows)
         title = kind.name.lower()
         if title in self._recording.rows and len(sound):
             self._recording.append(title, sound)

@@ -30,7 +30,7 @@ class RowSanitizer:
     def __init__(self) -> None:
         self._last = dict.fromkeys(Kind, -np.inf)
 
-    def sanitized(self, kind: Kind, rows: Rows) -> tuple[Rows, Rows]:
+    def sanitize(self, kind: Kind, rows: Rows) -> tuple[Rows, Rows]:
         """Rows that can be kept, and events that tell of those that cannot.
 
         Args:

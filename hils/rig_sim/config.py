@@ -12,7 +12,7 @@ import numpy as np
 
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
-from drftjax.common.structured_files import read_document, to_structure
+from drftjax.common.structured_files import to_structure
 from drftjax.effects.serialization import Entry, build_effects
 from drftjax.physics.integrator import HeldPace
 from drftjax.setups.setup import (
@@ -20,13 +20,14 @@ from drftjax.setups.setup import (
     IntegratorSetUp,
     RigSetUp,
     StartSetUp,
-    TerrainSetUp,
     WheelSetUp,
     find_outline,
+    read_tables,
 )
+from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp
 from drftjax.simulation.simulator import Simulator
 from hils.rig_sim.physics import RigPhysics
-from hils.rig_sim.sensors import Instruments, RigClock, Stream
+from hils.rig_sim.sensors import Instruments, RandomStream, RigClock
 
 
 class PhysicsSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,7 +53,7 @@ class BedSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def firmness(self, seed: int, number: int) -> float:
         """Factor on zeta [-] of the bed that was prepared as this number."""
-        random = np.random.default_rng([seed, Stream.BED, number])
+        random = np.random.default_rng([seed, RandomStream.BED, number])
         return float(np.exp(self.scatter * random.standard_normal()))
 
 
@@ -61,7 +62,7 @@ class VirtualSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
     title: str = "virtual rig"
     wheel: WheelSetUp = msgspec.field(default_factory=WheelSetUp)
-    terrain: TerrainSetUp = msgspec.field(default_factory=TerrainSetUp)
+    terrain: TerrainSetUp = msgspec.field(default_factory=DynamicTerrain)
     rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
     effects: list[Entry] = msgspec.field(default_factory=list, name="effect")
     physics: PhysicsSetUp = PhysicsSetUp()
@@ -117,7 +118,7 @@ def read_virtual_setup(path: str | Path) -> VirtualSetUp:
         InputError: names the file, the entry and what must hold.
     """
     path = Path(path)
-    setup = to_structure(read_document(path), VirtualSetUp, path)
+    setup = to_structure(read_tables(path), VirtualSetUp, path)
     find_outline(setup.wheel, path)
     try:
         setup.simulator().check()

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from hils.rig_sim.faults import (
-    Absurd,
     Counts,
     Disconnect,
     DriveFault,
@@ -14,12 +13,13 @@ from hils.rig_sim.faults import (
     FaultScript,
     Occasion,
     Reset,
-    Saturated,
-    Stuck,
+    SaturatedDrive,
+    ScaleJump,
+    StuckScale,
     WireFault,
 )
 from hils.rig_sim.firmware import MotorDemand
-from hils.rig_sim.sensors import Stream
+from hils.rig_sim.sensors import RandomStream
 from hils.rig_sim.serial_line import DelayedPacket
 
 
@@ -34,7 +34,7 @@ class FaultInjector:
         script.check()
         self._faults = script.faults
         self._randoms = [
-            np.random.default_rng([script.seed, Stream.FAULT, number])
+            np.random.default_rng([script.seed, RandomStream.FAULT, number])
             for number in range(len(script.faults))
         ]
         self._occasions: dict[str, float] = {}
@@ -72,7 +72,7 @@ class FaultInjector:
     def counts(self, counts: Counts, now: float) -> Counts:
         """What the scales say instead."""
         for number, fault in self._holding(now):
-            if isinstance(fault.what, Stuck | Absurd):
+            if isinstance(fault.what, StuckScale | ScaleJump):
                 begun = self._begun.setdefault(number, counts)
                 counts = fault.what.read(counts, begun, self._randoms[number])
         return counts
@@ -80,7 +80,7 @@ class FaultInjector:
     def demand(self, demand: MotorDemand, now: float) -> MotorDemand:
         """What the drive gives instead."""
         for _, fault in self._holding(now):
-            if isinstance(fault.what, Saturated):
+            if isinstance(fault.what, SaturatedDrive):
                 demand = fault.what.drive(demand)
         return demand
 
@@ -89,11 +89,11 @@ class FaultInjector:
         codes = [f.what.code for _, f in self._holding(now) if isinstance(f.what, DriveFault)]
         return codes[0] if codes else 0
 
-    def unplugged(self, now: float) -> bool:
+    def is_unplugged(self, now: float) -> bool:
         """Whether the plug is out."""
         return any(isinstance(fault.what, Disconnect) for _, fault in self._holding(now))
 
-    def powerless(self, now: float) -> bool:
+    def is_powerless(self, now: float) -> bool:
         """Whether the firmware is down for a reset."""
         return any(isinstance(fault.what, Reset) for _, fault in self._holding(now))
 

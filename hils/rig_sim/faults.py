@@ -51,7 +51,7 @@ class Counts(NamedTuple):
     omega: float
 
 
-class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+class _FaultKindBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
     """A kind of fault; `kind` names it in a file.
 
     Of a wire's fault, rate is the share of frames or bytes that it strikes, and towards the end at
@@ -59,7 +59,7 @@ class _Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="
     """
 
 
-class LostFrames(_Kind, frozen=True, tag="lost_frames"):
+class LostFrames(_FaultKindBase, frozen=True, tag="lost_frames"):
     """Whole frames vanish."""
 
     rate: float = 1.0
@@ -69,7 +69,7 @@ class LostFrames(_Kind, frozen=True, tag="lost_frames"):
         return [] if random.random() < self.rate else [packet]
 
 
-class DamagedFrames(_Kind, frozen=True, tag="damaged_frames"):
+class DamagedFrames(_FaultKindBase, frozen=True, tag="damaged_frames"):
     """One bit of a frame, between its delimiters, is flipped."""
 
     rate: float = 1.0
@@ -83,7 +83,7 @@ class DamagedFrames(_Kind, frozen=True, tag="damaged_frames"):
         return [replace(packet, data=bytes(struck))]
 
 
-class DuplicatedFrames(_Kind, frozen=True, tag="duplicated_frames"):
+class DuplicatedFrames(_FaultKindBase, frozen=True, tag="duplicated_frames"):
     """Frames come twice."""
 
     rate: float = 1.0
@@ -93,7 +93,7 @@ class DuplicatedFrames(_Kind, frozen=True, tag="duplicated_frames"):
         return [packet] * (2 if random.random() < self.rate else 1)
 
 
-class ReorderedFrames(_Kind, frozen=True, tag="reordered_frames"):
+class ReorderedFrames(_FaultKindBase, frozen=True, tag="reordered_frames"):
     """Frames are overtaken by those behind them; delay: how late they come [s]."""
 
     rate: float = 1.0
@@ -106,7 +106,7 @@ class ReorderedFrames(_Kind, frozen=True, tag="reordered_frames"):
         return [replace(packet, due=packet.due + self.delay, in_order=False)]
 
 
-class DelayedFrames(_Kind, frozen=True, tag="delayed_frames"):
+class DelayedFrames(_FaultKindBase, frozen=True, tag="delayed_frames"):
     """Frames come late, and all behind them with them; delay: how late [s]."""
 
     rate: float = 1.0
@@ -118,7 +118,7 @@ class DelayedFrames(_Kind, frozen=True, tag="delayed_frames"):
         return [replace(packet, due=packet.due + late)]
 
 
-class LostBytes(_Kind, frozen=True, tag="lost_bytes"):
+class LostBytes(_FaultKindBase, frozen=True, tag="lost_bytes"):
     """Single bytes vanish."""
 
     rate: float = 1.0
@@ -129,7 +129,7 @@ class LostBytes(_Kind, frozen=True, tag="lost_bytes"):
         return [replace(packet, data=bytes(np.frombuffer(packet.data, np.uint8)[kept]))]
 
 
-class FlippedBytes(_Kind, frozen=True, tag="flipped_bytes"):
+class FlippedBytes(_FaultKindBase, frozen=True, tag="flipped_bytes"):
     """One bit of single bytes is flipped."""
 
     rate: float = 1.0
@@ -143,7 +143,7 @@ class FlippedBytes(_Kind, frozen=True, tag="flipped_bytes"):
         return [replace(packet, data=data.tobytes())]
 
 
-class DuplicatedBytes(_Kind, frozen=True, tag="duplicated_bytes"):
+class DuplicatedBytes(_FaultKindBase, frozen=True, tag="duplicated_bytes"):
     """Single bytes come twice."""
 
     rate: float = 1.0
@@ -156,7 +156,7 @@ class DuplicatedBytes(_Kind, frozen=True, tag="duplicated_bytes"):
         ]
 
 
-class ReorderedBytes(_Kind, frozen=True, tag="reordered_bytes"):
+class ReorderedBytes(_FaultKindBase, frozen=True, tag="reordered_bytes"):
     """Single bytes change places with the next one."""
 
     rate: float = 1.0
@@ -169,7 +169,7 @@ class ReorderedBytes(_Kind, frozen=True, tag="reordered_bytes"):
         return [replace(packet, data=bytes(data))]
 
 
-class DelayedBytes(_Kind, frozen=True, tag="delayed_bytes"):
+class DelayedBytes(_FaultKindBase, frozen=True, tag="delayed_bytes"):
     """A gap opens within a frame; rate: share of the frames; delay: how long [s]."""
 
     rate: float = 1.0
@@ -184,7 +184,7 @@ class DelayedBytes(_Kind, frozen=True, tag="delayed_bytes"):
         return [replace(packet, data=packet.data[:cut]), late]
 
 
-class Stuck(_Kind, frozen=True, tag="stuck"):
+class StuckScale(_FaultKindBase, frozen=True, tag="stuck"):
     """A scale stands still at what it read when the fault began."""
 
     channel: Channel = "z"
@@ -193,7 +193,7 @@ class Stuck(_Kind, frozen=True, tag="stuck"):
         return _with(counts, self.channel, begun.z, begun.x)
 
 
-class Absurd(_Kind, frozen=True, tag="absurd"):
+class ScaleJump(_FaultKindBase, frozen=True, tag="absurd"):
     """A scale jumps; rate: share of the readings; counts: how far, to either side."""
 
     channel: Channel = "z"
@@ -205,7 +205,7 @@ class Absurd(_Kind, frozen=True, tag="absurd"):
         return _with(counts, self.channel, counts.z + away, counts.x + away)
 
 
-class Saturated(_Kind, frozen=True, tag="saturated"):
+class SaturatedDrive(_FaultKindBase, frozen=True, tag="saturated"):
     """The wheel's drive gives no more than this angular velocity [rad/s]."""
 
     omega: float = 0.1
@@ -215,17 +215,17 @@ class Saturated(_Kind, frozen=True, tag="saturated"):
         return demand._replace(omega=held)
 
 
-class DriveFault(_Kind, frozen=True, tag="drive_fault"):
+class DriveFault(_FaultKindBase, frozen=True, tag="drive_fault"):
     """The drive reports a fault of this number and stands still."""
 
     code: int = 1
 
 
-class Disconnect(_Kind, frozen=True, tag="disconnect"):
+class Disconnect(_FaultKindBase, frozen=True, tag="disconnect"):
     """The plug is out for the fault's duration."""
 
 
-class Reset(_Kind, frozen=True, tag="reset"):
+class Reset(_FaultKindBase, frozen=True, tag="reset"):
     """The firmware starts anew: the drive has no power for the fault's duration."""
 
 
@@ -243,16 +243,16 @@ WireFault = (
 )
 
 
-ReadingFault = Stuck | Absurd
+ReadingFault = StuckScale | ScaleJump
 
 
 DeviceFault = DriveFault | Disconnect | Reset
 
 
-What = WireFault | ReadingFault | Saturated | DeviceFault
+FaultKind = WireFault | ReadingFault | SaturatedDrive | DeviceFault
 
 
-KINDS = tuple(msgspec.inspect.type_info(each).tag for each in get_args(What))  # pyright: ignore[reportAttributeAccessIssue]
+KINDS = tuple(msgspec.inspect.type_info(each).tag for each in get_args(FaultKind))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -282,7 +282,7 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One fault: what, and when."""
 
-    what: What
+    what: FaultKind
     when: Window = Window()
 
 

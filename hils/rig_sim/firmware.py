@@ -36,7 +36,7 @@ from hils.link.messages import (
     clock_us,
     decode,
     encode,
-    newer,
+    is_newer,
 )
 from hils.link.timing import LEAST_WATCHDOG_US, watchdog_ms, watchdog_us
 
@@ -185,7 +185,7 @@ class RigProtocol:
                 self._open(frame, frame.message)
             else:
                 self._hear_stranger(frame)
-        elif not newer(frame.seq, self._last_heard):
+        elif not is_newer(frame.seq, self._last_heard):
             self._drop(Drop.ORDER)
         else:
             self._obey(frame)

@@ -23,7 +23,7 @@ from hils.rig_sim.fault_injection import FaultInjector
 from hils.rig_sim.faults import FaultScript, split_frames
 from hils.rig_sim.firmware import SILENCE, MotorDemand, RigIdentity, RigProtocol
 from hils.rig_sim.physics import LOWERING_TIME, REST, RigMotion, RigPhysics
-from hils.rig_sim.sensors import SensorNoise, Stream
+from hils.rig_sim.sensors import RandomStream, SensorNoise
 from hils.rig_sim.serial_line import INSTANT, DelayedPacket, SerialLine
 
 # The firmware looks at its clock at least this often [s].
@@ -116,14 +116,14 @@ class VirtualRig:
         return self._motion
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """Whether the wheel still hangs at touch-down."""
         return self._released is None
 
     @property
-    def plugged(self) -> bool:
+    def is_plugged(self) -> bool:
         """Whether bytes can pass."""
-        return not self._faults.unplugged(self._now)
+        return not self._faults.is_unplugged(self._now)
 
     @property
     def occasions(self) -> dict[str, float]:
@@ -136,12 +136,12 @@ class VirtualRig:
         Raises:
             LinkLost: the plug is out. The rig lives on; `live` moves it.
         """
-        out = self.live(now, data)
-        if not self.plugged:
+        out = self.advance_unplugged(now, data)
+        if not self.is_plugged:
             raise LinkLost("the virtual rig's plug is out")
         return out
 
-    def live(self, now: float, data: bytes = b"") -> bytes:
+    def advance_unplugged(self, now: float, data: bytes = b"") -> bytes:
         """As `advance`; while the plug is out, nothing passes and nothing is raised."""
         self._hear(data, max(now, self._now))
         while (event := self._next_own()) < now - INSTANT:
@@ -160,7 +160,7 @@ class VirtualRig:
 
     def _hear(self, data: bytes, now: float) -> None:
         """Bytes that the host sends now set out, in frames where they make some."""
-        if not data or self._faults.unplugged(now):
+        if not data or self._faults.is_unplugged(now):
             return
         frames, rest = split_frames(self._fragment, data)
         packets = self._faults.packets(frames, "rig", now)
@@ -172,11 +172,11 @@ class VirtualRig:
 
     def _live_to(self, now: float) -> None:
         self._now = now
-        if self._faults.unplugged(now):
+        if self._faults.is_unplugged(now):
             self._inward.clear()
             self._outward.clear()
             self._fragment = b""
-        if self._faults.powerless(now):
+        if self._faults.is_powerless(now):
             self._lose_power(now)
             return
         if self._protocol is None:
@@ -203,7 +203,7 @@ class VirtualRig:
             self._faults.mark("hello", now)
             if protocol.state not in READY and protocol.demand.omega == 0:
                 self._prepare()
-        if not self._faults.unplugged(now):
+        if not self._faults.is_unplugged(now):
             self._outward.send(self._faults.packets(frames, "host", now))
 
     def _note(self, protocol: RigProtocol, before: RigState, now: float) -> None:
@@ -225,7 +225,7 @@ class VirtualRig:
     def _boot(self) -> None:
         """Power comes: a new boot number, and scales that count from where they are."""
         self._boots += 1
-        random = np.random.default_rng([self._seed, Stream.BOOT, self._boots])
+        random = np.random.default_rng([self._seed, RandomStream.BOOT, self._boots])
         limits, scales = self._setup.limits, self._setup.instruments
         identity = RigIdentity(
             boot_id=int(random.integers(1, U32)),

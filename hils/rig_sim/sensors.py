@@ -21,7 +21,7 @@ BATCH = 1024
 U32_SECONDS = 2**32 * 1e-6
 
 
-class Stream(enum.IntEnum):
+class RandomStream(enum.IntEnum):
     """Chances of a rig that must not be the same numbers: beside its seed, what they are for."""
 
     NOISE = 1
@@ -94,7 +94,7 @@ class SensorNoise:
         """The numbers of the sample at this time [s], shape (channels,)."""
         batch, place = divmod(max(math.floor(time * SAMPLING_RATE + 1e-6), 0), BATCH)
         if batch != self._batch:
-            random = np.random.default_rng([self._seed, Stream.NOISE, batch])
+            random = np.random.default_rng([self._seed, RandomStream.NOISE, batch])
             self._batch, self._numbers = batch, random.standard_normal((BATCH, self._channels))
         return self._numbers[place]
 

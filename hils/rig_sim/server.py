@@ -36,7 +36,7 @@ def serve(
     gc.collect()
     gc.freeze()
     while time.monotonic() < begun + seconds:
-        if rig.plugged:
+        if rig.is_plugged:
             end.plug()
         else:
             end.unplug()
@@ -46,7 +46,7 @@ def serve(
             # What has come meanwhile would have been heard in time.
             stood += now - (last + PERIOD)
             now = last + PERIOD
-        out = rig.live(now, data)
+        out = rig.advance_unplugged(now, data)
         if out:
             end.write(out)
         last = now
@@ -54,11 +54,11 @@ def serve(
             fresh = [each for each in rig.changes if each.time > told]
             told = fresh[-1].time
             for change in fresh:
-                say(sentence(change, begun))
+                say(change_sentence(change, begun))
         end.wait(min(PERIOD, rig.next_event() + stood - time.monotonic()))
 
 
-def sentence(change: RigStateChange, begun: float) -> str:
+def change_sentence(change: RigStateChange, begun: float) -> str:
     """A change of the rig's state, as a person is told.
 
     Args:

@@ -1,6 +1,6 @@
 """The online tuner beside the offline zeta(t): how far apart, how late, how restless.
 
-Eq. 7 is replayed over each recorded run (`drftjax.tuning.step_tuner`), and zeta(t) is fitted to the
+Eq. 7 is replayed over each recorded run (`drftjax.tuning.replay`), and zeta(t) is fitted to the
 same run (`identify.zeta_path.smoother`). One factor at a time, tick, zeta step and tolerance are
 varied about the setting asked for; all settings and runs are one compiled program.
 """

@@ -1,6 +1,5 @@
 """Eq. 7 replayed over recorded runs under several settings, as one compiled program."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,20 +9,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from drftjax.common.errors import RunError
+from drftjax.common.errors import InputError, RunError
 from drftjax.physics.command import Command
 from drftjax.recorded.batch import make_batch
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
-from drftjax.tuning.step_tuner import Loop, StepTuner, known_sinkage, replay, tick_commands
+from drftjax.tuning.replay import (
+    known_sinkage,
+    replay_trial,
+    require_finite_replay,
+    tick_count,
+    tick_grid,
+)
+from drftjax.tuning.step_tuner import StepTuner
 
-# The shortest tick of the sweep divides every other.
+# Fine ticks to one tick of the first setting: the shortest tick of the sweep divides every other.
 FINER = 4
 
 
 @dataclass(frozen=True)
 class TunerSetting:
-    """A tuner's numbers [s], [-], [m]."""
+    """Numbers of eq. 7.
+
+    Attributes:
+        tick: Control period [s].
+        zeta_step: Change of zeta on one tick [-].
+        tolerance: Error of the sinkage that is left alone [m].
+    """
 
     tick: float
     zeta_step: float
@@ -32,7 +44,15 @@ class TunerSetting:
 
 @dataclass(frozen=True, eq=False)
 class ReplayedTuner:
-    """One run under every setting, on the finest tick; arrays of shape (settings, ticks)."""
+    """One run under every setting, on the finest tick; arrays of shape (settings, ticks).
+
+    Attributes:
+        time: Starts of the fine ticks [s], shape (ticks,).
+        zeta: Scaling factor over each [-].
+        error: Recorded minus simulated sinkage at its start [m]; NaN where a setting measures none.
+        z, x: Simulated axle position at its end [m].
+        every: Fine ticks to a tick, by setting.
+    """
 
     time: np.ndarray
     zeta: np.ndarray
@@ -45,49 +65,50 @@ class ReplayedTuner:
 def replay_settings(
     candidates: Sequence[PreparedRun], settings: Sequence[TunerSetting]
 ) -> list[ReplayedTuner]:
-    """Every run under every setting.
+    """Replay every run under every setting.
 
     All settings are stepped on one fine tick. A tick in between, on which a setting does not
     measure, is one without a measurement, which leaves zeta as it is.
+
+    Args:
+        candidates: Runs that one program simulates.
+        settings: Settings of eq. 7; the first one's tick, over `FINER`, is the fine tick.
+
+    Raises:
+        RunError: a run without a recorded sinkage, or whose replay diverges.
     """
     wanted = [StepTuner(s.tick, s.zeta_step, s.tolerance) for s in settings]
     tick = settings[0].tick / FINER
     every = [round(s.tick / tick) for s in settings]
-    batch = make_batch([c.trial for c in candidates], [c.observation for c in candidates])
-    longest = max(c.setup.integrator.step for c in candidates)
-    substeps = max(1, math.ceil(tick / longest - 1e-9))
-    lengths = [max(1, math.ceil(float(c.trial.time[-1]) / tick - 1e-9)) for c in candidates]
-    starts = tick * np.arange(max(lengths))
-    recorded = np.stack([_recorded(c, starts, every) for c in candidates])
+    trials = make_batch([c.trial for c in candidates], [c.observation for c in candidates]).trials
+    durations = [float(c.trial.time[-1]) for c in candidates]
+    grid = tick_grid(max(durations), tick, max(c.setup.integrator.step for c in candidates))
+    recorded = np.stack([_recorded(c, grid.starts, every) for c in candidates])
     tuners = jax.tree.map(
         lambda *leaves: jnp.stack(leaves),
         *(eqx.tree_at(lambda t: t.tick, each, jnp.asarray(tick)) for each in wanted),
     )
     first = jnp.asarray([_first_zeta(c.trial) for c in candidates])
-    commands = jax.vmap(
-        lambda t: tick_commands(max(lengths), substeps, tick, t.time, t.omega, t.vx)
-    )(batch.trials)
-    found = _replay_all(batch.trials, first, commands, jnp.asarray(recorded), tuners)
+    found = _replay_all(trials, first, jnp.asarray(recorded), tuners, grid.substeps)
     zeta, error, z, x = map(np.asarray, found)
     for each, replayed in zip(candidates, z[:, 0], strict=True):
-        if not np.isfinite(replayed).all():
-            raise RunError(
-                each.name,
-                "a replay of the tuner diverges; give a shorter tick or a smaller step",
-            )
+        require_finite_replay(each.name, replayed)
+    lengths = [tick_count(duration, tick) for duration in durations]
     return [
-        ReplayedTuner(starts[:n], zeta[i, :, :n], error[i, :, :n], z[i, :, :n], x[i, :, :n], every)
+        ReplayedTuner(
+            grid.starts[:n], zeta[i, :, :n], error[i, :, :n], z[i, :, :n], x[i, :, :n], every
+        )
         for i, n in enumerate(lengths)
     ]
 
 
 def _recorded(each: PreparedRun, starts: np.ndarray, every: Sequence[int]) -> np.ndarray:
-    """Sinkage known on the fine ticks that a setting measures on, shape (settings, ticks)."""
-    observation = each.observation
-    if "z" not in observation.channels:
-        raise RunError(each.name, "has no /measured/z, so its sinkage is not known")
-    z = observation.values[observation.channels.index("z")]
-    known = known_sinkage(starts, observation.time, -z)
+    """Sinkage known on the fine ticks that a setting measures on [m], shape (settings, ticks)."""
+    try:
+        sinkage = each.observation.sinkage()
+    except InputError as problem:
+        raise RunError(each.name, str(problem)) from None
+    known = known_sinkage(starts, each.observation.time, sinkage)
     number = np.arange(len(starts))
     return np.stack([np.where(number % n == 0, known, np.nan) for n in every])
 
@@ -101,16 +122,15 @@ def _first_zeta(trial: Trial) -> Array:
 def _replay_all(
     trials: Trial,
     zeta: Float[Array, " runs"],
-    commands: Command,
     recorded: Float[Array, "runs settings ticks"],
     tuners: StepTuner,
+    substeps: int,
 ) -> tuple[Array, ...]:
     """zeta, error, z and x, each of shape (runs, settings, ticks)."""
 
-    def one(trial: Trial, zeta: Array, commands: Command, recorded: Array, tuner: StepTuner):
-        start = Loop(trial.start, zeta)
-        _, tick = replay(trial.simulator, start, commands, recorded, tuner)
+    def one(trial: Trial, zeta: Array, recorded: Array, tuner: StepTuner) -> tuple[Array, ...]:
+        tick = replay_trial(trial, zeta, recorded, tuner, substeps)
         return tick.zeta, tick.error, tick.output.z, tick.output.x
 
-    settings = jax.vmap(one, in_axes=(None, None, None, 0, 0))
-    return jax.vmap(settings, in_axes=(0, 0, 0, 0, None))(trials, zeta, commands, recorded, tuners)
+    settings = jax.vmap(one, in_axes=(None, None, 0, 0))
+    return jax.vmap(settings, in_axes=(0, 0, 0, None))(trials, zeta, recorded, tuners)

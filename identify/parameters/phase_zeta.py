@@ -15,7 +15,8 @@ from drftjax.physics.terrain import AbstractZeta, ConstantZeta
 from drftjax.recorded.observation import ROUNDING
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.command_knots import SCATTER, simplify_command
-from drftjax.setups.setup import SetUp, ZetaKnots
+from drftjax.setups.setup import SetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 from identify.parameters.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
 # A speed that changes by less than this share of the run's largest in a second is steady [1/s].

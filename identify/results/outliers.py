@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from drftjax.recorded.commanded_motion import STANDS, commanded_speed
+from drftjax.recorded.commanded_motion import DEFAULT_MOTION, commanded_speed
 from drftjax.recorded.observation import white_noise
 from identify.results.values import RunFit
 
@@ -80,7 +80,12 @@ def moving_start_sentences(runs: Sequence[RunFit]) -> list[str]:
         command = setup.command.build()
         rim = commanded_speed(setup.wheel.radius, command.omega)
         free = setup.rig.carriage == "free"
-        if free and rim[0] > STANDS * rim.max() and not setup.start.speed and "speed" not in fitted:
+        if (
+            free
+            and rim[0] > DEFAULT_MOTION.standing_share * rim.max()
+            and not setup.start.speed
+            and "speed" not in fitted
+        ):
             names.append(run.name)
     if not names:
         return []

@@ -14,7 +14,7 @@ from drftjax.recorded.batch import Batch
 from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.recorded.observation import SMALLEST_NOISE, Observation, intervals_of, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.setups.setup import ZetaKnots
+from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.trial import Trial
 from identify.zeta_path.evidence import (
     InstrumentFloor,

@@ -39,7 +39,7 @@ def main() -> None:
         begun, worked = time.perf_counter(), time.process_time()
         found = diagnose(RigDataset.of(prepare_runs(sorted(folder.glob("*.h5")))), effects)
         seconds, work = time.perf_counter() - begun, time.process_time() - worked
-        ratio = f"{seconds / _simulated_once(found.case):.0f}"
+        ratio = f"{seconds / _simulated_once(found.dataset):.0f}"
         verdict = " + ".join(found.verdict)
         table.add_row(f"{folder.name}, {when}", verdict, f"{seconds:.0f}", f"{work:.0f}", ratio)
     console = Console(width=100)
@@ -56,7 +56,7 @@ def _simulated_once(case) -> float:
     def once() -> float:
         begun = time.perf_counter()
         for run in range(len(case.runs)):
-            case.predicted(AugmentedModel(), run, 0.0, np.zeros(0))
+            case.prediction(AugmentedModel(), run, 0.0, np.zeros(0))
         return time.perf_counter() - begun
 
     return min(once() for _ in range(3))

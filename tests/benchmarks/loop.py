@@ -124,7 +124,7 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
     from hils.control.stop_request import StopRequest
     from hils.link.port_link import PortLink
     from hils.link.ports import SocketPort, open_port
-    from hils.procedure.operator_prompts import Unattended
+    from hils.procedure.operator_prompts import UnattendedPrompts
     from hils.procedure.procedure import Procedure, run
     from hils.realtime import timely
     from hils.recording.recorder import Recorder
@@ -160,7 +160,9 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
             opened.enter_context(timely(given.fifo, not given.spread))
 
         procedure = Procedure(loop=loop, countdown=1.0)
-        report = run(procedure, link, clock, recorder, Unattended(True), StopRequest(), timed)
+        report = run(
+            procedure, link, clock, recorder, UnattendedPrompts(True), StopRequest(), timed
+        )
     if report.loop is None:
         print(f"{number:4d}  {report.reason}")
         return

@@ -14,16 +14,17 @@ from matplotlib.figure import Figure
 import drftjax
 from diagnose import api as interface
 from diagnose.gap.cross_validation import at_mean_sinkage
-from diagnose.gap.zeta_matching import MET
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import run_rows
 from drftjax.common.errors import InputError, RunError
 from drftjax.effects.base import EffectInfo, MemorylessSurface, strength
 from drftjax.effects.sensor import SinkageDrift, TravelGain
 from drftjax.effects.surface import SurfaceSlope
+from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.from_run import setup_from_run
-from drftjax.setups.setup import ZetaKnots, read_setup
+from drftjax.setups.setup import read_setup
+from drftjax.setups.terrain_setup import ZetaKnots
 from tests.helpers.rig_datasets import PROFILES
 from tests.helpers.synthetic_runs import recorded, setup_of
 
@@ -119,13 +120,13 @@ def test_an_effect_that_is_not_null_at_zero_or_takes_a_name_is_refused(runs):
 
 
 def test_the_zeta_of_the_run_table_meets_each_runs_mean_sinkage(found):
-    case, z = found.case, found.case.channels.index("z")
+    dataset, z = found.dataset, found.dataset.channels.index("z")
     for number, row in enumerate(run_rows(found)):
         zeta = float(row[3])
-        each, near = found.selected.matches[number], case.runs[number].setup.terrain.zeta
+        each, near = found.selected.matches[number], dataset.runs[number].setup.terrain.zeta
         assert each.matched
         assert zeta == pytest.approx(near * np.exp(each.log_zeta), abs=ROUNDED)
-        assert abs(each.residual[z].mean()) < MET
+        assert abs(each.residual[z].mean()) < ZetaMatchSettings().max_miss
 
 
 def test_it_tells_and_shows_itself(found):
@@ -176,7 +177,7 @@ def test_files_that_cannot_be_used_are_in_the_notes(runs, tmp_path):
     write_run(tmp_path / "good.h5", next(iter(runs.values())))
     (tmp_path / "bad.h5").write_text("not a run log")
     found = drftjax.evaluate((tmp_path,), [])
-    assert [each.name for each in found.case.runs] == ["good"]
+    assert [each.name for each in found.dataset.runs] == ["good"]
     assert any(note.startswith("Left out: ") and "bad.h5" in note for note in found.notes)
 
 
@@ -185,7 +186,7 @@ def test_runs_without_sinkage_are_left_out_and_alone_refused(runs):
     blind = dataclasses.replace(runs[lacking].measured, z=None)
     given = {kept: runs[kept], lacking: dataclasses.replace(runs[lacking], measured=blind)}
     found = drftjax.evaluate(given, [])
-    assert [each.name for each in found.case.runs] == [kept]
+    assert [each.name for each in found.dataset.runs] == [kept]
     assert f"Left out: {lacking}: has no z, so its sinkage is not known" in found.notes
     with pytest.raises(InputError, match="has no z"):
         drftjax.evaluate([given[lacking]], [])
@@ -275,7 +276,7 @@ def test_a_model_that_throws_the_wheel_away_is_refused_by_run(runs, slope, why):
 def test_a_run_that_the_model_throws_away_is_left_out_and_the_others_are_told(runs):
     *longer, shortest = runs
     found = drftjax.evaluate(runs, [SinkageDrift(rate=DRIFT)])
-    assert [each.name for each in found.case.runs] == [shortest]
+    assert [each.name for each in found.dataset.runs] == [shortest]
     assert len(found.before) == len(found.after) == 1
     said = [note for note in found.notes if note.startswith("Left out: ")]
     for name, why in zip(longer, said, strict=True):
@@ -308,7 +309,7 @@ def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatc
 def test_effects_of_the_set_up_itself_are_told_in_the_model_file(found, monkeypatch):
     own = [{"name": "drawbar", "force": 3.0}]
     assert "had effects" not in model_toml(found)
-    monkeypatch.setattr(found.case.runs[0].setup, "effects", own)
+    monkeypatch.setattr(found.dataset.runs[0].setup, "effects", own)
     assert "had effects, which are not in this file: drawbar." in model_toml(found)
 
 

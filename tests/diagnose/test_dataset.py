@@ -59,7 +59,7 @@ def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled):
     for run in range(len(case.runs)):
         # As a secant step gives it, and as numpy does.
         for log_zeta in (0.0, np.float64(0.01)):
-            case.predicted(filtering, run, log_zeta, np.array([0.02]))
+            case.prediction(filtering, run, log_zeta, np.array([0.02]))
     assert not compiled
 
 
@@ -74,7 +74,7 @@ def test_plates_that_stay_above_the_sand_change_no_number(name):
     model = AugmentedModel((effect_class(name),))
     at = model.null() + np.array([float(each.scale is not None) for each in model.free])
     for run in SLOW_RUNS:
-        ours, theirs = (each.predicted(model, run, -0.05, at) for each in (narrow, case))
+        ours, theirs = (each.prediction(model, run, -0.05, at) for each in (narrow, case))
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=ROUNDING)
 
 
@@ -84,8 +84,8 @@ def test_what_sinks_past_the_plates_carried_has_no_numbers():
     limit = COVERED * float(narrow.trials[0].simulator.wheel.cut().sinkage_limit)
     z, nothing = case.channels.index("z"), np.zeros(0)
     for log_zeta in (0.0, -1.0):
-        deepest = -case.predicted(AugmentedModel(), 0, log_zeta, nothing)[z].min()
-        told = narrow.predicted(AugmentedModel(), 0, log_zeta, nothing)
+        deepest = -case.prediction(AugmentedModel(), 0, log_zeta, nothing)[z].min()
+        told = narrow.prediction(AugmentedModel(), 0, log_zeta, nothing)
         assert np.isnan(told).all() == (deepest > limit) == (log_zeta < 0)
 
 

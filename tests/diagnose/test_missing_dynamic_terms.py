@@ -37,7 +37,7 @@ def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
 
 def test_both_terms_together_close_the_gap_and_neither_alone_does(fast):
     pair = next(each for each in fast.screening.pairs if set(each.names) == set(TERMS))
-    x = fast.case.channels.index("x")
+    x = fast.dataset.channels.index("x")
     left = np.concatenate([run[x] for run in pair.residual])
     assert np.sqrt(np.mean(left**2)) < CLOSED * fast.floors["x"]
     assert unseen_floors(fast, TERMS) < FLOORS
@@ -59,14 +59,14 @@ def test_at_300_deg_a_second_both_terms_are_named(fast):
 
 
 def test_the_terms_are_added_one_by_one(fast):
-    alone, both = fast.steps
+    alone, both = fast.stepwise
     assert (len(alone.effects), set(both.effects)) == (1, set(TERMS))
     assert alone.effects == both.effects[:1]
     # In x, to which both terms bring millimetres, the second takes what the first leaves.
     assert alone.gap["x"].after > 10 * both.gap["x"].after
     assert {c: gap.document() for c, gap in both.gap.items()} == fast.document()["gap"]
     assert [each["effects"] for each in fast.document()["steps"]] == [
-        list(each.effects) for each in fast.steps
+        list(each.effects) for each in fast.stepwise
     ]
     assert step_sentences(fast)[0].startswith(
         f"Added one by one, each fitted anew: {alone.effects[0]}"

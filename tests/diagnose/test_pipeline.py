@@ -66,10 +66,10 @@ def variant(bench: Regressors, effect):
 
 
 def test_a_lines_column_is_what_a_small_strength_does(sloping_bench):
-    case, column = sloping_bench.case, variant(sloping_bench, Drawbar).columns[0]
+    case, column = sloping_bench.dataset, variant(sloping_bench, Drawbar).columns[0]
     model = linear_start(sloping_bench, [variant(sloping_bench, Drawbar)]).model
     for run, log_zeta in enumerate(sloping_bench.log_zeta):
-        both = [case.predicted(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
+        both = [case.prediction(model, run, log_zeta, np.array([s])) for s in (-0.05, 0.05)]
         change = (both[1] - both[0]) / 0.1
         x = case.channels.index("x")
         line = sloping_bench.columns[run][x, :, 1 + column]
@@ -102,7 +102,7 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(sloping_bench):
         refine(sloping_bench, linear_start(sloping_bench, [variant(sloping_bench, effect)]), 8)
         for effect in (SurfaceSlope, TravelGain)
     )
-    z = sloping_bench.case.channels.index("z")
+    z = sloping_bench.dataset.channels.index("z")
 
     def missed(hypothesis) -> float:
         unseen = predict_held_out(sloping_bench, hypothesis).residual
@@ -130,7 +130,7 @@ def test_a_pair_starts_with_what_straight_lines_give_to_both(sloping_bench):
     pair = proposal.build()
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
     # more than half of it is asked, and not all.
-    way = pair.coordinates + pair.ahead[1]
+    way = pair.coordinates + pair.proposed_step[1]
     strength = way[-1] * pair.model.free[-1].scale
     assert 0.01 < strength < 0.03
 
@@ -150,7 +150,7 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
     value = found.parameters["surface_slope"]["slope"]
     assert abs(value.value - 0.02) < 4 * value.error
     assert found.document()["verdict"] == ["surface_slope"]
-    assert (found.steps, step_sentences(found), found.document()["steps"]) == ([], [], [])
+    assert (found.stepwise, step_sentences(found), found.document()["steps"]) == ([], [], [])
     assert any("repeats" in note for note in found.notes)
 
 
@@ -195,14 +195,14 @@ def made_products() -> GramMatrices:
 
 def test_a_line_takes_away_what_its_column_can():
     line = fit_linear(made_products(), [0], trust=0.0)
-    assert line.strengths[0] == pytest.approx(2.0, rel=HELD_BACK)
-    assert line.left[0] == pytest.approx(0.0, abs=HELD_BACK)
+    assert line.coefficients[0] == pytest.approx(2.0, rel=HELD_BACK)
+    assert line.mean_square[0] == pytest.approx(0.0, abs=HELD_BACK)
 
 
 def test_a_line_stays_at_its_least():
     line = fit_linear(made_products(), [0], least=np.array([3.0]), trust=0.0)
-    assert line.strengths[0] == pytest.approx(3.0)
-    assert line.left[0] == pytest.approx(1.0, rel=HELD_BACK)
+    assert line.coefficients[0] == pytest.approx(3.0)
+    assert line.mean_square[0] == pytest.approx(1.0, rel=HELD_BACK)
 
 
 def test_a_bound_of_a_strength_counts_in_its_own_unit():
@@ -243,7 +243,7 @@ def test_weights_follow_what_is_left():
     # Half of a worth of 2 by the logarithm of a quarter: four to one.
     assert ratio(1e-8, 1e-8) == pytest.approx(4.0, rel=ROUNDING)
     # Fitted to a quarter, predicted no better than nothing: the geometric mean of four and one.
-    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - scale.unseen), rel=ROUNDING)
+    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - scale.held_out_share), rel=ROUNDING)
 
 
 def test_effects_that_share_their_weight_speak_together():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from diagnose.rig_runs import kind_of
+from diagnose.rig_runs import describe_rig
 from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp
 
 SQUARE = [(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)]
@@ -16,7 +16,7 @@ WHEELS = {
 
 
 def kind(wheel: WheelSetUp) -> str:
-    return kind_of(SetUp(command=CommandSetUp([0.0, 1.0], [0.0, 0.0]), wheel=wheel))
+    return describe_rig(SetUp(command=CommandSetUp([0.0, 1.0], [0.0, 0.0]), wheel=wheel))
 
 
 def test_wheels_of_other_shapes_are_other_wheels():

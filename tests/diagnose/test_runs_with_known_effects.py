@@ -24,7 +24,7 @@ def test_what_the_set_up_knows_already_is_no_gap():
     ]
     case = RigDataset.of([coarse("run", recorded(true, rate=100.0), model=true)])
     (log_zeta,) = match_initial_zeta(case)
-    residual = case.predicted(AugmentedModel(), 0, log_zeta, np.zeros(0)) - case.recorded(0)
+    residual = case.prediction(AugmentedModel(), 0, log_zeta, np.zeros(0)) - case.recording(0)
     path = case.linearized(0, log_zeta)
     assert abs(log_zeta) < TOLD
     assert np.sqrt(np.mean(residual**2)) < LEFT

@@ -19,12 +19,11 @@ from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
 from hils.events import Event
 from hils.link.messages import RigState
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
 from hils.rig_sim.faults import (
-    Absurd,
     DamagedFrames,
     DelayedBytes,
     DelayedFrames,
@@ -33,6 +32,7 @@ from hils.rig_sim.faults import (
     DuplicatedBytes,
     DuplicatedFrames,
     Fault,
+    FaultKind,
     FaultScript,
     FlippedBytes,
     LostBytes,
@@ -40,9 +40,9 @@ from hils.rig_sim.faults import (
     ReorderedBytes,
     ReorderedFrames,
     Reset,
-    Saturated,
-    Stuck,
-    What,
+    SaturatedDrive,
+    ScaleJump,
+    StuckScale,
     Window,
 )
 from hils.rig_sim.in_process import SoftRig, soft_rig
@@ -69,7 +69,7 @@ PHASES = {
 COUNTDOWN, STRUCK_COUNTDOWN = 0.1, 0.6
 SHORT, FOR_GOOD = 0.3, math.inf
 
-WIRE_FAULTS: dict[str, tuple[What, float]] = {
+WIRE_FAULTS: dict[str, tuple[FaultKind, float]] = {
     "lost frames, 1 in 10": (LostFrames(0.1), SHORT),
     "damaged frames, 1 in 10": (DamagedFrames(0.1), SHORT),
     "duplicated frames, 1 in 2": (DuplicatedFrames(0.5), SHORT),
@@ -87,18 +87,18 @@ WIRE_FAULTS: dict[str, tuple[What, float]] = {
     "delayed by 200 ms towards the rig": (DelayedFrames(towards="rig", delay=0.2), SHORT),
     "delayed by 200 ms towards the host": (DelayedFrames(towards="host", delay=0.2), SHORT),
 }
-RIG_FAULTS: dict[str, tuple[What, float]] = {
+RIG_FAULTS: dict[str, tuple[FaultKind, float]] = {
     "disconnect": (Disconnect(), SHORT),
     "reset": (Reset(), SHORT),
     "reset within 50 ms": (Reset(), 0.05),
     "drive fault": (DriveFault(7), SHORT),
-    "drive saturated": (Saturated(0.1), SHORT),
-    "stuck scale": (Stuck("z"), SHORT),
-    "stuck scale for good": (Stuck("z"), FOR_GOOD),
-    "stuck scale of x for good": (Stuck("x"), FOR_GOOD),
-    "absurd readings": (Absurd("z"), SHORT),
-    "absurd readings of x": (Absurd("x"), SHORT),
-    "absurd readings, 1 in 4": (Absurd("z", rate=0.25), SHORT),
+    "drive saturated": (SaturatedDrive(0.1), SHORT),
+    "stuck scale": (StuckScale("z"), SHORT),
+    "stuck scale for good": (StuckScale("z"), FOR_GOOD),
+    "stuck scale of x for good": (StuckScale("x"), FOR_GOOD),
+    "absurd readings": (ScaleJump("z"), SHORT),
+    "absurd readings of x": (ScaleJump("x"), SHORT),
+    "absurd readings, 1 in 4": (ScaleJump("z", rate=0.25), SHORT),
 }
 
 FAULTS = WIRE_FAULTS | RIG_FAULTS
@@ -153,7 +153,7 @@ def loop() -> LoopSetUp:
     )
 
 
-def cell(what: What | None, phase: str = "connect", duration: float = SHORT) -> Cell:
+def cell(what: FaultKind | None, phase: str = "connect", duration: float = SHORT) -> Cell:
     """A run with one fault, or none, in one phase."""
     faults = () if what is None else (Fault(what, Window(*PHASES[phase], duration)),)
     return struck(faults, STRUCK_COUNTDOWN if phase == "countdown" else COUNTDOWN)
@@ -172,10 +172,12 @@ def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
     report, refusal = None, ""
     procedure = Procedure(loop=loop(), countdown=countdown)
     try:
-        report = run(procedure, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
+        report = run(
+            procedure, soft.link, soft.clock, rows, UnattendedPrompts(quiet=True), StopRequest()
+        )
     except InputError as error:
         refusal = str(error)
-    soft.rig.live(soft.clock.now() + 1.0)
+    soft.rig.advance_unplugged(soft.clock.now() + 1.0)
     return Cell(soft, rows, report, refusal)
 
 
@@ -206,7 +208,7 @@ def require_outcome(cell: Cell, outcome: str) -> None:
     report = cell.report
     if outcome.startswith("refused"):
         assert report is None
-        assert cell.soft.rig.held is (outcome == "refused")
+        assert cell.soft.rig.is_held is (outcome == "refused")
         return
     assert report is not None, cell.refusal
     if outcome.startswith("ends: "):

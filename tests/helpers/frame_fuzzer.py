@@ -154,8 +154,8 @@ def _feed_host(
             assert isinstance(frame.message, FROM_RIG)
     dropped = sum(receiver.drops.values())
     # What stands behind the last delimiter is still awaited.
-    assert 0 <= packets - receiver.counted - dropped <= 1
-    tally.counted += receiver.counted
+    assert 0 <= packets - receiver.accepted - dropped <= 1
+    tally.counted += receiver.accepted
     tally.drops.update(receiver.drops)
 
 

@@ -12,7 +12,7 @@ from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
 from hils.events import Event
 from hils.link.link import InProcessLink
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.recorder import Recorder
 from hils.recording.sinks import InMemorySink
@@ -122,7 +122,7 @@ def make(
         Cue(clock, START + BEFORE + at, lambda: cue(stop, line))
     given = Procedure(loop=loop or loop_setup(), **{"countdown": 0.3} | procedure)
     soft = SoftRig(rig, line, clock)
-    report = run(given, line, clock, rows, Unattended(quiet=True), stop)
+    report = run(given, line, clock, rows, UnattendedPrompts(quiet=True), stop)
     return Made(report, rows, soft, line.said)
 
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from hils.rig_sim.faults import Absurd, Fault, Window
+from hils.rig_sim.faults import Fault, ScaleJump, Window
 from tests.helpers.fault_matrix import (
     ENDS,
     FAULTS,
@@ -42,7 +42,7 @@ def test_without_a_fault_the_run_completes():
 
 def test_absurd_readings_between_rest_and_start_move_nothing():
     """The last readings before the start say where the simulated wheel starts."""
-    late = struck((Fault(Absurd("z"), Window("arm", 2.25, SHORT)),))
+    late = struck((Fault(ScaleJump("z"), Window("arm", 2.25, SHORT)),))
     require_safety(late)
     assert late.report is not None
     assert not late.report.completed

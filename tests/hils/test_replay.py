@@ -21,11 +21,11 @@ from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event, TickFlag
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.recorder import Recorder
 from hils.replay import replay
-from hils.rig_sim.faults import Absurd, Fault, FaultScript, LostFrames, Window
+from hils.rig_sim.faults import Fault, FaultScript, LostFrames, ScaleJump, Window
 from hils.rig_sim.in_process import soft_rig
 
 # As the test's own process has it: what other tests set meanwhile may make other kernels.
@@ -39,7 +39,7 @@ SCRIPT = FaultScript(
     seed=3,
     faults=(
         Fault(LostFrames(rate=0.3), Window(after="motion", start=0.2, duration=0.5)),
-        Fault(Absurd(rate=0.3), Window(after="motion", start=0.8, duration=0.3)),
+        Fault(ScaleJump(rate=0.3), Window(after="motion", start=0.8, duration=0.3)),
     ),
 )
 
@@ -96,12 +96,12 @@ def recorded(
     request = StopRequest()
 
     def look() -> None:
-        if rig.motion.omega > stop_above and request.wish is None:
+        if rig.motion.omega > stop_above and request.first_reason is None:
             request.ask(StopReason("asked to stop", Event.STOP_ASKED))
 
     clock = BusyClock(clock, [clock.now() + each for each in busy_at], 0.034, look)
-    procedure, dialogue = Procedure(loop=loop, free=False), Unattended(quiet=True)
-    run(procedure, link, clock, Recorder(path), dialogue, request)
+    procedure, prompts = Procedure(loop=loop, free=False), UnattendedPrompts(quiet=True)
+    run(procedure, link, clock, Recorder(path), prompts, request)
     return read_run(path)
 
 

@@ -21,7 +21,7 @@ from drftjax.tuning.registry import TunerSetUp
 from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.recorder import Recorder
 from hils.replay import replay, replay_tuning
@@ -58,8 +58,8 @@ def path(tmp_path_factory) -> Path:
     )
     _, link, clock = soft_rig(VirtualSetUp(effects=[LOOSENING], physics=QUICK), seed=2)
     path = tmp_path_factory.mktemp("retuned") / "hils.h5"
-    procedure, dialogue = Procedure(loop=loop, free=False), Unattended(quiet=True)
-    run(procedure, link, clock, Recorder(path), dialogue, StopRequest())
+    procedure, prompts = Procedure(loop=loop, free=False), UnattendedPrompts(quiet=True)
+    run(procedure, link, clock, Recorder(path), prompts, StopRequest())
     return path
 
 

@@ -19,11 +19,11 @@ from hils import series as series_module
 from hils.control.stop_request import STOP_SIGNAL, StopReason, StopRequest
 from hils.events import Event
 from hils.procedure.active_runs import runs_under_way
-from hils.procedure.operator_prompts import Terminal, Unattended
+from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
-from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, outcome_sentence
+from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, outcome_lines
 from tests.helpers.hils_runs import loop_setup, make
 
 CTRL_C = StopReason("interrupted by Ctrl-C", Event.INTERRUPTED, signal.SIGINT)
@@ -55,10 +55,8 @@ def closed_with(act) -> tuple[RunReport, AtTheEnd]:
 def test_stop_that_comes_while_the_file_is_closed_is_in_the_report(tmp_path):
     report, _ = closed_with(lambda rows: rows.stop.ask(TERMINATED))
     assert report.completed
-    assert report.wish == TERMINATED
-    assert "No further run: asked to stop (SIGTERM)." in outcome_sentence(
-        report, tmp_path / "run.h5"
-    )
+    assert report.stop_reason == TERMINATED
+    assert "No further run: asked to stop (SIGTERM)." in outcome_lines(report, tmp_path / "run.h5")
 
 
 def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
@@ -67,19 +65,17 @@ def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
     loop = report.loop
     assert loop is not None
     blind = dataclasses.replace(report, loop=loop._replace(fresh=0))
-    assert outcome_sentence(blind, tmp_path / "run.h5")[-1].startswith(
-        "No run log: no reading came"
-    )
-    assert outcome_sentence(report, tmp_path / "run.h5")[-1].startswith("Link: ")
+    assert outcome_lines(blind, tmp_path / "run.h5")[-1].startswith("No run log: no reading came")
+    assert outcome_lines(report, tmp_path / "run.h5")[-1].startswith("Link: ")
 
 
 def test_a_file_that_came_to_stand_there_meanwhile_is_not_told_as_the_run_log(tmp_path):
     report, path = make().report, tmp_path / "run.h5"
     assert report is not None
     path.write_bytes(b"another run")
-    assert outcome_sentence(report, path)[-1] == f"Run log: {path}"
+    assert outcome_lines(report, path)[-1] == f"Run log: {path}"
     (tmp_path / "run.h5.part").write_bytes(b"rows")
-    assert outcome_sentence(report, path)[-1].startswith("Link: ")
+    assert outcome_lines(report, path)[-1].startswith("Link: ")
 
 
 def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
@@ -102,15 +98,15 @@ def runs(monkeypatch, tmp_path):
     def these(between=None, **changes) -> tuple[int, int]:
         made = []
 
-        def one_run(*given):
+        def make_run(*given):
             made.append(given)
             return dataclasses.replace(whole, **changes)
 
-        monkeypatch.setattr(series_module, "one_run", one_run)
+        monkeypatch.setattr(series_module, "make_run", make_run)
         monkeypatch.setattr(series_module, "_prepare", between or (lambda *_: None))
         files = [tmp_path / f"run-{number}.h5" for number in range(3)]
         given = Series("/dev/rig", 115_200, files, None, fifo=False)
-        code = make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True))
+        code = make_series(Procedure(loop=loop_setup()), given, UnattendedPrompts(quiet=True))
         return code, len(made)
 
     return these
@@ -122,22 +118,22 @@ def test_series_goes_on_while_runs_are_completed(runs):
 
 @pytest.mark.parametrize(("wish", "code"), [(CTRL_C, INTERRUPTED), (TERMINATED, ENDED_EARLY)])
 def test_series_ends_where_an_end_was_asked_for_though_the_run_was_completed(runs, wish, code):
-    assert runs(wish=wish) == (code, 1)
+    assert runs(stop_reason=wish) == (code, 1)
 
 
 def test_a_stop_in_the_last_instant_before_it_would_be_raised_ends_the_series(runs, monkeypatch):
     class Late(StopRequest):
-        """Is asked between the look at the wish and `uncut`."""
+        """Is asked between the look at the wish and `uninterruptible`."""
 
         @property
-        def uncut(self):
-            return self._uncut
+        def uninterruptible(self):
+            return self._uninterruptible
 
-        @uncut.setter
-        def uncut(self, value):
-            if not value and hasattr(self, "_uncut"):
+        @uninterruptible.setter
+        def uninterruptible(self, value):
+            if not value and hasattr(self, "_uninterruptible"):
                 self.ask(TERMINATED)
-            self._uncut = value
+            self._uninterruptible = value
 
     monkeypatch.setattr(series_module, "StopRequest", Late)
     assert runs() == (ENDED_EARLY, 1)
@@ -171,7 +167,7 @@ def test_emergency_stop_after_the_profile_is_called_so(tmp_path):
     pressed = StopReason("asked for by the operator", Event.EMERGENCY_STOP, signal.SIGUSR1)
     report, _ = closed_with(lambda rows: rows.stop.ask(pressed, emergency=True))
     said = "No further run: emergency stop: asked for by the operator."
-    assert said in outcome_sentence(report, tmp_path / "run.h5")
+    assert said in outcome_lines(report, tmp_path / "run.h5")
 
 
 def test_second_stop_while_the_file_is_closed_is_called_no_emergency_stop():
@@ -180,7 +176,7 @@ def test_second_stop_while_the_file_is_closed_is_called_no_emergency_stop():
         rows.stop.ask(TERMINATED)
 
     report, _ = closed_with(twice)
-    assert report.wish == TERMINATED
+    assert report.stop_reason == TERMINATED
 
 
 def test_ctrl_c_between_runs_interrupts_the_program(runs):
@@ -196,8 +192,8 @@ def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
             assert told.wait(PATIENCE)
             super().close(end_reason)
 
-    class Listener(Unattended):
-        def tell(self, text):
+    class Listener(UnattendedPrompts):
+        def say(self, text):
             said.append(text)
             if "closed" in text:
                 told.set()
@@ -214,19 +210,19 @@ def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
 def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_path):
     monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
 
-    class Heard(Unattended):
+    class Heard(UnattendedPrompts):
         lines: ClassVar[list[str]] = []
 
-        def tell(self, text):
+        def say(self, text):
             if not self.lines:
                 signal.raise_signal(STOP_SIGNAL)
             self.lines.append(text)
 
-    def one_run(procedure, series, path, dialogue, stop, under_way):
-        stop.uncut = True  # as from ARM on
+    def make_run(procedure, series, path, prompts, stop, under_way):
+        stop.uninterruptible = True  # as from ARM on
         return make().report
 
-    monkeypatch.setattr(series_module, "one_run", one_run)
+    monkeypatch.setattr(series_module, "make_run", make_run)
     given = Series("/dev/rig", 115_200, [tmp_path / "run.h5"], None, fifo=False)
     code = make_series(Procedure(loop=loop_setup()), given, Heard(quiet=True))
     assert code == ENDED_EARLY
@@ -252,11 +248,14 @@ def test_a_stop_that_finds_the_program_leaving_does_not_spoil_its_exit_code():
 def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp_path):
     """A leveller that a script drives must not go on moving."""
     monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
-    monkeypatch.setattr(series_module, "one_run", lambda *_: make().report)
+    monkeypatch.setattr(series_module, "make_run", lambda *_: make().report)
     told = tmp_path / "leveller"
     between = f"sleep 600 & echo $! > {told}; kill -USR2 {os.getpid()}; wait; echo never"
     given = Series("/dev/rig", 115_200, [tmp_path / "a.h5", tmp_path / "b.h5"], between, fifo=False)
-    assert make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True)) == ENDED_EARLY
+    assert (
+        make_series(Procedure(loop=loop_setup()), given, UnattendedPrompts(quiet=True))
+        == ENDED_EARLY
+    )
     # It has ended; nobody may have collected its exit code yet.
     with suppress(psutil.NoSuchProcess):
         assert psutil.Process(int(told.read_text())).status() == psutil.STATUS_ZOMBIE
@@ -264,7 +263,7 @@ def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp
 
 def test_a_stop_while_the_command_between_runs_starts_ends_it(monkeypatch, tmp_path):
     monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
-    monkeypatch.setattr(series_module, "one_run", lambda *_: make().report)
+    monkeypatch.setattr(series_module, "make_run", lambda *_: make().report)
     started = []
 
     class Interrupted(subprocess.Popen):
@@ -277,7 +276,10 @@ def test_a_stop_while_the_command_between_runs_starts_ends_it(monkeypatch, tmp_p
     files = [tmp_path / "a.h5", tmp_path / "b.h5"]
     nap = str(600 + os.getpid() / 10**8)  # as no other process sleeps
     given = Series("/dev/rig", 115_200, files, f"sleep {nap}; echo never", fifo=False)
-    assert make_series(Procedure(loop=loop_setup()), given, Unattended(quiet=True)) == ENDED_EARLY
+    assert (
+        make_series(Procedure(loop=loop_setup()), given, UnattendedPrompts(quiet=True))
+        == ENDED_EARLY
+    )
     (shell,) = started
     assert shell.poll() is not None
     running = [each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])]
@@ -301,10 +303,10 @@ def test_a_new_folder_is_made_and_one_that_cannot_be_is_refused_before_anything_
 
 SPEAKER = """
 import sys
-from hils.procedure.operator_prompts import Terminal, Unattended
-for each in (Terminal(), Unattended()):
+from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts
+for each in (TerminalPrompts(), UnattendedPrompts()):
     for number in range(3):
-        each.tell(f"sentence {number}")
+        each.say(f"sentence {number}")
 sys.stdout.flush()
 sys.exit(3)
 """
@@ -325,7 +327,7 @@ def test_a_question_that_nobody_can_read_is_refused(monkeypatch, capsys):
 
     monkeypatch.setattr("builtins.input", ask)
     with pytest.raises(InputError, match="nobody is at the terminal"):
-        Terminal().confirm("Let the wheel down")
+        TerminalPrompts().confirm("Let the wheel down")
 
 
 @pytest.fixture
@@ -350,7 +352,7 @@ def test_a_question_at_a_terminal_waits_for_an_enter_of_its_own(keyboard, typed_
 
     if typed_before:
         os.write(keyboard, typed_before)
-    Terminal().confirm("Let the wheel down", look)
+    TerminalPrompts().confirm("Let the wheel down", look)
     assert len(looks) >= 3
 
 
@@ -359,9 +361,9 @@ def test_what_may_be_lost_does_not_wait_for_a_halted_terminal(monkeypatch):
     with os.fdopen(slave, "w") as terminal:
         monkeypatch.setattr("sys.stdout", terminal)
         termios.tcflow(terminal, termios.TCOOFF)  # as Ctrl-S does
-        Terminal().mention("Armed.")
+        TerminalPrompts().say_if_free("Armed.")
         termios.tcflow(terminal, termios.TCOON)
-        Terminal().mention("Start in 3 s")
+        TerminalPrompts().say_if_free("Start in 3 s")
         monkeypatch.undo()
     assert os.read(master, 100) == b"Start in 3 s\r\n"
     os.close(master)
@@ -372,7 +374,7 @@ def test_what_is_met_meanwhile_ends_the_question(keyboard, capsys):
         raise InputError("the rig made an emergency stop")
 
     with pytest.raises(InputError, match="made an emergency stop"):
-        Terminal().confirm("Let the wheel down", look)
+        TerminalPrompts().confirm("Let the wheel down", look)
     assert capsys.readouterr().out.endswith(" \n")
 
 
@@ -382,17 +384,17 @@ def test_an_interrupted_question_leaves_its_line_closed(keyboard, monkeypatch, c
 
     monkeypatch.setattr("select.select", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        Terminal().confirm("Let the wheel down")
+        TerminalPrompts().confirm("Let the wheel down")
     assert capsys.readouterr().out.endswith(" \n")
 
 
 def test_a_terminal_that_is_closed_answers_nothing(keyboard):
     with pytest.raises(InputError, match="nobody is at the terminal"):
-        Terminal().confirm("Let the wheel down", lambda: os.write(keyboard, b"\x04"))
+        TerminalPrompts().confirm("Let the wheel down", lambda: os.write(keyboard, b"\x04"))
 
 
 def test_a_question_that_nobody_answers_leaves_its_line_closed(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(InputError, match="nobody is at the terminal"):
-        Terminal().confirm("Let the wheel down")
+        TerminalPrompts().confirm("Let the wheel down")
     assert capsys.readouterr().out.endswith("\n")

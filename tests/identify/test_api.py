@@ -17,7 +17,7 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import prepare_runs
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured
-from drftjax.setups.setup import ZetaKnots
+from drftjax.setups.terrain_setup import ZetaKnots
 from identify.fit_constant import FitSettings
 from identify.fit_constant import fit as fit_candidates
 from identify.parameters.parameter import shared

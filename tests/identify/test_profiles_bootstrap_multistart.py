@@ -12,7 +12,7 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.runlog.hdf5.api import read_result, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
-from drftjax.setups.setup import ZetaKnots
+from drftjax.setups.terrain_setup import ZetaKnots
 from identify.design.required_speed import _error, add_required_speeds, required_speed
 from identify.fit_constant import MODEL_ERROR, fit
 from identify.fit_path import fit_paths

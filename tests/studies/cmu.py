@@ -13,11 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from drftjax.common.jax_config import configure_jax
-
-from . import cmu_data as data
-from . import cmu_driving as driving
-from . import cmu_intrusion as intrusion
-from .cmu_steady import Setting, fit_zeta, held_sinkage
+from tests.studies import cmu_data as data
+from tests.studies import cmu_driving as driving
+from tests.studies import cmu_intrusion as intrusion
+from tests.studies.cmu_steady import Setting, fit_zeta, held_sinkage
 
 # zeta that each slip needs by an independent DRFT of one circle, lambda 1, on all of the rows.
 INDEPENDENT = {
@@ -436,7 +435,7 @@ def main() -> None:
     )
 
     if options.output is not None:
-        from .cmu_figures import draw
+        from tests.studies.cmu_figures import draw
 
         draw(options.output, rows, fits["0 to 0.9"], driven, needed, smooth_needed, pushed, timed)
 

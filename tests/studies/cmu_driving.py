@@ -13,8 +13,7 @@ from drftjax.physics.integrator import AbstractIntegrator, HeldPace, Rosenbrock
 from drftjax.physics.stress import Dynamic
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
-
-from .cmu_data import (
+from tests.studies.cmu_data import (
     GROUSER,
     GROUSER_HEIGHT,
     OUTER_RADIUS,
@@ -23,7 +22,7 @@ from .cmu_data import (
     SteadyRows,
     steady_rows,
 )
-from .cmu_steady import (
+from tests.studies.cmu_steady import (
     BULK_DENSITY,
     LAMBDA,
     Setting,

@@ -5,9 +5,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from . import cmu_data as data
-from . import cmu_driving as driving
-from . import cmu_intrusion as intrusion
+from tests.studies import cmu_data as data
+from tests.studies import cmu_driving as driving
+from tests.studies import cmu_intrusion as intrusion
 
 MM = 1e3
 SIZE = (9.0, 3.6)

@@ -30,11 +30,10 @@ from drftjax.effects.base import StepContext
 from drftjax.effects.catalogue import effect_class, field_metadata
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
-
-from . import cmu_data as data
-from . import cmu_driving as driving
-from .cmu import NOMINAL_LOAD, summarise
-from .cmu_steady import Setting, pitch_of
+from tests.studies import cmu_data as data
+from tests.studies import cmu_driving as driving
+from tests.studies.cmu import NOMINAL_LOAD, summarise
+from tests.studies.cmu_steady import Setting, pitch_of
 
 # Effects that can bear on the steady sinkage of a driven wheel under a measured load. The others
 # act on a free carriage, on changes of speed, once a turn, on the force alone, or alike at every

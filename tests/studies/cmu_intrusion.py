@@ -13,9 +13,8 @@ from jaxtyping import Array, Float
 from drftjax.physics.stress import NEWTON_PER_CUBIC_CENTIMETRE, StressCoefficients
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import vertical_support
-
-from .cmu_data import Intrusion, Reals
-from .cmu_steady import pitch_of
+from tests.studies.cmu_data import Intrusion, Reals
+from tests.studies.cmu_steady import pitch_of
 
 GRID = 2.5e-4
 # Depth at which c of F = c (d / 10 mm)^n is quoted.

@@ -16,7 +16,8 @@ from rich.console import Console
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.runlog.record import Measured, RunLog
-from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp, ZetaKnots
+from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp
+from drftjax.setups.terrain_setup import ZetaKnots
 
 SEED = 20240719
 NOISE = 20e-6

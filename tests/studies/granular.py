@@ -90,7 +90,7 @@ def numbers_of(each: Hypothesis) -> str:
 
 def explanations(found: Diagnosis) -> Table:
     """Every explanation that was simulated, as ranked, with its error on runs left out."""
-    case, bench = found.case, found.screening.bench
+    case, bench = found.dataset, found.screening.regressors
     table = Table(title="RMSE mm", title_justify="left")
     for column in (
         "explanation",
@@ -118,14 +118,14 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     weights = ", ".join(f"{name} {w:.2f}" for name, w in list(found.weights.items())[:4])
     console.print(f"\n{title}", style="bold")
     console.print(f"verdict {', '.join(found.verdict)}; weights {weights}")
-    bench = found.screening.bench
+    bench = found.screening.regressors
     left = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, found.chosen)))
     leading = " + ".join(found.chosen.names) or "the reference model"
     added = " + ".join(each.about.name for each in found.selected.effects) or "nothing"
     for channel, gap in found.gap.items():
         console.print(
             f"{channel}: {gap.before * MM:.2f} mm, floor {gap.floor * MM:.2f} mm; on runs left out "
-            f"{shown(rms(found.case, left, channel))} mm by {leading}, which leads, and "
+            f"{shown(rms(found.dataset, left, channel))} mm by {leading}, which leads, and "
             f"{shown(gap.after * MM)} mm by {added}, which the model file holds"
         )
     for note in found.notes:

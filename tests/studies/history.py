@@ -82,9 +82,9 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
     """What an explanation leaves of a channel on runs left out, in noise floors; NaN untried."""
     for each in (*found.screening.singles, *found.screening.pairs):
         if set(each.names) == set(names):
-            bench = found.screening.bench
+            bench = found.screening.regressors
             unseen = residuals_of(at_mean_sinkage(bench, predict_held_out(bench, each)))
-            index = found.case.channels.index(channel)
+            index = found.dataset.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]
     return float("nan")

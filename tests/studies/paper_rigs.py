@@ -43,17 +43,17 @@ def main() -> None:
     from hils.realtime import answer_at_once
 
     answer_at_once()
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp
-    from hils.experiment.experiment import Experiment, make
-    from hils.experiment.report import table
+    from hils.experiment.experiment import Experiment, run_experiment
+    from hils.experiment.report import markdown_table
 
     loop = LoopSetUp(setup=read_setup(data_file("paper.toml")), commands=CommandLimits(2.0, 0.3))
     rows = []
     for name, differs in RIGS.items():
-        result = make(Experiment(loop=loop, rig=rig_of(differs), runs=1))
+        result = run_experiment(Experiment(loop=loop, rig=rig_of(differs), runs=1))
         apart, first = result.distances(), result.hils[0]
         rows.append(
             (
@@ -70,7 +70,7 @@ def main() -> None:
         print(f"{name}: RMSE of z {MM * first.rmse:.3f} mm", flush=True)
     head = ["the rig differs by", "ζ(0)", "RMSE of z, mm"]
     head += [f"{path}, {kind}" for kind in ("plane", "z", "x") for path in ("HILS-DRFT", "DRFT")]
-    print(f"\n{table(head, rows)}")
+    print(f"\n{markdown_table(head, rows)}")
 
 
 if __name__ == "__main__":

@@ -214,12 +214,12 @@ def whole() -> list[tuple[str, ...]]:
     """Some settings in the loop itself: link, clock, guard, counts, and the paper's profile."""
     import msgspec
 
-    from drftjax.common.package_data import data_file
+    from drftjax.common.packages import data_file
     from drftjax.setups.setup import read_setup
     from drftjax.tuning.registry import TunerSetUp
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp
-    from hils.experiment.experiment import Experiment, loosening_rig, make
+    from hils.experiment.experiment import Experiment, loosening_rig, run_experiment
 
     rows = []
     for tick, tolerance, degrees, noise in WHOLE:
@@ -231,7 +231,7 @@ def whole() -> list[tuple[str, ...]]:
         loop = LoopSetUp(setup=setup, commands=commands, tuner=tuner, tick=tick)
         rig = loosening_rig()
         rig.instruments = msgspec.structs.replace(rig.instruments, z_noise=noise)
-        result = make(Experiment(loop=loop, rig=rig, runs=3))
+        result = run_experiment(Experiment(loop=loop, rig=rig, runs=3))
         rmse = ", ".join(f"{MM * each.rmse:.2f}" for each in result.hils)
         spectra = result.spectra()
         lines = [
@@ -248,9 +248,9 @@ def whole() -> list[tuple[str, ...]]:
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from hils.experiment.report import table
+    from hils.experiment.report import markdown_table
 
-    print(f"\n{title}\n\n{table(head, rows)}", flush=True)
+    print(f"\n{title}\n\n{markdown_table(head, rows)}", flush=True)
 
 
 def plate_rows() -> list[list[str]]:

@@ -14,13 +14,14 @@ import numpy as np
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects.serialization import Entry
-from drftjax.setups.setup import TerrainSetUp, ZetaKnots, read_setup
+from drftjax.setups.setup import read_setup
+from drftjax.setups.terrain_setup import DynamicTerrain, ZetaKnots
 from drftjax.tuning.registry import TunerSetUp
 from hils.clock import VirtualClock
 from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import StopRequest
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
@@ -77,7 +78,7 @@ def sands() -> dict[str, VirtualSetUp]:
     return {
         "as believed": VirtualSetUp(physics=PHYSICS),
         "loosening": VirtualSetUp(physics=PHYSICS, effects=loose),
-        "soft patch": VirtualSetUp(physics=PHYSICS, terrain=TerrainSetUp(zeta=patch)),
+        "soft patch": VirtualSetUp(physics=PHYSICS, terrain=DynamicTerrain(zeta=patch)),
     }
 
 
@@ -89,7 +90,9 @@ def one(sand: VirtualSetUp, tuner: TunerSetUp, tick: float, seed: int) -> Run:
         setup=read_setup(PROFILE), commands=CommandLimits(2.0, 0.3), tuner=tuner, tick=tick
     )
     rows = InMemorySink()
-    report = run(Procedure(loop=loop), soft.link, soft.clock, rows, Unattended(True), StopRequest())
+    report = run(
+        Procedure(loop=loop), soft.link, soft.clock, rows, UnattendedPrompts(True), StopRequest()
+    )
     assert report.completed, report.reason
     online = rows.run().online
     assert online is not None

@@ -1,4 +1,7 @@
-"""Answering blind sets: a diagnosis of each from its runs alone. Never opens a label."""
+"""Diagnose blind sets from their runs alone, in worker processes; never opens a label.
+
+Imports no JAX itself: `configure` sets it up first, in each process.
+"""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -12,19 +15,18 @@ from threading import Thread
 
 from drftjax.common.errors import InputError
 
-# A process is replaced after so many sets: the programs compiled for them keep gigabytes.
-SETS_A_PROCESS = 4
+# Sets after which a process is replaced: the programs compiled for them take gigabytes.
+SETS_PER_PROCESS = 4
 
-
-# What the name of a folder begins with that is no set, or not yet.
+# First character in the name of a folder that is no set, or not yet.
 UNFINISHED = "."
 
 
 def runs_of(folder: Path) -> dict[str, list[Path]]:
-    """The run logs of every set in a folder; fresh runs lie deeper and are none of them.
+    """Run logs of every set in a folder, by its name; fresh runs, in a folder deeper, are excluded.
 
     Raises:
-        InputError: where there are no sets.
+        InputError: There are no sets.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder of sets")
@@ -40,7 +42,7 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
 
 
 def answer_one(runs: list[Path]) -> dict | str:
-    """The answer to one set, or why there is none."""
+    """Diagnose one set: its answer, or the reason why there is none."""
     from diagnose.blind.answers.answer_set import answer_set
 
     try:
@@ -50,28 +52,33 @@ def answer_one(runs: list[Path]) -> dict | str:
 
 
 def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple[str, dict | str]]:
-    """Every set's name and answer, as it is found, or why there is none.
+    """Diagnose sets.
 
     Args:
-        sets: The runs of each set, by its name.
-        jobs: Processes to find answers in, each with its share of the cores.
+        sets: Run logs of each set, by its name.
+        jobs: Number of processes, each with its share of the cores.
+
+    Yields:
+        Each set's name, with its answer or the reason why there is none, as they become known.
     """
-    if jobs == 1 and len(sets) <= SETS_A_PROCESS:
+    if jobs == 1 and len(sets) <= SETS_PER_PROCESS:
         for name, runs in sets.items():
             yield name, answer_one(runs)
         return
-    waiting, found = SimpleQueue(), SimpleQueue()
+    waiting, answers = SimpleQueue(), SimpleQueue()
     names = list(sets)
-    for first in range(0, len(names), SETS_A_PROCESS):
-        waiting.put(names[first : first + SETS_A_PROCESS])
+    for first in range(0, len(names), SETS_PER_PROCESS):
+        waiting.put(names[first : first + SETS_PER_PROCESS])
     with ThreadPoolExecutor(jobs) as pool:
-        workers = [pool.submit(_work, waiting, found, sets, cores) for cores in _shares(jobs)]
+        workers = [
+            pool.submit(_work, waiting, answers, sets, cores) for cores in _core_shares(jobs)
+        ]
         try:
             for _ in sets:
-                answered = found.get()
-                if answered is None:
+                answer = answers.get()
+                if answer is None:
                     break
-                yield answered
+                yield answer
         finally:
             while not waiting.empty():
                 waiting.get()
@@ -80,23 +87,23 @@ def answer_sets(sets: Mapping[str, list[Path]], jobs: int = 1) -> Iterator[tuple
 
 
 def _work(
-    waiting: SimpleQueue, found: SimpleQueue, sets: Mapping[str, list[Path]], cores: set[int]
+    waiting: SimpleQueue, answers: SimpleQueue, sets: Mapping[str, list[Path]], cores: set[int]
 ) -> None:
-    """Answer some sets after others, each time in a fresh process; None is put on any error."""
+    """Diagnose batches of sets, each in a fresh process; puts None on any error."""
     try:
         while not waiting.empty():
             with suppress(Empty):
-                for answered in _answer_some(waiting.get_nowait(), sets, cores):
-                    found.put(answered)
+                for answer in _answer_batch(waiting.get_nowait(), sets, cores):
+                    answers.put(answer)
     except BaseException:
-        found.put(None)
+        answers.put(None)
         raise
 
 
-def _answer_some(
+def _answer_batch(
     names: list[str], sets: Mapping[str, list[Path]], cores: set[int]
 ) -> Iterator[tuple[str, dict | str]]:
-    # A fresh process, as JAX's threads do not live through a fork.
+    # A fresh process, as the threads of JAX do not survive a fork.
     with ProcessPoolExecutor(1, get_context("spawn"), configure_helper, (cores,)) as process:
         answers = [(name, process.submit(answer_one, sets[name])) for name in names]
         for name, answer in answers:
@@ -106,10 +113,10 @@ def _answer_some(
                 yield name, "the process at work on it or on one before it died; memory is short?"
 
 
-def _shares(jobs: int) -> list[set[int]]:
-    """The cores of each process: all of them shared out, or one by turns where there are fewer.
+def _core_shares(jobs: int) -> list[set[int]]:
+    """Cores of each process: equal shares, or one each in turn if there are fewer cores.
 
-    Where the system does not tell (macOS), none are named, and processes share all.
+    Empty where the system does not list them (macOS): then the processes share all.
     """
     if not hasattr(os, "sched_getaffinity"):
         return [set()] * jobs
@@ -118,7 +125,7 @@ def _shares(jobs: int) -> list[set[int]]:
 
 
 def configure_helper(cores: set[int]) -> None:
-    """Set a helping process up, on some cores or on all; it ends when its parent does."""
+    """Set up a worker process on these cores, or on all if none; it ends when its parent does."""
     Thread(target=_end_with_parent, daemon=True).start()
     if cores:
         os.sched_setaffinity(0, cores)
@@ -126,7 +133,7 @@ def configure_helper(cores: set[int]) -> None:
 
 
 def _end_with_parent() -> None:
-    """Or a helper whose parent was killed would wait for its next set for ever."""
+    """End this process when its parent does, however that ends."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -134,7 +141,7 @@ def _end_with_parent() -> None:
 
 
 def configure() -> None:
-    """Set a fresh process's JAX up as the command line's."""
+    """Set up JAX in a fresh process as the command line does."""
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()

@@ -1,4 +1,4 @@
-"""A file of answers to blind sets."""
+"""File of answers to blind sets."""
 
 from pathlib import Path
 
@@ -12,13 +12,13 @@ SCHEMA = "drft-blind-answers"
 
 
 class GapAnswer(msgspec.Struct):
-    """What an answer says of one channel's misfit [mm], before and after its effects are added.
+    """Gap of one channel in an answer, without and with the effects that it names.
 
     Attributes:
-        before_mm, after_mm: Misfit without and with them.
-        floor_mm: What noise and scatter leave.
-        shrinkage: Share of the misfit that goes on fresh runs, as promised [-].
-        shrinkage_interval: Where it lies with 90 % probability; None where runs do not tell.
+        before_mm, after_mm: Gap without and with the effects [mm].
+        floor_mm: Noise floor [mm].
+        shrinkage: Predicted share of the gap that the effects remove on fresh runs [-].
+        shrinkage_interval: Its 90 % interval; None if the runs do not determine it.
     """
 
     before_mm: float
@@ -29,9 +29,11 @@ class GapAnswer(msgspec.Struct):
 
 
 class FreshAnswer(msgspec.Struct):
-    """One channel's misfit of fresh runs [mm], without and with the answer's effects.
+    """Gap of one channel on fresh runs.
 
-    None with effects by which a run cannot be simulated.
+    Attributes:
+        before_mm: Gap without the effects of the answer [mm].
+        after_mm: Gap with them [mm]; None if a run cannot be simulated with them.
     """
 
     before_mm: float
@@ -39,13 +41,14 @@ class FreshAnswer(msgspec.Struct):
 
 
 class Answer(msgspec.Struct):
-    """The answer to one set.
+    """Answer to one set.
 
     Attributes:
-        verdict: Effects named, the likeliest first; "unknown", or "none".
-        weights: Probability of each explanation that was weighed.
-        groups: For each effect named, all that these runs cannot tell apart from it.
-        gap, fresh: By channel.
+        verdict: Effects named, the most probable first; "unknown", or "none".
+        weights: Probability of each hypothesis.
+        groups: For each effect named, all effects that these runs cannot distinguish from it.
+        gap: Gap of the runs of the set, by channel.
+        fresh: Gap of its fresh runs, by channel.
     """
 
     verdict: list[str]
@@ -55,12 +58,12 @@ class Answer(msgspec.Struct):
     fresh: dict[str, FreshAnswer] = {}
 
     def named(self) -> list[str]:
-        """The effects named; none where nothing is wrong."""
+        """Effects named; empty for the verdict "none"."""
         return [each for each in self.verdict if each != "none"]
 
 
 class Answers(msgspec.Struct):
-    """A file of answers."""
+    """Contents of a file of answers."""
 
     schema: str
     schema_version: int
@@ -68,10 +71,10 @@ class Answers(msgspec.Struct):
 
 
 def read_answers(path: Path) -> dict[str, Answer]:
-    """Answers by set.
+    """Read answers, by the name of the set.
 
     Raises:
-        InputError: names the file, the entry and what must hold.
+        InputError: The file is not a valid file of answers; names the entry and the rule.
     """
     if path.suffix.lower() != ".json":
         raise InputError(f"{path}: a file of answers must end in .json")
@@ -85,17 +88,17 @@ def read_answers(path: Path) -> dict[str, Answer]:
     return to_structure(document, Answers, path).answers
 
 
-def answers_in(path: Path) -> dict[str, dict]:
-    """Answers by set as they are written, with all that `Answer` leaves out.
+def read_raw_answers(path: Path) -> dict[str, dict]:
+    """Read answers as they are written, with all that `Answer` leaves out, by set.
 
     Raises:
-        InputError: as `read_answers`.
+        InputError: As `read_answers`.
     """
     read_answers(path)
     return dict(read_document(path)["answers"])
 
 
 def write_answers(path: Path, answers: dict[str, dict]) -> None:
-    """Write answers by set as a file."""
+    """Write answers, by the name of the set."""
     document = {"schema": SCHEMA, "schema_version": 1, "answers": dict(sorted(answers.items()))}
     replace_file(path, as_json(document))

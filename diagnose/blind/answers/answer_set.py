@@ -1,4 +1,4 @@
-"""Answers to sets of runs whose faults are sealed."""
+"""Diagnosis of one blind set."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,13 +8,16 @@ from diagnose.evaluation.evaluate import prediction_on
 
 
 def answer_set(paths: Sequence[Path]) -> dict:
-    """The diagnosis of one set, as it goes into a file of answers.
+    """Diagnose one set.
 
-    Where runs of the same rig lie in a folder `fresh` beside, the shrinkage is measured on them
-    too, after all else is settled.
+    If runs of the same rig lie in a folder `fresh` beside, the gap is measured on them too, after
+    the diagnosis is complete.
 
     Args:
-        paths: The runs of the set.
+        paths: Run logs of the set.
+
+    Returns:
+        The answer as a file of answers holds it.
     """
     found = diagnose(paths)
     fresh = sorted((Path(paths[0]).parent / "fresh").glob("*.h5"))

@@ -1,8 +1,8 @@
-"""Making blind sets: what is wrong with each is drawn, its runs are made, its label is kept."""
+"""Make blind sets: draw the mechanisms of each, simulate its runs, seal its label."""
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,10 +10,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from diagnose.blind.answers.answer import UNFINISHED, configure_helper
-from diagnose.blind.generation.effect_size import FLOORS, EffectSize, EffectSizeProbe
+from diagnose.blind.generation.effect_size import (
+    DEFAULT_EFFECT_SIZE,
+    EffectSizeProbe,
+    EffectSizeSettings,
+)
 from diagnose.blind.generation.random_mechanisms import (
     CATALOGUE,
-    STRANGERS,
+    UNLISTED,
     Mechanism,
     draw_mechanism,
     draw_unlisted,
@@ -21,12 +25,14 @@ from diagnose.blind.generation.random_mechanisms import (
 )
 from diagnose.blind.generation.sealed_labels import seal
 from diagnose.blind.plant import plant
-from diagnose.blind.plant.plant import group_of
+from diagnose.blind.plant.plant import DEFAULT_PLANT, Part, PlantSettings, group_of
 from diagnose.blind.plant.run_plan import (
-    LETTERS,
-    PRACTICE,
-    TELLING,
+    DEFAULT_RANDOM_RUNS,
+    PRACTICE_RUNS,
+    RECOMMENDED_RUNS,
+    RUN_LETTERS,
     PlannedRun,
+    RandomRunSettings,
     draw_fresh_runs,
     draw_nine_runs,
 )
@@ -35,56 +41,92 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 
-# Shares of mixed sets; what is left has one thing wrong.
-SHARES = {"none": 0.12, "unknown": 0.12, "pair": 0.16}
-
-
-SCATTER = 0.01
-
-
-WHITE = {"x": 50e-6, "z": 20e-6}
-
-
-# The part of the noise that lasts, as a share of the white part, and how long [s].
-LASTING, LASTS = 1 / 3, 0.2
-
-
-QUANTUM = 1e-6
-
-
-# Sinkage before a run is read over this long [s], or as long as the wheel stands.
-READ_OVER = 1.0
-
-
-BELIEVED_ZETA = 0.7823
-
-
-# Runs that strengths are found on: a slow one, a middling one with sharp ramps, and the fastest.
-PROBED = (0, 5, 8)
-
-
-REDRAWS = 5
-
-
 PROTOCOLS = ("mixed", "practice", "random", "telling")
+FAULT_KINDS = ("mixed", "none", "one", "pair", "unknown")
 
 
-WRONG = ("mixed", "none", "one", "pair", "unknown")
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Noise and resolution of the recorded positions.
+
+    Attributes:
+        white_x, white_z: Standard deviation of the white part [m].
+        correlated_share: Standard deviation of the correlated part, relative to the white one [-].
+        correlation_time: Time constant of the correlated part [s].
+        resolution: Resolution of the readings [m].
+    """
+
+    white_x: float = 50e-6
+    white_z: float = 20e-6
+    correlated_share: float = 1 / 3
+    correlation_time: float = 0.2
+    resolution: float = 1e-6
+
+    def white(self, channel: str) -> float:
+        """Standard deviation of the white part in "x" or "z" [m]."""
+        return {"x": self.white_x, "z": self.white_z}[channel]
+
+
+DEFAULT_NOISE = NoiseSettings()
+
+
+@dataclass(frozen=True)
+class GenerationSettings:
+    """Distribution of the rigs of blind sets, and how they are recorded.
+
+    Attributes:
+        none_share, unknown_share, pair_share: Shares of mixed sets with no mechanism, with one
+            outside the catalogue and with two; the others have one of the catalogue.
+        practice_share: Probability of the practice runs in the "mixed" protocol.
+        zeta: Least and greatest scaling factor of a rig [-].
+        zeta_scatter: Standard deviation of log zeta between the runs of a rig [-].
+        believed_zeta: Initial scaling factor in every run log [-].
+        static_reading_time: Time over which the sinkage before a run is averaged, or as long as the
+            wheel stands [s].
+        probe_runs: Indices of the runs that strengths are found on: a slow one, a middling one with
+            steep ramps, and the fastest.
+        redraws: Most forms drawn for a set whose plant cannot run.
+        noise: Noise of the recorded positions.
+        effect_size: Search for the strength of a mechanism.
+        plant: Resolution and limits of the plant.
+        random_runs: Ranges of the random runs.
+    """
+
+    none_share: float = 0.12
+    unknown_share: float = 0.12
+    pair_share: float = 0.16
+    practice_share: float = 0.5
+    zeta: tuple[float, float] = (0.65, 0.95)
+    zeta_scatter: float = 0.01
+    believed_zeta: float = 0.7823
+    static_reading_time: float = 1.0
+    probe_runs: tuple[int, ...] = (0, 5, 8)
+    redraws: int = 5
+    noise: NoiseSettings = DEFAULT_NOISE
+    effect_size: EffectSizeSettings = DEFAULT_EFFECT_SIZE
+    plant: PlantSettings = DEFAULT_PLANT
+    random_runs: RandomRunSettings = DEFAULT_RANDOM_RUNS
+
+
+DEFAULT_GENERATION = GenerationSettings()
 
 
 @dataclass(frozen=True)
 class GenerationRequest:
-    """What sets are asked for.
+    """Request for a folder of sets.
 
     Attributes:
-        folder: Where they go.
-        sets: How many.
-        seed: Settles every lot that is drawn.
+        folder: Folder to write them into.
+        sets: Number of sets.
+        seed: Seed of every random choice.
         protocol: One of `PROTOCOLS`. "telling" has the rigs of "mixed", and records other runs of
             them: the nine of `diagnose.next_runs.recommended_runs`.
-        faintest, strongest: Gaps [floors] that strengths are drawn between.
-        wrong: What is wrong with the sets, one of `WRONG`: nothing, one effect, two, or one that
-            the list of effects lacks; "mixed" has some of each.
+        faintest, strongest: Range of the sizes of mechanisms [noise floors].
+        wrong: Kind of fault of the sets, one of `FAULT_KINDS`: none, one effect, two, or one
+            outside the catalogue; "mixed" has some of each.
+
+    Raises:
+        InputError: A value is none of those, or out of range.
     """
 
     folder: Path
@@ -100,7 +142,7 @@ class GenerationRequest:
             raise InputError(f"{self.sets} sets were asked for, must be one or more")
         for what, given, known in (
             ("the protocol", self.protocol, PROTOCOLS),
-            ("what is wrong", self.wrong, WRONG),
+            ("what is wrong", self.wrong, FAULT_KINDS),
         ):
             if given not in known:
                 raise InputError(f"{what} is {given!r}, must be one of {', '.join(known)}")
@@ -111,202 +153,258 @@ class GenerationRequest:
             )
 
     def name(self, number: int) -> str:
-        """The name of a set, from its number from zero."""
+        """Name of the set with this number, from zero."""
         return f"set_{number + 1:0{max(2, len(str(self.sets)))}d}"
 
 
-def planned_faults(order: GenerationRequest) -> list[tuple[str, ...]]:
-    """What is wrong with every set: kinds of mechanism, spread over all that there are."""
-    random = np.random.default_rng([order.seed, 0])
+def planned_faults(
+    request: GenerationRequest, settings: GenerationSettings = DEFAULT_GENERATION
+) -> list[tuple[str, ...]]:
+    """Draw the mechanisms of every set, such that all kinds come up equally often.
+
+    Returns:
+        Kinds of mechanism of each set.
+    """
+    random = np.random.default_rng([request.seed, 0])
     names = [name for stage in CATALOGUE.values() for name in stage]
-    singles, strangers, pairs = _shuffled(names, random), _shuffled(list(STRANGERS), random), 0
-    counts = {kind: round(order.sets * share) for kind, share in SHARES.items()}
-    if order.wrong != "mixed":
-        counts = {kind: order.sets if kind == order.wrong else 0 for kind in SHARES}
+    singles, unlisted = _shuffled(names, random), _shuffled(list(UNLISTED), random)
+    shares = {
+        "none": settings.none_share,
+        "unknown": settings.unknown_share,
+        "pair": settings.pair_share,
+    }
+    counts = {kind: round(request.sets * share) for kind, share in shares.items()}
+    if request.wrong != "mixed":
+        counts = {kind: request.sets if kind == request.wrong else 0 for kind in shares}
     drawn: list[tuple[str, ...]] = [()] * counts["none"]
-    drawn += [(next(strangers),) for _ in range(counts["unknown"])]
-    while pairs < counts["pair"]:
+    drawn += [(next(unlisted),) for _ in range(counts["unknown"])]
+    drawn += _draw_pairs(names, counts["pair"], random)
+    drawn += [(next(singles),) for _ in range(request.sets - len(drawn))]
+    return [drawn[index] for index in random.permutation(request.sets)]
+
+
+def _draw_pairs(names: list[str], count: int, random: np.random.Generator) -> list[tuple[str, ...]]:
+    """Pairs of effects that act in different stages."""
+    pairs: list[tuple[str, ...]] = []
+    while len(pairs) < count:
         first, second = (str(each) for each in random.choice(names, 2, replace=False))
         if stage_of(first) != stage_of(second):
-            drawn.append((first, second))
-            pairs += 1
-    drawn += [(next(singles),) for _ in range(order.sets - len(drawn))]
-    return [drawn[index] for index in random.permutation(order.sets)]
+            pairs.append((first, second))
+    return pairs
 
 
 def _shuffled(names: list[str], random: np.random.Generator) -> Iterator[str]:
+    """All names in random order, again and again."""
     while True:
         yield from (names[index] for index in random.permutation(len(names)))
 
 
-def make(order: GenerationRequest, jobs: int = 1) -> Iterator[str]:
-    """Make sets and seal their labels; gives the name of every set as it is done.
+def make_sets(
+    request: GenerationRequest, jobs: int = 1, settings: GenerationSettings = DEFAULT_GENERATION
+) -> Iterator[str]:
+    """Make sets and seal their labels.
 
     Args:
-        order: What is asked for.
-        jobs: Processes to make them in; the sets are the same however many there are.
+        request: Number and kind of the sets.
+        jobs: Number of processes; the sets do not depend on it.
+        settings: Distribution of the rigs.
+
+    Yields:
+        The name of every set when it is complete.
 
     Raises:
-        InputError: where there are sets already.
+        InputError: The folder is not empty.
     """
-    folder = order.folder
+    folder = request.folder
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder} is not empty; name a folder that is")
     folder.mkdir(parents=True, exist_ok=True)
-    drawn = planned_faults(order)
+    faults = planned_faults(request, settings)
+    # Sets whose runs share a program are made one after the other.
+    numbers = sorted(range(request.sets), key=lambda number: faults[number])
     labels: dict[str, dict] = {}
     if jobs == 1:
-        for number in _in_turn(drawn):
-            labels[order.name(number)] = make_set(order, number, drawn[number])
-            yield order.name(number)
+        for number in numbers:
+            labels[request.name(number)] = make_set(request, number, faults[number], settings)
+            yield request.name(number)
     else:
-        # A fresh process, as JAX's threads do not live through a fork.
+        # A fresh process each, as the threads of JAX do not survive a fork.
         with ProcessPoolExecutor(jobs, get_context("spawn"), configure_helper, (set(),)) as pool:
             waiting = {
-                pool.submit(make_set, order, number, drawn[number]): number
-                for number in _in_turn(drawn)
+                pool.submit(make_set, request, number, faults[number], settings): number
+                for number in numbers
             }
             for done in as_completed(waiting):
-                labels[order.name(waiting[done])] = done.result()
-                yield order.name(waiting[done])
+                labels[request.name(waiting[done])] = done.result()
+                yield request.name(waiting[done])
     seal(folder, dict(sorted(labels.items())))
 
 
-def _in_turn(drawn: list[tuple[str, ...]]) -> list[int]:
-    """Sets in an order that puts those of like programs beside each other."""
-    return sorted(range(len(drawn)), key=lambda number: drawn[number])
-
-
-def make_set(order: GenerationRequest, number: int, kinds: tuple[str, ...]) -> dict:
-    """Make one set; gives its label.
+def make_set(
+    request: GenerationRequest,
+    number: int,
+    kinds: tuple[str, ...],
+    settings: GenerationSettings = DEFAULT_GENERATION,
+) -> dict:
+    """Make one set.
 
     Args:
-        order: What is asked for.
-        number: Which set, from zero: with the order's seed it settles every lot of the set.
-        kinds: What is wrong with it.
+        request: Seed, protocol and sizes.
+        number: Number of the set, from zero; with the seed it decides every random choice.
+        kinds: Kinds of its mechanisms.
+        settings: Distribution of the rigs.
+
+    Returns:
+        Its label.
+
+    Raises:
+        InputError: The plant cannot run with any of the forms drawn.
     """
-    random = np.random.default_rng([order.seed, 1, number])
-    for _ in range(REDRAWS):
+    random = np.random.default_rng([request.seed, 1, number])
+    for _ in range(settings.redraws):
         try:
-            return _made(order, number, kinds, random)
-        except InputError:  # it digs in or leaves its rail: another form may not
+            return _try_to_make(request, number, kinds, random, settings)
+        except InputError:  # the wheel digs in or leaves its rail: another form may not
             continue
     raise InputError(f"no form of {' and '.join(kinds) or 'nothing'} lets the plant run")
 
 
-def _made(
-    order: GenerationRequest, number: int, kinds: tuple[str, ...], random: np.random.Generator
+def _try_to_make(
+    request: GenerationRequest,
+    number: int,
+    kinds: tuple[str, ...],
+    random: np.random.Generator,
+    settings: GenerationSettings,
 ) -> dict:
-    practice = order.protocol == "practice" or (
-        order.protocol in ("mixed", "telling") and random.random() < 0.5
+    # "telling" draws all that "mixed" does, so that both have the same rigs.
+    practice = request.protocol == "practice" or (
+        request.protocol in ("mixed", "telling") and random.random() < settings.practice_share
     )
-    profiles = PRACTICE if practice else draw_nine_runs(random)
-    telling = order.protocol == "telling"
-    fresh = draw_fresh_runs(random)
-    zeta = float(random.uniform(0.65, 0.95))
+    nine = PRACTICE_RUNS if practice else draw_nine_runs(random, settings.random_runs)
+    fresh = draw_fresh_runs(random, settings.random_runs)
+    zeta = float(random.uniform(*settings.zeta))
     mechanisms = [
-        draw_unlisted(kind, random) if kind in STRANGERS else draw_mechanism(kind, random)
+        draw_unlisted(kind, random) if kind in UNLISTED else draw_mechanism(kind, random)
         for kind in kinds
     ]
     targets = [
-        float(np.exp(random.uniform(np.log(order.faintest), np.log(order.strongest))))
+        float(np.exp(random.uniform(np.log(request.faintest), np.log(request.strongest))))
         for _ in mechanisms
     ]
-    label = {
-        "effects": [each.name for each in mechanisms],
-        "protocol": "telling" if telling else "practice" if practice else "random",
-        "zeta": zeta,
-    }
-    parts = []
-    if mechanisms:
-        parts, told = _strengthened(mechanisms, targets, profiles, zeta)
-        label |= told
-    nine = TELLING if telling else profiles
-    runs = {f"run_{letter}": each for letter, each in zip(LETTERS, nine, strict=True)}
-    runs |= {f"fresh/fresh_{letter}": each for letter, each in zip("abc", fresh, strict=True)}
+    parts, sizes = _with_strengths(mechanisms, targets, nine, zeta, settings)
+    protocol = "practice" if practice else "random"
+    if request.protocol == "telling":
+        protocol, nine = "telling", RECOMMENDED_RUNS
+    runs = {f"run_{letter}": run for letter, run in zip(RUN_LETTERS, nine, strict=True)}
+    runs |= {f"fresh/fresh_{letter}": run for letter, run in zip("abc", fresh, strict=True)}
     logs = {}
-    for name, profile in runs.items():
-        own = zeta * float(np.exp(SCATTER * random.standard_normal()))
-        true = plant.run_plant(parts, profile, own)
-        logs[name] = as_run_log(true, profile, random)
-    _write_set(order.folder / order.name(number), logs)
-    return label
+    for name, run in runs.items():
+        zeta_of_run = zeta * float(np.exp(settings.zeta_scatter * random.standard_normal()))
+        motion = plant.run_plant(parts, run, zeta_of_run, settings=settings.plant)
+        logs[name] = as_run_log(motion, run, random, settings)
+    _write_set(request.folder / request.name(number), logs)
+    effects = [each.name for each in mechanisms]
+    return {"effects": effects, "protocol": protocol, "zeta": zeta, **sizes}
 
 
-def _write_set(home: Path, logs: dict[str, RunLog]) -> None:
-    """Write a set's runs beside, and give the folder its name when all are there."""
-    home.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=UNFINISHED, dir=home.parent) as scratch:
-        draft = Path(scratch) / home.name
+def _write_set(folder: Path, logs: dict[str, RunLog]) -> None:
+    """Write the runs of a set beside its folder, and give that its name when all are there."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=UNFINISHED, dir=folder.parent) as scratch:
+        draft = Path(scratch) / folder.name
         (draft / "fresh").mkdir(parents=True)
         for name, log in logs.items():
             write_run(draft / f"{name}.h5", log)
-        draft.rename(home)
+        draft.rename(folder)
 
 
-def _strengthened(
-    mechanisms: list[Mechanism], targets: list[float], profiles: tuple[PlannedRun, ...], zeta: float
-) -> tuple[list[plant.Part], dict]:
-    """The mechanisms at strengths that show as much as is wanted, and what labels say of it."""
-    probed = tuple(profiles[index] for index in PROBED)
-    parts, told, probe = [], [], None
+def _with_strengths(
+    mechanisms: list[Mechanism],
+    targets: list[float],
+    nine: tuple[PlannedRun, ...],
+    zeta: float,
+    settings: GenerationSettings,
+) -> tuple[list[Part], dict]:
+    """Mechanisms at the strengths of the wanted sizes [noise floors], and the label's part on them.
+
+    For two mechanisms, the label also has the size of both together.
+    """
+    if not mechanisms:
+        return [], {}
+    runs = tuple(nine[index] for index in settings.probe_runs)
+
+    def probe_of(groups: tuple[str, ...]) -> EffectSizeProbe:
+        return EffectSizeProbe.of(runs, zeta, groups, settings.effect_size, settings.plant)
+
+    parts, labels = [], []
     for mechanism, target in zip(mechanisms, targets, strict=True):
-        group = group_of(mechanism.build(mechanism.typical))
-        probe = EffectSizeProbe.of(probed, zeta, () if group is None else (group,))
-        strength, gap = probe.strength(mechanism, target)
+        group = group_of(mechanism.build(mechanism.typical_strength))
+        probe = probe_of(() if group is None else (group,))
+        strength, size = probe.find_strength(mechanism, target)
         parts.append(mechanism.build(strength))
-        told.append(
+        labels.append(
             {
                 "name": mechanism.name,
                 "kind": mechanism.kind,
                 "strength": strength,
                 "form": mechanism.form,
                 "wanted_floors": target,
-                **_told(gap),
+                **size.document(),
             }
         )
     if len(parts) == 1:
-        return parts, {"mechanisms": told, **{k: told[0][k] for k in ("floors", "gap")}}
-    probe = EffectSizeProbe.of(probed, zeta, plant.groups_of(parts))
-    return parts, {"mechanisms": told, **_told(probe.gap(parts))}
+        return parts, {"mechanisms": labels, **{k: labels[0][k] for k in ("floors", "gap")}}
+    together = probe_of(plant.groups_of(parts)).size(parts)
+    return parts, {"mechanisms": labels, **together.document()}
 
 
-def _told(gap: EffectSize) -> dict:
-    millimetres = {name: 1e3 * value for name, value in asdict(gap).items()}
-    return {
-        "floors": gap.floors,
-        "gap": {
-            name: {
-                "whole_mm": millimetres[name],
-                "left_mm": millimetres[f"{name}_left"],
-                "floors": millimetres[f"{name}_left"] / (1e3 * floor),
-            }
-            for name, floor in FLOORS.items()
-        },
-    }
+def add_noise(
+    random: np.random.Generator,
+    rows: int,
+    white: float,
+    settings: NoiseSettings = DEFAULT_NOISE,
+    interval: float = DEFAULT_PLANT.row_interval,
+) -> np.ndarray:
+    """Draw white noise plus correlated noise (AR(1)).
 
+    Args:
+        random: Source of the noise.
+        rows: Number of rows.
+        white: Standard deviation of the white part, in the unit of the result.
+        settings: Size and time constant of the correlated part.
+        interval: Interval of the rows [s].
 
-def add_noise(random: np.random.Generator, rows: int, white: float) -> np.ndarray:
-    """White noise of this size, and a part of it more that lasts; rows 10 ms apart."""
-    kept = np.exp(-plant.ROW / LASTS)
-    shocks = LASTING * white * np.sqrt(1 - kept**2) * random.standard_normal(rows)
-    lasting = np.empty(rows)
-    value = LASTING * white * random.standard_normal()
+    Returns:
+        Noise, shape (rows,).
+    """
+    kept = np.exp(-interval / settings.correlation_time)
+    spread = settings.correlated_share * white
+    shocks = spread * np.sqrt(1 - kept**2) * random.standard_normal(rows)
+    correlated = np.empty(rows)
+    value = spread * random.standard_normal()
     for index, shock in enumerate(shocks):
         value = kept * value + shock
-        lasting[index] = value
-    return lasting + white * random.standard_normal(rows)
+        correlated[index] = value
+    return correlated + white * random.standard_normal(rows)
 
 
-def as_run_log(true: PlantReading, profile: PlannedRun, random: np.random.Generator) -> RunLog:
-    """A run as its rig writes it down: with noise, in whole micrometres, and what is believed."""
+def as_run_log(
+    motion: PlantReading,
+    planned: PlannedRun,
+    random: np.random.Generator,
+    settings: GenerationSettings = DEFAULT_GENERATION,
+) -> RunLog:
+    """Record a run as its rig does: with noise, in whole micrometres, and the believed set-up."""
+    noise = settings.noise
 
-    def read(name: str) -> np.ndarray:
-        noisy = getattr(true, name) + add_noise(random, len(true.time), WHITE[name])
-        return np.round(noisy / QUANTUM) * QUANTUM
+    def record(channel: str) -> np.ndarray:
+        white, rows = noise.white(channel), len(motion.time)
+        added = add_noise(random, rows, white, noise, settings.plant.row_interval)
+        return np.round((getattr(motion, channel) + added) / noise.resolution) * noise.resolution
 
-    x, z = read("x"), read("z")
-    wheel = plant.nominal_wheel()
+    x, z = record("x"), record("z")
+    wheel = plant.nominal_wheel(settings.plant.plate_size)
+    at_rest = motion.time < min(settings.static_reading_time, planned.rest)
     setup = RecordedSetup(
         wheel_radius=float(wheel.radius),
         wheel_width=float(wheel.width),
@@ -314,14 +412,14 @@ def as_run_log(true: PlantReading, profile: PlannedRun, random: np.random.Genera
         grouser_height=float(wheel.grouser_height),
         grouser_thickness=float(wheel.grouser_thickness),
         mass_x=13.902,
-        mass_z=profile.mass,
+        mass_z=planned.mass,
         gravity=9.81,
         bulk_density=1490.0,
-        sinkage_static=float(-z[true.time < min(READ_OVER, profile.rest)].mean()),
-        scaling_factor_initial=BELIEVED_ZETA,
+        sinkage_static=float(-z[at_rest].mean()),
+        scaling_factor_initial=settings.believed_zeta,
     )
-    command = RecordedCommand(time=true.time, omega=profile.omega(true.time))
-    measured = Measured(time=true.time, x=x, z=z)
+    command = RecordedCommand(time=motion.time, omega=planned.omega(motion.time))
+    measured = Measured(time=motion.time, x=x, z=z)
     return RunLog(
         setup=setup,
         command=command,

@@ -1,6 +1,7 @@
-"""What may be wrong with a plant: every name of the catalogue in a form drawn by lot, and more.
+"""Random mechanisms of the plant: every effect of the catalogue in a random form, and others.
 
-A recipe draws the form (exponents, shapes, signs); how strong it is comes after, as one number.
+A recipe draws the form of a mechanism (exponents, shapes, signs); its strength, one number, is
+chosen afterwards.
 """
 
 from collections.abc import Callable
@@ -9,68 +10,72 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.blind.plant import bed, drive, machine, sand
-from diagnose.blind.plant import sensors as instrument
-from diagnose.blind.plant import unlisted as stranger
+from diagnose.blind.plant import bed, drive, machine, sand, sensors, unlisted
 from diagnose.blind.plant.plant import Part, PlantChange
 from diagnose.blind.plant.random_profiles import RandomCurve, draw_profile, draw_variation
 
 UNKNOWN = "unknown"
-
 
 Random = np.random.Generator
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Something wrong, of a form that is settled and a strength that is not.
+    """Mechanism of a drawn form whose strength is still open.
 
     Attributes:
-        name: The answer that is right: a name of the catalogue, or `UNKNOWN`.
+        name: The right answer: a name of the catalogue, or `UNKNOWN`.
         kind: The plant's own name of it.
-        stage: Where it acts.
-        build: Makes it from its strength.
-        typical: A strength to begin a search at, in units of its own.
-        most: The greatest strength that a rig may show.
-        form: What it looks like, for the labels.
+        stage: Stage of the simulation in which it acts, or `UNKNOWN`.
+        build: Builds the part of the plant from a strength.
+        typical_strength: Strength to begin a search at, in the unit of the mechanism.
+        max_strength: Greatest strength of a rig, in the same unit.
+        form: Numbers and words of its form, for the labels.
     """
 
     name: str
     kind: str
     stage: str
     build: Callable[[float], Part]
-    typical: float
-    most: float
+    typical_strength: float
+    max_strength: float
     form: dict[str, Any] = field(default_factory=dict)
 
 
-Made = tuple[Callable[[float], Part], float, float, dict[str, Any]]
-
-
-Recipe = Callable[[Random], Made]
+# The fields `build`, `typical_strength`, `max_strength` and `form` of a mechanism.
+RandomForm = tuple[Callable[[float], Part], float, float, dict[str, Any]]
+Recipe = Callable[[Random], RandomForm]
 
 
 def _sign(random: Random) -> float:
     return float(random.choice([-1.0, 1.0]))
 
 
-def _log(random: Random, low: float, high: float) -> float:
+def _log_uniform(random: Random, low: float, high: float) -> float:
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
 def _part(kind: type, **numbers: Any) -> Part:
-    """An effect of these numbers, which its fields turn into arrays."""
+    """Effect of these numbers, which its fields convert to arrays."""
     return kind(**numbers)
 
 
-def _effect(kind: type, number: str, typical: float, most: float, signed: bool = True, **shapes):
-    """A recipe for an effect of one strength; `shapes` says how each other number is drawn."""
+def _effect(kind: type, quantity: str, typical: float, most: float, signed: bool = True, **shapes):
+    """Recipe for an effect of one strength.
 
-    def recipe(random: Random) -> Made:
+    Args:
+        kind: Class of the effect.
+        quantity: Its field that the strength goes into.
+        typical, most: Typical and greatest strength.
+        signed: Whether the sign of the strength is random, too.
+        shapes: The draw of each other field.
+    """
+
+    def recipe(random: Random) -> RandomForm:
         sign = _sign(random) if signed else 1.0
         form = {name: float(draw(random)) for name, draw in shapes.items()}
         return (
-            lambda size: kind(**{number: sign * size}, **form),
+            lambda strength: kind(**{quantity: sign * strength}, **form),
             typical,
             most,
             form | {"sign": sign},
@@ -79,13 +84,13 @@ def _effect(kind: type, number: str, typical: float, most: float, signed: bool =
     return recipe
 
 
-def _change(where: Callable[[Any], Any], typical: float, least: float, most: float) -> Recipe:
-    """A recipe for a number of the simulator that is off by at least `least`, at most `most`."""
+def _change(where: Callable[[Any], Any], typical: float, lowest: float, highest: float) -> Recipe:
+    """Recipe for a change of a number of the simulator, between `lowest` and `highest`."""
 
-    def recipe(random: Random) -> Made:
+    def recipe(random: Random) -> RandomForm:
         sign = _sign(random)
-        farthest = most if sign > 0 else -least
-        return lambda size: PlantChange(where, sign * size), typical, farthest, {"sign": sign}
+        most = highest if sign > 0 else -lowest
+        return lambda strength: PlantChange(where, sign * strength), typical, most, {"sign": sign}
 
     return recipe
 
@@ -95,114 +100,109 @@ def _between(low: float, high: float) -> Callable[[Random], float]:
 
 
 def _between_log(low: float, high: float) -> Callable[[Random], float]:
-    return lambda random: _log(random, low, high)
+    return lambda random: _log_uniform(random, low, high)
 
 
-def _loosening(random: Random) -> Made:
+def _loosening(random: Random) -> RandomForm:
     form = {
         "form": float(random.integers(3)),
-        "decay": _log(random, 0.5, 6.0),
+        "decay": _log_uniform(random, 0.5, 6.0),
         "power": float(random.uniform(0.6, 1.6)),
     }
-    return lambda size: _part(sand.PlantLoosening, loss=size, **form), 0.1, 0.6, form
+    return lambda strength: _part(sand.PlantLoosening, loss=strength, **form), 0.1, 0.6, form
 
 
-def _variation(random: Random) -> Made:
+def _variation(random: Random) -> RandomForm:
     curve, values = draw_variation(random)
     sign = _sign(random)
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda size: _part(sand.PlantTerrainVariation, excess=sign * size, curve=table),
+        lambda strength: _part(sand.PlantTerrainVariation, excess=sign * strength, curve=table),
         0.1,
         0.6,
         form,
     )
 
 
-def _profile(random: Random) -> Made:
+def _profile(random: Random) -> RandomForm:
     curve, values = draw_profile(random)
     sign = _sign(random)
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda size: _part(bed.PlantSurfaceProfile, amplitude=sign * size, curve=table),
+        lambda strength: _part(bed.PlantSurfaceProfile, amplitude=sign * strength, curve=table),
         0.001,
         0.008,
         form,
     )
 
 
-def _excavation(random: Random) -> Made:
+def _excavation(random: Random) -> RandomForm:
     power = float(random.choice([random.uniform(-1, -0.3), random.uniform(0.3, 0.8)]))
-    form = {"length": _log(random, 0.05, 0.5), "power": power}
-    return lambda size: _part(bed.PlantExcavation, rate=size, **form), 0.05, 0.5, form
+    form = {"length": _log_uniform(random, 0.05, 0.5), "power": power}
+    return lambda strength: _part(bed.PlantExcavation, rate=strength, **form), 0.05, 0.5, form
 
 
-def _gain(random: Random) -> Made:
+def _gain(random: Random) -> RandomForm:
     sign, bend = _sign(random), float(random.uniform(0, 0.2))
     return (
-        lambda size: drive.PlantSpeedGain(sign * size, bend),
+        lambda strength: drive.PlantSpeedGain(sign * strength, bend),
         0.03,
         0.15,
         {"sign": sign, "bend": bend},
     )
 
 
-def _lag(random: Random) -> Made:
+def _lag(random: Random) -> RandomForm:
     damping = float(random.uniform(0.6, 1.3))
-    return lambda size: drive.PlantSpeedLag(size, damping), 0.1, 0.6, {"damping": damping}
+    return lambda strength: drive.PlantSpeedLag(strength, damping), 0.1, 0.6, {"damping": damping}
 
 
-def _ripple(random: Random) -> Made:
-    order = _log(random, 2.0, 40.0)
+def _ripple(random: Random) -> RandomForm:
+    order = _log_uniform(random, 2.0, 40.0)
     form = {
         "order": float(np.round(order)) if random.random() < 0.6 else order,
         "phase": float(random.uniform(0, 6.28)),
         "second": float(random.uniform(0.1, 0.5)),
         "second_phase": float(random.uniform(0, 6.28)),
     }
-    return lambda size: drive.PlantSpeedRipple(size, **form), 0.03, 0.25, form
+    return lambda strength: drive.PlantSpeedRipple(strength, **form), 0.03, 0.25, form
 
 
-def _backlash(random: Random) -> Made:
+def _backlash(random: Random) -> RandomForm:
     snap = float(random.uniform(0.01, 0.04))
-    return lambda size: drive.PlantBacklash(size, snap), 0.05, 0.4, {"snap": snap}
+    return lambda strength: drive.PlantBacklash(strength, snap), 0.05, 0.4, {"snap": snap}
 
 
 def _sensor(kind: type, typical: float, most: float, name: str, low: float, high: float) -> Recipe:
-    def recipe(random: Random) -> Made:
+    def recipe(random: Random) -> RandomForm:
         sign, value = _sign(random), float(random.uniform(low, high))
         form = {"sign": sign, name: value}
-        return lambda size: kind(sign * size, value), typical, most, form
+        return lambda strength: kind(sign * strength, value), typical, most, form
 
     return recipe
 
 
-def _delay(random: Random) -> Made:
-    return instrument.PlantMeasurementDelay, 0.1, 0.6, {}
+def _delay(random: Random) -> RandomForm:
+    return sensors.PlantMeasurementDelay, 0.1, 0.6, {}
 
 
-def _filter(random: Random) -> Made:
+def _filter(random: Random) -> RandomForm:
     form = str(random.choice(["mean", "second order"]))
-    return lambda size: instrument.PlantMeasurementFilter(size, form), 0.1, 0.6, {"form": form}
+    return lambda strength: sensors.PlantMeasurementFilter(strength, form), 0.1, 0.6, {"form": form}
 
 
-def _crosstalk(random: Random) -> Made:
+def _crosstalk(random: Random) -> RandomForm:
     sign = _sign(random)
-    return lambda size: instrument.DriveCrosstalk(sign * size), 2e-4, 5e-3, {"sign": sign}
+    return lambda strength: sensors.DriveCrosstalk(sign * strength), 2e-4, 5e-3, {"sign": sign}
 
 
 _phase = _between(0, 6.28)
-
-
 _power = _between(0.8, 1.3)
-
-
 _surplus = _between(0, 0.4)
 
-
-# By stage: what an answer may name.
+# Recipes of the effects that an answer can name, by stage and name.
 CATALOGUE: dict[str, dict[str, Recipe]] = {
     "terrain": {
         "loosening": _loosening,
@@ -288,22 +288,22 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
         "backlash": _backlash,
     },
     "sensor": {
-        "sinkage_gain": _sensor(instrument.PlantSinkageGain, 0.02, 0.15, "bend", -0.1, 0.1),
-        "sinkage_drift": _sensor(instrument.PlantSinkageDrift, 2e-5, 3e-4, "power", 0.8, 1.25),
-        "travel_gain": _sensor(instrument.PlantTravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
+        "sinkage_gain": _sensor(sensors.PlantSinkageGain, 0.02, 0.15, "bend", -0.1, 0.1),
+        "sinkage_drift": _sensor(sensors.PlantSinkageDrift, 2e-5, 3e-4, "power", 0.8, 1.25),
+        "travel_gain": _sensor(sensors.PlantTravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
         "measurement_delay": _delay,
         "measurement_filter": _filter,
     },
 }
 
 
-# By the plant's own name: what no answer can name.
-STRANGERS: dict[str, Recipe] = {
+# Recipes of the mechanisms that no answer can name, by the plant's own name.
+UNLISTED: dict[str, Recipe] = {
     "damaged_grouser": _effect(
-        stranger.DamagedGrouser, "loss", 0.2, 0.8, phase=_phase, narrowness=_between(6, 30)
+        unlisted.DamagedGrouser, "loss", 0.2, 0.8, phase=_phase, narrowness=_between(6, 30)
     ),
     "healing": _effect(
-        stranger.Healing,
+        unlisted.Healing,
         "loss",
         0.2,
         0.7,
@@ -312,10 +312,10 @@ STRANGERS: dict[str, Recipe] = {
         recovery=_between(1.0, 5.0),
     ),
     "swing": _effect(
-        stranger.Swing, "excess", 0.05, 0.3, False, period=_between(5.0, 14.0), phase=_phase
+        unlisted.Swing, "excess", 0.05, 0.3, False, period=_between(5.0, 14.0), phase=_phase
     ),
     "thixotropy": _effect(
-        stranger.Thixotropy,
+        unlisted.Thixotropy,
         "loss",
         0.2,
         0.7,
@@ -324,10 +324,10 @@ STRANGERS: dict[str, Recipe] = {
         recovery=_between(0.5, 3.0),
     ),
     "rise_and_fall": _effect(
-        stranger.RiseAndFall, "excess", 0.1, 0.6, speed=_between_log(1e-3, 5e-3)
+        unlisted.RiseAndFall, "excess", 0.1, 0.6, speed=_between_log(1e-3, 5e-3)
     ),
     "critical_speed": _effect(
-        stranger.CriticalSpeed,
+        unlisted.CriticalSpeed,
         "loss",
         0.2,
         0.7,
@@ -335,30 +335,28 @@ STRANGERS: dict[str, Recipe] = {
         width=_between(0.1, 0.3),
     ),
     "catch": _effect(
-        stranger.Catch, "force", 5.0, 40.0, place=_between(0.1, 0.5), length=_between(0.05, 0.3)
+        unlisted.Catch, "force", 5.0, 40.0, place=_between(0.1, 0.5), length=_between(0.05, 0.3)
     ),
-    "sinkage_drag": _effect(stranger.SinkageDrag, "drag", 20.0, 400.0, False),
+    "sinkage_drag": _effect(unlisted.SinkageDrag, "drag", 20.0, 400.0, False),
     "jamming_guide": _effect(
-        stranger.JammingGuide, "friction", 200.0, 1500.0, False, stick=_between_log(1e-4, 5e-4)
+        unlisted.JammingGuide, "friction", 200.0, 1500.0, False, stick=_between_log(1e-4, 5e-4)
     ),
-    "travel_lift": _effect(stranger.TravelLift, "lift", 100.0, 600.0),
+    "travel_lift": _effect(unlisted.TravelLift, "lift", 100.0, 600.0),
     "drive_crosstalk": _crosstalk,
 }
 
 
 def stage_of(name: str) -> str:
-    """Where an effect of the catalogue acts."""
+    """Stage of the simulation in which an effect of the catalogue acts."""
     return next(stage for stage, names in CATALOGUE.items() if name in names)
 
 
 def draw_mechanism(name: str, random: Random) -> Mechanism:
-    """An effect of the catalogue, in a form drawn by lot."""
+    """Draw the form of an effect of the catalogue."""
     stage = stage_of(name)
-    build, typical, most, form = CATALOGUE[stage][name](random)
-    return Mechanism(name, name, stage, build, typical, most, form)
+    return Mechanism(name, name, stage, *CATALOGUE[stage][name](random))
 
 
 def draw_unlisted(kind: str, random: Random) -> Mechanism:
-    """A mechanism outside the catalogue, in a form drawn by lot."""
-    build, typical, most, form = STRANGERS[kind](random)
-    return Mechanism(UNKNOWN, kind, UNKNOWN, build, typical, most, form)
+    """Draw the form of a mechanism outside the catalogue."""
+    return Mechanism(UNKNOWN, kind, UNKNOWN, *UNLISTED[kind](random))

@@ -1,4 +1,8 @@
-"""The plant's bed: stress that follows depth and speed otherwise, a surface that is not flat."""
+"""Bed of the plant: stress factors that depend on depth and speed, and an uneven surface.
+
+Each class has the form of its effect in the catalogue changed, so that no candidate of a diagnosis
+fits it exactly.
+"""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,12 +25,17 @@ Number = Float[Array, ""]
 Each = Float[Array, " plates"]
 
 
-# Depth [m] above which stress is so small that its factor is of no account.
-SKIN = 2e-4
+# Least depth in a stress factor [m]; above it stress is so small that its factor has no effect.
+MIN_DEPTH = 2e-4
 
 
 class PlantRateHardening(AbstractStressFactor):
-    """Stress grows by a power of plate speed; `excess` is that at 0.1 m/s."""
+    r"""Stress factor $1 + e\,(v / 0.1\,\mathrm{m/s})^p$ of plate speed v.
+
+    Attributes:
+        excess: Relative increase e at 0.1 m/s [-].
+        power: Exponent p [-].
+    """
 
     excess: Number = number()
     power: Number = number(0.5)
@@ -37,16 +46,26 @@ class PlantRateHardening(AbstractStressFactor):
 
 
 class PlantDepthHardening(AbstractStressFactor):
-    """Stress by a power 1 + `power` of depth, unchanged at 20 mm."""
+    r"""Stress factor $(d / 20\,\mathrm{mm})^p$ of depth d: stress by a power $1 + p$ of depth.
+
+    Attributes:
+        power: Exponent p [-].
+    """
 
     power: Number = number()
 
     def factor(self, motion: PlateMotion) -> Each:
-        return (jnp.maximum(motion.depth, SKIN) / 0.02) ** self.power
+        return (jnp.maximum(motion.depth, MIN_DEPTH) / 0.02) ** self.power
 
 
 class PlantRigidFloor(AbstractStressFactor):
-    """Stress grows exponentially below the floor's depth, e-fold in `scale` [m]."""
+    r"""Stress factor $1 + e\,(\exp((d - f)/s) - 1)$ below a floor, at most for five scales.
+
+    Attributes:
+        excess: Relative increase e [-].
+        floor: Depth f of the floor [m].
+        scale: Depth s in which the increase grows by a factor of e [m].
+    """
 
     excess: Number = number()
     floor: Number = number(0.035)
@@ -58,21 +77,31 @@ class PlantRigidFloor(AbstractStressFactor):
 
 
 class PlantCohesion(AbstractStressFactor):
-    """A stress as of a further depth [m], that sets in within `onset` [m] of the surface."""
+    r"""Stress as if each plate were deeper by `depth`, with a smooth onset at the surface.
+
+    Attributes:
+        depth: Additional depth [m].
+        onset: Depth of the onset [m].
+    """
 
     depth: Number = number()
     onset: Number = number(0.003)
 
     def factor(self, motion: PlateMotion) -> Each:
-        depth = jnp.maximum(motion.depth, SKIN)
+        depth = jnp.maximum(motion.depth, MIN_DEPTH)
         return 1 + self.depth * (1 - jnp.exp(-((depth / self.onset) ** 2))) / depth
 
 
-STRESS = (PlantRateHardening, PlantDepthHardening, PlantRigidFloor, PlantCohesion)
+STRESS_EFFECTS = (PlantRateHardening, PlantDepthHardening, PlantRigidFloor, PlantCohesion)
 
 
 class PlantSurfaceProfile(MemorylessSurface):
-    """Heights along a curve, each plate over its own."""
+    """Surface height along a random curve, at the place of each plate.
+
+    Attributes:
+        amplitude: Height of the curve's unit [m].
+        curve: Curve along x [-].
+    """
 
     amplitude: Number = number()
     curve: RandomCurve = eqx.field(default_factory=flat_curve)
@@ -82,7 +111,12 @@ class PlantSurfaceProfile(MemorylessSurface):
 
 
 class PlantSurfaceSlope(MemorylessSurface):
-    """An incline that bends a little: `bend` [1/m] of its slope a metre."""
+    r"""Surface height $s\,x\,(1 + b x / 2)$ of a slope that changes with x.
+
+    Attributes:
+        slope: Slope s at the start [-].
+        bend: Relative change b of the slope per metre [1/m].
+    """
 
     slope: Number = number()
     bend: Number = number()
@@ -93,7 +127,13 @@ class PlantSurfaceSlope(MemorylessSurface):
 
 
 class PlantExcavation(AbstractSurface):
-    """Slip digs, ever less: by `rate` at first, as a power of slip distance over `length` [m]."""
+    r"""Surface lowered by slip: by $r l\,((1 + q/l)^p - 1)/p$ after a slip distance q.
+
+    Attributes:
+        rate: Initial depth per slip distance r [-].
+        length: Slip distance l over which the rate changes [m].
+        power: Exponent p [-].
+    """
 
     rate: Number = number()
     length: Number = number(0.2)
@@ -110,4 +150,4 @@ class PlantExcavation(AbstractSurface):
         return jnp.full_like(ahead, -1) * self.rate * self.length * dug
 
 
-GROUND = (PlantSurfaceProfile, PlantSurfaceSlope, PlantExcavation)
+SURFACE_EFFECTS = (PlantSurfaceProfile, PlantSurfaceSlope, PlantExcavation)

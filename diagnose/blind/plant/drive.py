@@ -1,6 +1,6 @@
-"""The plant's drive: the wheel's speed over a run, worked out from what was commanded.
+"""Drive of the plant: the wheel speed of a run, computed from the commanded speed.
 
-The sand does not slow the wheel down, so the whole course is known before the run.
+The sand does not slow the wheel down, so the wheel speed is known before the run is simulated.
 """
 
 import abc
@@ -10,21 +10,33 @@ import numpy as np
 
 from drftjax.physics.command import one_way
 
-# Time between points of a course [s].
-GRID = 2e-3
+# Sample interval of commanded and wheel speed [s].
+SPEED_INTERVAL = 2e-3
 
 
 class AbstractPlantDrive(abc.ABC):
-    """Turns a commanded speed [rad/s], `GRID` apart, into the wheel's."""
+    """Turns a commanded speed into the speed of the wheel."""
 
     @abc.abstractmethod
     def follow(self, commanded: np.ndarray) -> np.ndarray:
-        """The wheel's speed at the same times."""
+        """Wheel speed for a commanded speed.
+
+        Args:
+            commanded: Commanded speed every `SPEED_INTERVAL`, shape (times,) [rad/s].
+
+        Returns:
+            Wheel speed at the same times, shape (times,) [rad/s].
+        """
 
 
 @dataclass(frozen=True)
 class PlantSpeedGain(AbstractPlantDrive):
-    """A ratio that is off by `gain`, and a `bend` of it less at full speed."""
+    """Speed ratio with a relative error that decreases with speed.
+
+    Attributes:
+        gain: Relative error at standstill [-].
+        bend: Share of the error that is gone at 3.5 rad/s [-].
+    """
 
     gain: float
     bend: float = 0.0
@@ -35,7 +47,12 @@ class PlantSpeedGain(AbstractPlantDrive):
 
 @dataclass(frozen=True)
 class PlantSpeedLag(AbstractPlantDrive):
-    """A lag of second order; `lag` [s] is how late a ramp is, `damping` its shape."""
+    """Lag of second order.
+
+    Attributes:
+        lag: Delay of a ramp [s].
+        damping: Damping ratio [-].
+    """
 
     lag: float
     damping: float = 1.0
@@ -44,20 +61,28 @@ class PlantSpeedLag(AbstractPlantDrive):
         if self.lag <= 0:
             return commanded
         natural = 2 * self.damping / self.lag
-        # Implicit, so that any lag may be asked for.
-        scale = 1 + 2 * self.damping * natural * GRID + (natural * GRID) ** 2
+        # Implicit Euler, stable for any lag.
+        scale = 1 + 2 * self.damping * natural * SPEED_INTERVAL + (natural * SPEED_INTERVAL) ** 2
         speed, rate = float(commanded[0]), 0.0
-        followed = np.empty_like(commanded)
-        for index, asked in enumerate(commanded.tolist()):
-            rate = (rate + GRID * natural**2 * (asked - speed)) / scale
-            speed += GRID * rate
-            followed[index] = speed
-        return followed
+        speeds = np.empty_like(commanded)
+        for index, target in enumerate(commanded.tolist()):
+            rate = (rate + SPEED_INTERVAL * natural**2 * (target - speed)) / scale
+            speed += SPEED_INTERVAL * rate
+            speeds[index] = speed
+        return speeds
 
 
 @dataclass(frozen=True)
 class PlantSpeedRipple(AbstractPlantDrive):
-    """A ripple of two harmonics, locked to the wheel's angle."""
+    """Ripple of two harmonics of the wheel angle.
+
+    Attributes:
+        amplitude: Relative amplitude of the first harmonic [-].
+        order: Cycles of the first harmonic per turn [-].
+        phase: Phase of the first harmonic [rad].
+        second: Amplitude of the second harmonic relative to the first [-].
+        second_phase: Phase of the second harmonic [rad].
+    """
 
     amplitude: float
     order: float
@@ -66,21 +91,26 @@ class PlantSpeedRipple(AbstractPlantDrive):
     second_phase: float = 0.0
 
     def follow(self, commanded: np.ndarray) -> np.ndarray:
-        angle, course = 0.0, np.empty_like(commanded)
-        for index, asked in enumerate(commanded.tolist()):
-            turned = self.order * (angle + 0.5 * GRID * asked)
-            wave = np.cos(turned + self.phase)
-            wave += self.second * np.cos(2 * turned + self.second_phase)
-            course[index] = asked * (1 + self.amplitude * wave)
-            angle += GRID * course[index]
-        return course
+        angle, speeds = 0.0, np.empty_like(commanded)
+        for index, target in enumerate(commanded.tolist()):
+            cycle = self.order * (angle + 0.5 * SPEED_INTERVAL * target)
+            wave = np.cos(cycle + self.phase)
+            wave += self.second * np.cos(2 * cycle + self.second_phase)
+            speeds[index] = target * (1 + self.amplitude * wave)
+            angle += SPEED_INTERVAL * speeds[index]
+        return speeds
 
 
 @dataclass(frozen=True)
 class PlantBacklash(AbstractPlantDrive):
-    """The wheel stands until the drive has turned by `play` [rad] either way, and follows at once.
+    """Backlash: the wheel stands until the drive has turned through the play, then follows.
 
-    A drive that turns back lets go of it, and has twice the play to cross.
+    The drive starts in the middle of its play, so that a first turn crosses `play` and a reversal
+    twice as much.
+
+    Attributes:
+        play: Half of the whole play [rad].
+        snap: Time in which the wheel takes up the speed of the drive [s].
     """
 
     play: float
@@ -89,12 +119,12 @@ class PlantBacklash(AbstractPlantDrive):
     def follow(self, commanded: np.ndarray) -> np.ndarray:
         if self.play <= 0:
             return commanded
-        course, within = np.empty_like(commanded), 0.0
+        speeds, position = np.empty_like(commanded), 0.0
         for part, sense in one_way(np.sign(commanded)):
-            turned = np.cumsum(np.abs(commanded[part])) * GRID
-            taken_up = int(np.searchsorted(turned, self.play - sense * within))
-            since = (np.arange(len(turned)) - taken_up) * GRID
-            course[part] = commanded[part] * np.clip(since / self.snap, 0, 1)
-            # Where the drive stands in its play when it turns back.
-            within = sense * min(sense * within + turned[-1], self.play)
-        return course
+            angle = np.cumsum(np.abs(commanded[part])) * SPEED_INTERVAL
+            contact = int(np.searchsorted(angle, self.play - sense * position))
+            since_contact = (np.arange(len(angle)) - contact) * SPEED_INTERVAL
+            speeds[part] = commanded[part] * np.clip(since_contact / self.snap, 0, 1)
+            # Position of the drive within its play when it turns back.
+            position = sense * min(sense * position + angle[-1], self.play)
+        return speeds

@@ -1,4 +1,4 @@
-"""The plant's wheel and rig: masses, guides, cables and springs that are not quite textbook."""
+"""Wheel and rig of the plant: loads, friction, springs and wheel faults."""
 
 import dataclasses
 
@@ -22,21 +22,38 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-# Place behind the start [m] from which on a cable has its least stiffness.
-SLACK = -0.25
+# Farthest place behind the start at which the stiffness of a cable still changes [m].
+CABLE_BEND_LIMIT = -0.25
 
 
 def stribeck(speed: Number, stick: Number, surplus: Number) -> Number:
-    """Dry friction of force one: more of it, by `surplus`, within five times `stick` [m/s]."""
+    r"""Dry friction with a Stribeck peak, $(1 + a\,e^{-(v/5s)^2}) \tanh(v/s)$, for unit force.
+
+    Args:
+        speed: Sliding speed v [m/s].
+        stick: Width s of the regularised step at rest [m/s].
+        surplus: Relative height a of the peak [-].
+    """
     return (1 + surplus * jnp.exp(-((speed / (5 * stick)) ** 2))) * jnp.tanh(speed / stick)
 
 
-def drag(speed: Number, at: float, power: Number) -> Number:
-    """Friction by a power of speed, the speed itself at `at` [m/s]."""
-    return speed * ((speed**2 + 1e-8) / at**2) ** ((power - 1) / 2)
+def power_drag(speed: Number, reference: float, power: Number) -> Number:
+    r"""Drag $v\,|v/v_0|^{p-1}$ for unit damping.
+
+    Args:
+        speed: Speed v [m/s].
+        reference: Speed $v_0$ at which the drag is that of a linear damper [m/s].
+        power: Exponent p [-].
+
+    Returns:
+        Drag per damping [m/s].
+    """
+    return speed * ((speed**2 + 1e-8) / reference**2) ** ((power - 1) / 2)
 
 
 class PlantVerticalLoad(MemorylessLoad):
+    """Constant vertical load `force` [N], positive downward."""
+
     force: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
@@ -44,6 +61,8 @@ class PlantVerticalLoad(MemorylessLoad):
 
 
 class PlantVerticalCoulomb(MemorylessLoad):
+    """Dry friction `force` [N] of the vertical guide, by `stribeck`."""
+
     force: Number = number()
     stick: Number = number(1e-4)
     surplus: Number = number()
@@ -53,14 +72,18 @@ class PlantVerticalCoulomb(MemorylessLoad):
 
 
 class PlantVerticalViscous(MemorylessLoad):
+    """Drag of the vertical guide, `damping` [N s/m] at 2 mm/s, by `power_drag`."""
+
     damping: Number = number()
     power: Number = number(1.0)
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        return along_z(-self.damping * drag(velocity[1], 2e-3, self.power))
+        return along_z(-self.damping * power_drag(velocity[1], 2e-3, self.power))
 
 
 class PlantHorizontalCoulomb(MemorylessLoad):
+    """Dry friction `force` [N] of the carriage, by `stribeck`."""
+
     force: Number = number()
     stick: Number = number(1e-3)
     surplus: Number = number()
@@ -70,14 +93,18 @@ class PlantHorizontalCoulomb(MemorylessLoad):
 
 
 class PlantHorizontalViscous(MemorylessLoad):
+    """Drag of the carriage, `damping` [N s/m] at 0.1 m/s, by `power_drag`."""
+
     damping: Number = number()
     power: Number = number(1.0)
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        return along_x(-self.damping * drag(velocity[0], 0.1, self.power))
+        return along_x(-self.damping * power_drag(velocity[0], 0.1, self.power))
 
 
 class PlantDrawbar(MemorylessLoad):
+    """Constant horizontal load `force` [N], positive against forward travel."""
+
     force: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
@@ -85,21 +112,31 @@ class PlantDrawbar(MemorylessLoad):
 
 
 class PlantCableSpring(MemorylessLoad):
-    """A cable that stiffens by `bend` a metre of travel; every run starts at x = 0.
+    r"""Cable force $-k\,x\,(1 + b \max(x, -0.25\,\mathrm{m}))$; every run starts at x = 0.
 
-    It lies ahead, so that it bends no more once the carriage is behind the start.
+    The cable lies ahead of the carriage, so its stiffness is constant once the carriage is behind
+    the start.
+
+    Attributes:
+        stiffness: Stiffness k at the start [N/m].
+        bend: Relative increase b of the stiffness per metre of travel [1/m].
     """
 
     stiffness: Number = number()
     bend: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        bent = 1 + self.bend * jnp.maximum(position[0], SLACK)
-        return along_x(-self.stiffness * position[0] * bent)
+        stiffening = 1 + self.bend * jnp.maximum(position[0], CABLE_BEND_LIMIT)
+        return along_x(-self.stiffness * position[0] * stiffening)
 
 
 class PlantVerticalSpring(MemorylessLoad):
-    """A spring that stiffens by `bend` for 20 mm of sinkage."""
+    """Vertical spring that stiffens with sinkage.
+
+    Attributes:
+        stiffness: Stiffness at zero sinkage [N/m].
+        bend: Relative increase of the stiffness per 20 mm of sinkage [-].
+    """
 
     stiffness: Number = number()
     bend: Number = number()
@@ -110,18 +147,23 @@ class PlantVerticalSpring(MemorylessLoad):
 
 
 class PlantImbalance(MemorylessLoad):
-    """A mass [kg m] off the axle, at `phase` [rad] from straight ahead when the wheel starts."""
+    """Centrifugal force of an eccentric mass.
+
+    Attributes:
+        moment_of_mass: Mass times its distance from the axle [kg m].
+        phase: Angle of the mass at the start, from the direction of travel [rad].
+    """
 
     moment_of_mass: Number = number()
     phase: Number = number()
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         outward = self.moment_of_mass * moment.omega**2
-        turned = moment.angle - self.phase
-        return outward * jnp.stack([jnp.cos(turned), -jnp.sin(turned)])
+        angle = moment.angle - self.phase
+        return outward * jnp.stack([jnp.cos(angle), -jnp.sin(angle)])
 
 
-RIG = (
+RIG_EFFECTS = (
     PlantVerticalLoad,
     PlantVerticalCoulomb,
     PlantVerticalViscous,
@@ -135,16 +177,21 @@ RIG = (
 
 
 class PlantEccentricity(AbstractPlacement):
-    """The centre lies `offset` [m] off the axle, at `phase` [rad] from straight ahead."""
+    """Wheel centre displaced from the axle.
+
+    Attributes:
+        offset: Distance of the centre from the axle [m].
+        phase: Angle of the centre at the start, from the direction of travel [rad].
+    """
 
     offset: Number = number()
     phase: Number = number()
 
     def place(self, plates: Plates, angle: Number) -> Plates:
-        turned = angle - self.phase
-        x = self.offset * jnp.cos(turned)
-        z = -self.offset * jnp.sin(turned)
+        centre_angle = angle - self.phase
+        x = self.offset * jnp.cos(centre_angle)
+        z = -self.offset * jnp.sin(centre_angle)
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
 
 
-WHEEL = (PlantEccentricity,)
+WHEEL_EFFECTS = (PlantEccentricity,)

@@ -1,7 +1,7 @@
-"""The plant: the simulator with a set's mechanisms in it, finer and in smaller steps than fits.
+"""The plant: the simulator with the mechanisms of a set, in finer plates and steps than a fit's.
 
-All runs of all sets whose mechanisms are of the same groups share one compiled program: a group's
-mechanisms are all in it, those that were not drawn with a strength of zero.
+All runs of all sets whose mechanisms belong to the same groups share one compiled program: it holds
+all mechanisms of a group, those that were not drawn at strength zero.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,16 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diagnose.blind.plant.bed import GROUND, STRESS
-from diagnose.blind.plant.drive import GRID, AbstractPlantDrive
-from diagnose.blind.plant.machine import RIG, WHEEL
+from diagnose.blind.plant.bed import STRESS_EFFECTS, SURFACE_EFFECTS
+from diagnose.blind.plant.drive import SPEED_INTERVAL, AbstractPlantDrive
+from diagnose.blind.plant.machine import RIG_EFFECTS, WHEEL_EFFECTS
 from diagnose.blind.plant.run_plan import PlannedRun
-from diagnose.blind.plant.sand import SAND
+from diagnose.blind.plant.sand import SAND_EFFECTS
 from diagnose.blind.plant.sensors import AbstractPlantSensor, PlantReading
-from diagnose.blind.plant.unlisted import STRANGERS
+from diagnose.blind.plant.unlisted import UNLISTED_EFFECTS
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError
-from drftjax.effects import composition as chain
+from drftjax.effects import composition
 from drftjax.effects.base import AbstractEffect, StepContext
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import HeldPace
@@ -34,55 +34,58 @@ from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import Trial
 
-PLATE_SIZE = 0.0025
+
+@dataclass(frozen=True)
+class PlantSettings:
+    """Resolution and limits of the plant.
+
+    Attributes:
+        plate_size: Length of a plate [m]; finer than a fit's.
+        step_refinement: Ratio of a fit's time step to the plant's [-].
+        steps_per_row: Steps between stored rows.
+        row_interval: Interval of the rows of a reading [s].
+        longest_run: Longest run that the program has room for [s].
+        max_rows: Most stored rows that it has room for, which the shortest steps need.
+        rail_length: Length of the rail from the start to where the wheel is to go [m].
+        rail_spare: Length of the rail on the side to which no run goes [m].
+        creep_speed: Speed at which a wheel still sinks some time after it was let down [m/s].
+        static_sinkages: Least and greatest sinkage [m] at which the static one is looked for, and
+            the number of sinkages tried.
+    """
+
+    plate_size: float = 0.0025
+    step_refinement: float = 2.0
+    steps_per_row: int = 10
+    row_interval: float = 0.01
+    longest_run: float = 24.0
+    max_rows: int = 12000
+    rail_length: float = 5.5
+    rail_spare: float = 0.25
+    creep_speed: float = 1.3e-4
+    static_sinkages: tuple[float, float, int] = (0.002, 0.042, 161)
 
 
-ROW = 0.01
-
-
-EVERY = 10
-
-
-# Room for every run: points of the wheel's course, and rows of the shortest steps.
-LONGEST = 24.0
-
-
-POINTS = round(LONGEST / GRID) + 1
-
-
-ROWS = 12000
-
-
-# The rail, and what of it lies on the side that no run goes to [m].
-RAIL, SPARE = 5.5, 0.25
-
-
-# A wheel let down a while ago still creeps by so much [m/s].
-CREEP = 1.3e-4
-
-
-# Sinkages that a standing wheel is looked for at [m].
-SINKAGES = np.linspace(0.002, 0.042, 161)
+DEFAULT_PLANT = PlantSettings()
 
 
 GROUPS: dict[str, tuple[type[AbstractEffect], ...]] = {
-    "wheel": WHEEL,
-    "sand": SAND,
-    # A power of every plate's depth or speed is dear, so each has a program of its own.
-    **{f"stress {kind.__name__}": (kind,) for kind in STRESS},
-    "ground": GROUND,
-    "rig": RIG,
-    "stranger": STRANGERS,
+    "wheel": WHEEL_EFFECTS,
+    "sand": SAND_EFFECTS,
+    # A power of the depth or speed of every plate is expensive, so each has a program of its own.
+    **{f"stress {kind.__name__}": (kind,) for kind in STRESS_EFFECTS},
+    "surface": SURFACE_EFFECTS,
+    "rig": RIG_EFFECTS,
+    "unlisted": UNLISTED_EFFECTS,
 }
 
 
 @dataclass(frozen=True)
 class PlantChange:
-    """A mechanism that is but another number of the simulator's own.
+    """Mechanism that changes a number of the simulator itself.
 
     Attributes:
-        where: Which number.
-        by: What is added to it.
+        where: Selects that number.
+        by: Added to it, in its unit.
     """
 
     where: Callable[[Simulator], Array]
@@ -93,12 +96,12 @@ Part = AbstractEffect | PlantChange | AbstractPlantDrive | AbstractPlantSensor
 
 
 def group_of(part: Part) -> str | None:
-    """Which group of effects a part belongs to; none where it needs no program of its own."""
+    """Name of the group of effects that a part belongs to; None if it needs no program."""
     return next((name for name, classes in GROUPS.items() if type(part) in classes), None)
 
 
 def groups_of(parts: Sequence[Part]) -> tuple[str, ...]:
-    """The groups that parts belong to, in the order that they act in."""
+    """Names of the groups that parts belong to, in the order of `GROUPS`."""
     wanted = {group_of(part) for part in parts}
     return tuple(name for name in GROUPS if name in wanted)
 
@@ -109,18 +112,32 @@ def _absent(kind: type[AbstractEffect]) -> AbstractEffect:
 
 
 @cache
-def nominal_wheel() -> GrouserWheel:
-    return GrouserWheel(plate_size=PLATE_SIZE)
+def nominal_wheel(plate_size: float = DEFAULT_PLANT.plate_size) -> GrouserWheel:
+    """Wheel of the plant without a mechanism."""
+    return GrouserWheel(plate_size=plate_size)
 
 
 def make_plant(
-    parts: Sequence[Part], groups: Sequence[str], zeta: float, mass_z: float
+    parts: Sequence[Part],
+    groups: Sequence[str],
+    zeta: float,
+    mass_z: float,
+    settings: PlantSettings = DEFAULT_PLANT,
 ) -> Simulator:
-    """The simulator with these parts in it; groups without a part are there at strength zero."""
+    """Build the simulator with these mechanisms.
+
+    Args:
+        parts: Mechanisms of the plant.
+        groups: Groups of effects that it holds; those without a part are at strength zero.
+        zeta: Scaling factor [-].
+        mass_z: Vertical mass [kg].
+        settings: Resolution of the plant.
+    """
     given = {type(part): part for part in parts if isinstance(part, AbstractEffect)}
     effects = tuple(given.get(kind, _absent(kind)) for name in groups for kind in GROUPS[name])
+    wheel = nominal_wheel(settings.plate_size)
     terrain = Terrain(ConstantZeta(zeta))
-    simulator = Simulator(nominal_wheel(), terrain, Rig(mass_z=mass_z), HeldPace(), effects)
+    simulator = Simulator(wheel, terrain, Rig(mass_z=mass_z), HeldPace(), effects)
     for part in parts:
         if isinstance(part, PlantChange):
             simulator = eqx.tree_at(part.where, simulator, part.where(simulator) + part.by)
@@ -128,102 +145,111 @@ def make_plant(
 
 
 @eqx.filter_jit
-def _missing(simulator: Simulator, sinkages: Float[Array, " all"]) -> Float[Array, " all"]:
-    """What the sand bears less than it must of a wheel pushed down to these sinkages [N]."""
+def _missing_force(
+    simulator: Simulator, sinkages: Float[Array, " all"], creep_speed: float
+) -> Float[Array, " all"]:
+    """Vertical force that a wheel at rest lacks for equilibrium at these sinkages [N]."""
     simulator = simulator.prepared()
-    nought = jnp.zeros(())
-    command = Command(nought, nought, nought)
+    zero = jnp.zeros(())
+    command = Command(zero, zero, zero)
 
     def at(sinkage: Float[Array, ""]) -> Float[Array, ""]:
         state = simulator.begin(State.at_rest(sinkage), command)
-        down = jnp.stack([nought, nought - CREEP])
+        down = jnp.stack([zero, zero - creep_speed])
         still = jnp.zeros(2)
-        place, memory = state.position, state.memory
+        position, memory = state.position, state.memory
         moment = StepContext(
-            nought, nought + 1e-9, place, still, nought, nought, nought, simulator.wheel.radius
+            zero, zero + 1e-9, position, still, zero, zero, zero, simulator.wheel.radius
         )
-        zeta = simulator.terrain.zeta(nought, command)
-        zeta = zeta * chain.zeta_factor(simulator.effects, memory, moment)
-        sand = simulator.wrench(place, down, nought, nought, zeta, None, memory)
-        held = [
-            chain.loads(simulator.effects, memory, place, still, moment, of_the_sand=each)
+        zeta = simulator.terrain.zeta(zero, command)
+        zeta = zeta * composition.zeta_factor(simulator.effects, memory, moment)
+        sand = simulator.wrench(position, down, zero, zero, zeta, None, memory)
+        loads = [
+            composition.loads(simulator.effects, memory, position, still, moment, of_the_sand=each)
             for each in (True, False)
         ]
-        return simulator.rig.mass_z * simulator.rig.gravity - sand[1] - held[0][1] - held[1][1]
+        return simulator.rig.mass_z * simulator.rig.gravity - sand[1] - loads[0][1] - loads[1][1]
 
     return jax.lax.map(at, sinkages)
 
 
-def standing_start(simulator: Simulator) -> float:
-    """Sinkage at which the plant's own wheel stands once let down [m].
+def standing_start(simulator: Simulator, settings: PlantSettings = DEFAULT_PLANT) -> float:
+    """Sinkage of the plant's own wheel at rest [m].
 
     Raises:
-        InputError: where it stands at none.
+        InputError: No sinkage within reach is an equilibrium.
     """
-    missing = np.asarray(_missing(simulator, as_real(SINKAGES)))
-    borne = np.flatnonzero(missing < 0)
-    if not len(borne) or borne[0] == 0:
+    sinkages = np.linspace(*settings.static_sinkages)
+    missing = np.asarray(_missing_force(simulator, as_real(sinkages), settings.creep_speed))
+    carrying = np.flatnonzero(missing < 0)
+    if not len(carrying) or carrying[0] == 0:
         raise InputError("the plant's wheel stands at no sinkage within reach")
-    last = borne[0]
+    last = carrying[0]
     share = missing[last - 1] / (missing[last - 1] - missing[last])
-    return float(SINKAGES[last - 1] + share * (SINKAGES[last] - SINKAGES[last - 1]))
-
-
-def _rail(course: np.ndarray) -> tuple[float, float]:
-    """How far back and ahead of its start the rail goes [m]: far, where the wheel is to go."""
-    return (-RAIL if course.min() < 0 else -SPARE), (RAIL if course.max() > 0 else SPARE)
+    return float(sinkages[last - 1] + share * (sinkages[last] - sinkages[last - 1]))
 
 
 @eqx.filter_jit
-def _rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
+def _stored_rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
     return trial.run_to(rows, ("x", "z"))
 
 
 def run_plant(
     parts: Sequence[Part],
-    profile: PlannedRun,
+    planned: PlannedRun,
     zeta: float,
     groups: Sequence[str] | None = None,
-    finer: float = 2.0,
+    settings: PlantSettings = DEFAULT_PLANT,
 ) -> PlantReading:
-    """One run of the plant, free of noise, in rows of 10 ms.
+    """Simulate one run of the plant, free of noise.
 
     Args:
-        parts: What is wrong with it.
-        profile: What it is asked.
+        parts: Mechanisms of the plant.
+        planned: Commanded speed and load.
         zeta: Scaling factor [-].
-        groups: Groups that its program holds; those of `parts` where none are given.
-        finer: How many times shorter its step is than a fit's.
+        groups: Groups of effects that its program holds; those of `parts` if None.
+        settings: Resolution and limits of the plant.
+
+    Returns:
+        Reading every `settings.row_interval`.
 
     Raises:
-        InputError: where the wheel digs in, takes off or leaves what the model covers.
+        InputError: The wheel digs in, takes off or leaves its rail or the range of the model.
     """
-    simulator = make_plant(
-        parts, groups_of(parts) if groups is None else groups, zeta, profile.mass
-    )
-    course_time = np.arange(POINTS) * GRID
-    course = profile.omega(course_time)
+    groups = groups_of(parts) if groups is None else groups
+    simulator = make_plant(parts, groups, zeta, planned.mass, settings)
+    points = round(settings.longest_run / SPEED_INTERVAL) + 1
+    speed_time = np.arange(points) * SPEED_INTERVAL
+    speed = planned.omega(speed_time)
     for part in parts:
         if isinstance(part, AbstractPlantDrive):
-            course = part.follow(course)
-    step = profile.steady_step() / finer
-    sinkage = standing_start(simulator)
-    knots = as_real(course_time), as_real(course), as_real(np.zeros(POINTS))
-    start = State.at_rest(sinkage)
-    trial = Trial(simulator, start, *knots, as_real(step), EVERY, ROWS)
-    number = round(profile.duration / (EVERY * step))
-    if number > ROWS or profile.duration > LONGEST + 1e-9:
-        raise InputError(f"a run of {profile.duration:g} s at {step:g} s a step is too long")
-    x, z = np.asarray(_rows(trial, jnp.asarray(number)))[:, : number + 1]
-    deepest = float(simulator.wheel.cut().sinkage_limit)
-    if not (np.isfinite(x).all() and np.isfinite(z).all()) or -z.min() > deepest:
-        raise InputError("the plant's wheel digs in")
-    back, ahead = _rail(course)
-    if x.max() > ahead or x.min() < back:
-        raise InputError("the plant's wheel leaves its rail")
-    time = np.arange(number + 1) * EVERY * step
-    reading = PlantReading(time, x, z, np.interp(time, course_time, course))
+            speed = part.follow(speed)
+    step = planned.steady_step() / settings.step_refinement
+    every, max_rows = settings.steps_per_row, settings.max_rows
+    start = State.at_rest(standing_start(simulator, settings))
+    knots = as_real(speed_time), as_real(speed), as_real(np.zeros(points))
+    trial = Trial(simulator, start, *knots, as_real(step), every, max_rows)
+    number = round(planned.duration / (every * step))
+    if number > max_rows or planned.duration > settings.longest_run + 1e-9:
+        raise InputError(f"a run of {planned.duration:g} s at {step:g} s a step is too long")
+    x, z = np.asarray(_stored_rows(trial, jnp.asarray(number)))[:, : number + 1]
+    _require_on_the_rig(simulator, speed, x, z, settings)
+    time = np.arange(number + 1) * every * step
+    reading = PlantReading(time, x, z, np.interp(time, speed_time, speed))
     for part in parts:
         if isinstance(part, AbstractPlantSensor):
             reading = part.read(reading)
-    return reading.at(np.arange(round(profile.duration / ROW) + 1) * ROW)
+    rows = round(planned.duration / settings.row_interval) + 1
+    return reading.at(np.arange(rows) * settings.row_interval)
+
+
+def _require_on_the_rig(
+    simulator: Simulator, speed: np.ndarray, x: np.ndarray, z: np.ndarray, settings: PlantSettings
+) -> None:
+    deepest = float(simulator.wheel.cut().sinkage_limit)
+    if not (np.isfinite(x).all() and np.isfinite(z).all()) or -z.min() > deepest:
+        raise InputError("the plant's wheel digs in")
+    back = settings.rail_length if speed.min() < 0 else settings.rail_spare
+    ahead = settings.rail_length if speed.max() > 0 else settings.rail_spare
+    if x.max() > ahead or x.min() < -back:
+        raise InputError("the plant's wheel leaves its rail")

@@ -1,29 +1,27 @@
-"""What a set's runs are asked: nine to diagnose by, three fresh ones to hold the answer against."""
+"""Commands and loads of the runs of a set: nine to diagnose by, three fresh ones to test it on."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.next_runs.recommended_runs import TELLING as TELLING_RUNS
+from diagnose.next_runs.recommended_runs import TELLING as RECOMMENDED
 from drftjax.physics.integrator import steady_step
 
-LETTERS = "abcdefghi"
+RUN_LETTERS = "abcdefghi"
+STANDARD_MASS = 18.837  # [kg]
+WHEEL_RADIUS = 0.150  # [m]
 
-
-STANDARD_MASS = 18.837
-
-
-WHEEL_RADIUS = 0.150
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A commanded speed, linear between its knots, and the load it is run with.
+    """Commanded speed, linear between its knots, and the load of a run.
 
     Attributes:
-        time: Of the knots [s], in whole hundredths, from zero.
-        speed: At the knots [deg/s], negative backward.
-        mass: Believed vertical mass [kg].
+        time: Times of the knots, in whole hundredths, from zero [s].
+        speed: Wheel speed at the knots, negative backward [deg/s].
+        mass: Vertical mass, as the experimenter believes it [kg].
     """
 
     time: tuple[float, ...]
@@ -41,34 +39,85 @@ class PlannedRun:
         end: float = 2.0,
         mass: float = STANDARD_MASS,
     ) -> "PlannedRun":
-        """A wheel that stands, speeds up, holds its speed, slows down and stands [s], [deg/s]."""
-        lasts = np.cumsum([0.0, rest, rise, hold, fall, end])
-        return cls(tuple(map(float, lasts)), (0.0, 0.0, speed, speed, 0.0, 0.0), mass)
+        """Trapezoid: the wheel rests, speeds up, holds its speed, slows down and rests.
+
+        Args:
+            speed: Held speed [deg/s].
+            rise, hold, fall: Durations of the ramps and of the held speed [s].
+            rest, end: Durations of the rests before and after [s].
+            mass: Vertical mass [kg].
+        """
+        times = np.cumsum([0.0, rest, rise, hold, fall, end])
+        return cls(tuple(map(float, times)), (0.0, 0.0, speed, speed, 0.0, 0.0), mass)
 
     @property
     def duration(self) -> float:
+        """Duration of the run [s]."""
         return self.time[-1]
 
     @property
     def rest(self) -> float:
-        """How long the wheel stands before it is first turned [s]."""
+        """Duration of the rest before the wheel is first turned [s]."""
         return self.time[1]
 
     def omega(self, time: np.ndarray) -> np.ndarray:
-        """Commanded speed [rad/s] at these times [s]."""
+        """Commanded speed at these times [s], of the same shape [rad/s]."""
         return np.interp(time, self.time, np.radians(self.speed))
 
     def steady_step(self) -> float:
-        """The longest step [s] that a fit would choose."""
+        """Longest time step that a fit would choose for this run [s]."""
         return steady_step(WHEEL_RADIUS, np.array(self.time), np.radians(self.speed))
 
 
-_PAPER = PlannedRun.held(30.0, 5.0, 10.0, 5.0)
+@dataclass(frozen=True)
+class RandomRunSettings:
+    """Ranges that the speeds, ramps, durations and loads of random runs are drawn from.
+
+    Attributes:
+        repeated_speed: Speed of the run that is made twice [deg/s].
+        other_speeds: Speeds of the other runs with the standard mass [deg/s].
+        light_speed, light_mass: Speed [deg/s] and mass [kg] of the lighter run.
+        heavy_speed, heavy_mass: Speed [deg/s] and mass [kg] of the heavier run.
+        fast_speed: Speed of the fastest run [deg/s].
+        fresh_speeds: Speeds of the fresh runs with the standard mass [deg/s].
+        fresh_loaded_speed, fresh_mass: Speed [deg/s] and mass [kg] of the third fresh run.
+        ramp, fast_ramp: Acceleration of ramps, and of those of the fastest run [deg/s2]. Ramps are
+            gentle but for that run, as each step costs the same.
+        ramp_time: Least and greatest duration of a ramp [s].
+        hold: Duration at the held speed [s].
+        min_hold: Least duration at the held speed [s].
+        motion: Least and greatest duration of the motion, ramps included [s]. With the rests, a run
+            takes 24 s at most, for which the plant's program has room.
+        max_travel: Greatest travel of a wheel without slip [m]: a rail goes no farther.
+    """
+
+    repeated_speed: Range = (25, 40)
+    other_speeds: tuple[Range, ...] = ((10, 25), (40, 80), (60, 120), (30, 60))
+    light_speed: Range = (20, 45)
+    light_mass: Range = (13, 16)
+    heavy_speed: Range = (30, 80)
+    heavy_mass: Range = (21, 25)
+    fast_speed: Range = (120, 200)
+    fresh_speeds: tuple[Range, Range] = ((20, 35), (50, 110))
+    fresh_loaded_speed: Range = (25, 90)
+    fresh_mass: Range = (15, 22)
+    ramp: Range = (8.0, 30.0)
+    fast_ramp: Range = (60.0, 100.0)
+    ramp_time: Range = (1.0, 5.0)
+    hold: Range = (3.0, 12.0)
+    min_hold: float = 1.0
+    motion: Range = (4.0, 20.0)
+    max_travel: float = 2.0
 
 
-PRACTICE = (
-    _PAPER,
-    _PAPER,
+DEFAULT_RANDOM_RUNS = RandomRunSettings()
+
+
+_PAPER_RUN = PlannedRun.held(30.0, 5.0, 10.0, 5.0)
+
+PRACTICE_RUNS = (
+    _PAPER_RUN,
+    _PAPER_RUN,
     PlannedRun.held(15.0, 5.0, 10.0, 5.0),
     PlannedRun.held(60.0, 4.0, 6.0, 4.0),
     PlannedRun.held(90.0, 3.0, 4.0, 3.0),
@@ -78,39 +127,51 @@ PRACTICE = (
     PlannedRun.held(200.0, 2.0, 2.0, 2.0),
 )
 
+RECOMMENDED_RUNS = tuple(
+    PlannedRun(run.time, run.speed, round(STANDARD_MASS * run.load, 3)) for run in RECOMMENDED
+)
 
-TELLING = tuple(PlannedRun(r.time, r.speed, round(STANDARD_MASS * r.load, 3)) for r in TELLING_RUNS)
 
-
-def _drawn(
-    random: np.random.Generator,
-    slowest: float,
-    fastest: float,
-    ramp: tuple[float, float] = (8.0, 30.0),
+def _draw_run(
+    random: np.random.Generator, speeds: Range, ramps: Range, settings: RandomRunSettings
 ) -> PlannedRun:
-    speed = float(np.round(np.exp(random.uniform(np.log(slowest), np.log(fastest)))))
-    # Ramps [deg/s2] are gentle but for the fastest run, as each step costs the same.
+    speed = float(np.round(np.exp(random.uniform(np.log(speeds[0]), np.log(speeds[1])))))
     rise, fall = (
-        float(np.round(each, 1)) for each in np.clip(speed / random.uniform(*ramp, 2), 1.0, 5.0)
+        float(np.round(each, 1))
+        for each in np.clip(speed / random.uniform(*ramps, 2), *settings.ramp_time)
     )
-    # Two metres are as far as a rail goes, and 24 s as long as a run.
-    farthest = 2.0 / (np.radians(speed) * WHEEL_RADIUS) - (rise + fall) / 2
-    longest = min(random.uniform(3.0, 12.0), 20.0 - rise - fall, farthest)
-    hold = float(np.round(max(longest, 4.0 - rise - fall, 1.0), 1))
+    on_the_rail = settings.max_travel / (np.radians(speed) * WHEEL_RADIUS) - (rise + fall) / 2
+    shortest, longest = settings.motion
+    hold = min(random.uniform(*settings.hold), longest - rise - fall, on_the_rail)
+    hold = float(np.round(max(hold, shortest - rise - fall, settings.min_hold), 1))
     return PlannedRun.held(speed, rise, hold, fall)
 
 
-def draw_nine_runs(random: np.random.Generator) -> tuple[PlannedRun, ...]:
-    """Nine runs by lot: a repeated one, six at its mass, one lighter and one heavier."""
-    first = _drawn(random, 25, 40)
-    others = [_drawn(random, *band) for band in ((10, 25), (40, 80), (60, 120), (30, 60))]
-    light = replace(_drawn(random, 20, 45), mass=round(random.uniform(13, 16), 3))
-    heavy = replace(_drawn(random, 30, 80), mass=round(random.uniform(21, 25), 3))
-    fast = _drawn(random, 120, 200, (60.0, 100.0))
+def _draw_loaded_run(
+    random: np.random.Generator, speeds: Range, masses: Range, settings: RandomRunSettings
+) -> PlannedRun:
+    run = _draw_run(random, speeds, settings.ramp, settings)
+    return replace(run, mass=round(random.uniform(*masses), 3))
+
+
+def draw_nine_runs(
+    random: np.random.Generator, settings: RandomRunSettings = DEFAULT_RANDOM_RUNS
+) -> tuple[PlannedRun, ...]:
+    """Draw nine runs: a repeated one, four others and a fast one, a lighter and a heavier one."""
+    first = _draw_run(random, settings.repeated_speed, settings.ramp, settings)
+    others = [_draw_run(random, band, settings.ramp, settings) for band in settings.other_speeds]
+    light = _draw_loaded_run(random, settings.light_speed, settings.light_mass, settings)
+    heavy = _draw_loaded_run(random, settings.heavy_speed, settings.heavy_mass, settings)
+    fast = _draw_run(random, settings.fast_speed, settings.fast_ramp, settings)
     return (first, first, *others, light, heavy, fast)
 
 
-def draw_fresh_runs(random: np.random.Generator) -> tuple[PlannedRun, ...]:
-    """Three runs that none of the nine repeats."""
-    other = replace(_drawn(random, 25, 90), mass=round(random.uniform(15, 22), 3))
-    return _drawn(random, 20, 35), _drawn(random, 50, 110), other
+def draw_fresh_runs(
+    random: np.random.Generator, settings: RandomRunSettings = DEFAULT_RANDOM_RUNS
+) -> tuple[PlannedRun, ...]:
+    """Draw three runs that repeat none of the nine."""
+    loaded = _draw_loaded_run(random, settings.fresh_loaded_speed, settings.fresh_mass, settings)
+    slow, fast = (
+        _draw_run(random, speeds, settings.ramp, settings) for speeds in settings.fresh_speeds
+    )
+    return slow, fast, loaded

@@ -1,4 +1,4 @@
-"""The plant's sand: strength that changes with history, slip and place, and sand piled up ahead."""
+"""Sand of the plant: strength that depends on history, slip and place; bulldozing resistance."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,27 +21,27 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-# Share of its strength that sand keeps whatever is done to it.
-LEAST = 0.15
+# Least factor on zeta: no mechanism weakens sand beyond it [-].
+MIN_ZETA_FACTOR = 0.15
 
 
-# Turning back [rad] after which a wheel has left the pile ahead of it.
-LEFT = 0.1
+# Angle turned back after which the wheel has left the pile ahead of it [rad].
+PILE_LOSS_ANGLE = 0.1
 
 
 def number(default: float = 0.0):
-    """A number of the plant, an array so that runs of any value share one program."""
+    """Field for a number of an effect: an array, so that runs of any value share one program."""
     return eqx.field(converter=as_real, default=default)
 
 
 class PlantLoosening(AbstractZetaFactor):
-    """Strength lost with the wheel's turning.
+    r"""Strength lost with the angle turned, $1 - l\,g(\phi/\phi_0)$, in one of three forms.
 
     Attributes:
-        loss: Share lost in the end [-].
-        decay: Turning that loosens [rad].
-        power: Stretches the curve [-].
-        form: 0 stretched exponential, 1 power law, 2 linear and then constant.
+        loss: Share l lost in the end [-].
+        decay: Characteristic angle $\phi_0$ [rad].
+        power: Exponent p of the forms [-].
+        form: g: 0 for $1 - e^{-u^p}$, 1 for $1 - (1+u)^{-p}$, 2 for $\min(u, 1)$.
     """
 
     loss: Number = number()
@@ -56,67 +56,81 @@ class PlantLoosening(AbstractZetaFactor):
         return memory + moment.dt * jnp.abs(moment.omega)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        turned = memory / self.decay
-        stretched = 1 - jnp.exp(-((turned + 1e-12) ** self.power))
-        slow = 1 - (1 + turned) ** -self.power
-        lost = jnp.where(self.form < 0.5, stretched, slow)
-        lost = jnp.where(self.form > 1.5, jnp.minimum(turned, 1), lost)
-        return jnp.maximum(1 - self.loss * lost, LEAST)
+        angle = memory / self.decay
+        exponential = 1 - jnp.exp(-((angle + 1e-12) ** self.power))
+        algebraic = 1 - (1 + angle) ** -self.power
+        share = jnp.where(self.form < 0.5, exponential, algebraic)
+        share = jnp.where(self.form > 1.5, jnp.minimum(angle, 1), share)
+        return jnp.maximum(1 - self.loss * share, MIN_ZETA_FACTOR)
 
 
 class PlantSlipSoftening(MemorylessZetaFactor):
-    """Strength lost as a power of slip speed; `loss` is that at 50 mm/s."""
+    """Strength lost as a power of slip speed.
+
+    Attributes:
+        loss: Share lost at 50 mm/s [-].
+        power: Exponent [-].
+    """
 
     loss: Number = number()
     power: Number = number(0.5)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip()) + 1e-9
-        return jnp.maximum(1 - self.loss * (slip / 0.05) ** self.power, LEAST)
+        return jnp.maximum(1 - self.loss * (slip / 0.05) ** self.power, MIN_ZETA_FACTOR)
 
 
 class PlantTerrainVariation(MemorylessZetaFactor):
-    """Strength by place, along a curve."""
+    """Strength that varies along x.
+
+    Attributes:
+        excess: Relative change for a unit of the curve [-].
+        curve: Curve along x [-].
+    """
 
     excess: Number = number()
     curve: RandomCurve = eqx.field(default_factory=flat_curve)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        return jnp.maximum(1 + self.excess * self.curve(moment.position[0]), LEAST)
+        return jnp.maximum(1 + self.excess * self.curve(moment.position[0]), MIN_ZETA_FACTOR)
 
 
 class PlantBulldozing(AbstractSandLoad):
-    """Resistance linear in travel up to `length` [m], and `force` [N] from there on.
+    """Resistance of the sand pushed ahead: linear in travel up to a length, then constant.
 
-    A wheel that turns back leaves the pile, bit by bit, and heaps up another on that side.
+    A wheel that turns back leaves its pile gradually and builds another on the other side.
+
+    Attributes:
+        force: Resistance of a full pile [N].
+        length: Travel that builds it [m].
     """
 
     force: Number = number()
     length: Number = number(0.3)
 
     def begin(self, position: Pair) -> Memory:
-        nought = jnp.zeros_like(position[0])
-        return position[0], nought, nought
+        zero = jnp.zeros_like(position[0])
+        return position[0], zero, zero
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        # Where the pile's first sand was met, on which side it lies, how far the wheel turned back.
-        began, side, back = memory
+        # x where the pile begins, side on which it lies, angle turned back since.
+        start, side, back = memory
         side = jnp.where(side == 0, jnp.sign(moment.omega), side)
-        back = jnp.clip(back - side * moment.dt * moment.omega, 0, LEFT)
-        left = back >= LEFT
+        back = jnp.clip(back - side * moment.dt * moment.omega, 0, PILE_LOSS_ANGLE)
+        is_lost = back >= PILE_LOSS_ANGLE
         return (
-            jnp.where(left, moment.position[0], began),
-            jnp.where(left, -side, side),
-            jnp.where(left, 0, back),
+            jnp.where(is_lost, moment.position[0], start),
+            jnp.where(is_lost, -side, side),
+            jnp.where(is_lost, 0, back),
         )
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        began, side, back = memory
-        travel = jnp.abs(position[0] - began)
+        start, side, back = memory
+        travel = jnp.abs(position[0] - start)
         resistance = -self.force * jnp.minimum(travel / self.length, 1)
-        parting = jnp.where(side < 0, -resistance, resistance) * (1 - back / LEFT)
-        resistance = jnp.where((side < 0) | (back > 0), parting, resistance)
+        fading = jnp.where(side < 0, -resistance, resistance) * (1 - back / PILE_LOSS_ANGLE)
+        resistance = jnp.where((side < 0) | (back > 0), fading, resistance)
         return along_x(resistance)
 
 
-SAND = (PlantLoosening, PlantSlipSoftening, PlantTerrainVariation, PlantBulldozing)
+SAND_EFFECTS = (PlantLoosening, PlantSlipSoftening, PlantTerrainVariation, PlantBulldozing)

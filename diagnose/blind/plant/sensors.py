@@ -1,4 +1,4 @@
-"""The plant's instruments: what is read of where the wheel is."""
+"""Sensors of the plant: position readings with gain, drift, delay, filter and crosstalk."""
 
 import abc
 from dataclasses import dataclass, replace
@@ -8,12 +8,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PlantReading:
-    """Rows evenly spaced in time.
+    """Position and speed of the wheel in evenly spaced rows.
 
     Attributes:
-        time: From the run's start [s].
-        x, z: Of the axle [m].
-        omega: Of the wheel [rad/s].
+        time: Time from the start of the run, shape (rows,) [s].
+        x, z: Position of the axle, shape (rows,) [m].
+        omega: Angular velocity of the wheel, shape (rows,) [rad/s].
     """
 
     time: np.ndarray
@@ -22,23 +22,28 @@ class PlantReading:
     omega: np.ndarray
 
     def at(self, time: np.ndarray) -> "PlantReading":
-        """The reading at other times, linear in between and constant beyond."""
+        """Reading interpolated linearly to other times [s], shape (times,), constant beyond."""
         return PlantReading(
             time, *(np.interp(time, self.time, each) for each in (self.x, self.z, self.omega))
         )
 
 
 class AbstractPlantSensor(abc.ABC):
-    """Turns what is into what is read."""
+    """Turns a true motion into what a sensor reads."""
 
     @abc.abstractmethod
     def read(self, true: PlantReading) -> PlantReading:
-        """What is read at the same times."""
+        """Sensor reading at the times of the true motion."""
 
 
 @dataclass(frozen=True)
 class PlantSinkageGain(AbstractPlantSensor):
-    """A scale that is off by `gain`, by `bend` of it more for 20 mm."""
+    """Gain error of the sinkage that changes with sinkage.
+
+    Attributes:
+        gain: Relative error at zero sinkage [-].
+        bend: Relative increase of the error per 20 mm of sinkage [-].
+    """
 
     gain: float
     bend: float = 0.0
@@ -49,7 +54,12 @@ class PlantSinkageGain(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class PlantSinkageDrift(AbstractPlantSensor):
-    """A drift by a power of time; `rate` [m/s] is its mean over 15 s."""
+    """Drift of the sinkage by a power of time.
+
+    Attributes:
+        rate: Mean rate over 15 s [m/s].
+        power: Exponent [-].
+    """
 
     rate: float
     power: float = 1.0
@@ -60,7 +70,12 @@ class PlantSinkageDrift(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class PlantTravelGain(AbstractPlantSensor):
-    """A scale that is off by `gain`, by `bend` of it more a metre."""
+    """Gain error of the travel that changes with travel.
+
+    Attributes:
+        gain: Relative error at the start [-].
+        bend: Relative increase of the error per metre [1/m].
+    """
 
     gain: float
     bend: float = 0.0
@@ -71,7 +86,7 @@ class PlantTravelGain(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class PlantMeasurementDelay(AbstractPlantSensor):
-    """Readings late by `delay` [s], exactly."""
+    """Constant delay of both readings by `delay` [s]."""
 
     delay: float
 
@@ -81,7 +96,12 @@ class PlantMeasurementDelay(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class PlantMeasurementFilter(AbstractPlantSensor):
-    """A low-pass that is late by `lag` [s] on a ramp: a mean, or one of second order."""
+    """Low-pass filter of both readings.
+
+    Attributes:
+        lag: Delay of a ramp [s].
+        form: "mean" for a moving average, "second order" for two equal first-order filters.
+    """
 
     lag: float
     form: str = "second order"
@@ -113,7 +133,7 @@ class PlantMeasurementFilter(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class DriveCrosstalk(AbstractPlantSensor):
-    """The vertical reading moves with the drive's speed, by `offset` [m] a rad/s."""
+    """Vertical reading displaced by `offset` [m s/rad] times the speed of the wheel."""
 
     offset: float
 

@@ -1,9 +1,9 @@
-"""Mechanisms that no catalogue lists: the right answer to each is that it is unknown."""
+"""Mechanisms outside the catalogue; the right answer to each of them is "unknown"."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diagnose.blind.plant.sand import LEAST, number
+from diagnose.blind.plant.sand import MIN_ZETA_FACTOR, number
 from drftjax.effects.base import (
     AbstractLoad,
     AbstractZetaFactor,
@@ -21,12 +21,18 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-# Share of its length over which a spring slips off.
-SLIP = 0.05
+# Share of its length over which a catching spring slips off [-].
+RELEASE_SHARE = 0.05
 
 
 class DamagedGrouser(MemorylessZetaFactor):
-    """One grouser bears less: strength drops for a short part of every turn."""
+    """A damaged grouser: strength drops for a short part of every turn.
+
+    Attributes:
+        loss: Share lost with the grouser straight at `phase` [-].
+        phase: Wheel angle of the greatest loss [rad].
+        narrowness: Concentration of the loss (as in a von Mises density) [-].
+    """
 
     loss: Number = number()
     phase: Number = number()
@@ -34,11 +40,17 @@ class DamagedGrouser(MemorylessZetaFactor):
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         near = jnp.exp(self.narrowness * (jnp.cos(moment.angle - self.phase) - 1))
-        return jnp.maximum(1 - self.loss * near, LEAST)
+        return jnp.maximum(1 - self.loss * near, MIN_ZETA_FACTOR)
 
 
 class Healing(AbstractZetaFactor):
-    """Turning loosens, time heals: what counts is the turning of the last few seconds."""
+    """Strength lost by turning, which recovers with time.
+
+    Attributes:
+        loss: Greatest share lost [-].
+        turning: Angle that loosens the sand [rad].
+        recovery: Time constant of the recovery [s].
+    """
 
     loss: Number = number()
     turning: Number = number(1.0)
@@ -52,23 +64,37 @@ class Healing(AbstractZetaFactor):
         return memory + moment.dt * (rate * (1 - memory) - memory / self.recovery)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        return jnp.maximum(1 - self.loss * memory, LEAST)
+        return jnp.maximum(1 - self.loss * memory, MIN_ZETA_FACTOR)
 
 
 class Swing(MemorylessZetaFactor):
-    """Strength swings with time alone, as with a temperature."""
+    """Strength oscillating in time, as with a temperature; 1 at the start.
+
+    Attributes:
+        excess: Relative amplitude [-].
+        period: Period [s].
+        phase: Phase at the start [rad].
+    """
 
     excess: Number = number()
     period: Number = number(12.0)
     phase: Number = number()
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        turn = 2 * jnp.pi * moment.time / self.period + self.phase
-        return jnp.maximum(1 + self.excess * (jnp.sin(turn) - jnp.sin(self.phase)), LEAST)
+        cycle = 2 * jnp.pi * moment.time / self.period + self.phase
+        return jnp.maximum(
+            1 + self.excess * (jnp.sin(cycle) - jnp.sin(self.phase)), MIN_ZETA_FACTOR
+        )
 
 
 class Thixotropy(AbstractZetaFactor):
-    """Structure that slip destroys and time builds up again."""
+    """Thixotropic sand: slip destroys its structure, time rebuilds it.
+
+    Attributes:
+        loss: Share of strength lost without structure [-].
+        length: Slip distance that destroys the structure [m].
+        recovery: Time constant of the rebuilding [s].
+    """
 
     loss: Number = number()
     length: Number = number(0.05)
@@ -78,40 +104,57 @@ class Thixotropy(AbstractZetaFactor):
         return jnp.ones_like(self.loss)
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        ruin = jnp.abs(moment.rim_slip()) / self.length
-        rate = 1 / self.recovery + ruin
+        rate = 1 / self.recovery + jnp.abs(moment.rim_slip()) / self.length
         return (memory + moment.dt / self.recovery) / (1 + moment.dt * rate)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        return jnp.maximum(1 - self.loss * (1 - memory), LEAST)
+        return jnp.maximum(1 - self.loss * (1 - memory), MIN_ZETA_FACTOR)
 
 
 class RiseAndFall(MemorylessZetaFactor):
-    """Sand that bears otherwise while the wheel rises than while it sinks."""
+    """Strength that differs between a rising and a sinking wheel.
+
+    Attributes:
+        excess: Relative change at full rising speed [-].
+        speed: Vertical speed over which the change sets in [m/s].
+    """
 
     excess: Number = number()
     speed: Number = number(2e-3)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        return jnp.maximum(1 + self.excess * jnp.tanh(moment.velocity[1] / self.speed), LEAST)
+        return jnp.maximum(
+            1 + self.excess * jnp.tanh(moment.velocity[1] / self.speed), MIN_ZETA_FACTOR
+        )
 
 
 class CriticalSpeed(MemorylessZetaFactor):
-    """Sand that is weak about one speed of the wheel only."""
+    """Strength reduced around one speed of the wheel.
+
+    Attributes:
+        loss: Share lost at that speed [-].
+        omega: Angular velocity of the greatest loss [rad/s].
+        width: Width of the speed range [rad/s].
+    """
 
     loss: Number = number()
     omega: Number = number(1.0)
     width: Number = number(0.3)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        away = (jnp.abs(moment.omega) - self.omega) / self.width
-        return jnp.maximum(1 - self.loss * jnp.exp(-(away**2)), LEAST)
+        distance = (jnp.abs(moment.omega) - self.omega) / self.width
+        return jnp.maximum(1 - self.loss * jnp.exp(-(distance**2)), MIN_ZETA_FACTOR)
 
 
 class Catch(AbstractLoad):
-    """The carriage tightens a spring at one place, and slips off it `length` [m] on.
+    """A spring that catches the carriage at one place and slips off after a length.
 
-    One that comes back from beyond tightens it the other way, over the same places.
+    A carriage that returns from beyond is held the other way, over the same places.
+
+    Attributes:
+        force: Greatest force of the spring [N].
+        place: Place of the first contact [m].
+        length: Travel in contact [m].
     """
 
     force: Number = number()
@@ -122,25 +165,26 @@ class Catch(AbstractLoad):
         return jnp.zeros_like(position[0])
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        # One from where a wheel turns back beyond the spring until it is free before it.
-        way = self._way(moment.position)
-        back = jnp.where((moment.omega < 0) & (way >= 1 + SLIP), 1, memory)
-        return jnp.where(way <= -SLIP, 0, back)
+        # One between a reversal beyond the spring and the release before it.
+        stretch = self._stretch(moment.position)
+        returning = (moment.omega < 0) & (stretch >= 1 + RELEASE_SHARE)
+        return jnp.where(stretch <= -RELEASE_SHARE, 0, jnp.where(returning, 1, memory))
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        way = self._way(position)
-        return along_x(jnp.where(memory > 0, self._pull(1 - way), -self._pull(way)))
+        stretch = self._stretch(position)
+        return along_x(jnp.where(memory > 0, self._pull(1 - stretch), -self._pull(stretch)))
 
-    def _way(self, position: Pair) -> Number:
+    def _stretch(self, position: Pair) -> Number:
+        """Travel since the first contact, as a share of the length."""
         return (position[0] - self.place) / self.length
 
-    def _pull(self, way: Number) -> Number:
-        released = jnp.clip((way - 1) / SLIP, 0, 1)
-        return self.force * jnp.clip(way, 0, 1) * (1 - released)
+    def _pull(self, stretch: Number) -> Number:
+        released = jnp.clip((stretch - 1) / RELEASE_SHARE, 0, 1)
+        return self.force * jnp.clip(stretch, 0, 1) * (1 - released)
 
 
 class SinkageDrag(MemorylessLoad):
-    """A drag by speed squared and sinkage squared, that lifts half as much."""
+    """Drag by speed and sinkage squared, `drag` [N s2/m2] at 20 mm, with half as much lift."""
 
     drag: Number = number()
 
@@ -150,18 +194,23 @@ class SinkageDrag(MemorylessLoad):
 
 
 class JammingGuide(MemorylessLoad):
-    """Dry friction of the vertical guide that grows with the carriage's speed."""
+    """Dry friction of the vertical guide that grows with the speed of the carriage.
+
+    Attributes:
+        friction: Friction force per carriage speed [N s/m].
+        stick: Width of the regularised step at rest [m/s].
+    """
 
     friction: Number = number()
     stick: Number = number(2e-4)
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        pressed = self.friction * jnp.abs(moment.velocity[0])
-        return along_z(-pressed * jnp.tanh(velocity[1] / self.stick))
+        force = self.friction * jnp.abs(moment.velocity[0])
+        return along_z(-force * jnp.tanh(velocity[1] / self.stick))
 
 
 class TravelLift(MemorylessLoad):
-    """A vertical force with the carriage's speed, as of a rail out of true: it turns with it."""
+    """Vertical force `lift` [N s/m] times the signed speed of the carriage, as of a skewed rail."""
 
     lift: Number = number()
 
@@ -169,7 +218,7 @@ class TravelLift(MemorylessLoad):
         return along_z(self.lift * velocity[0])
 
 
-STRANGERS = (
+UNLISTED_EFFECTS = (
     DamagedGrouser,
     Healing,
     Swing,

@@ -1,4 +1,4 @@
-"""How good answers to blind sets are, once their labels are open."""
+"""Scores of answers to blind sets against their opened labels."""
 
 import math
 from collections import Counter, defaultdict
@@ -6,101 +6,107 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from diagnose.blind.answers.answer_file import Answer, read_answers
+from diagnose.blind.answers.answer_file import Answer, FreshAnswer, GapAnswer, read_answers
 from diagnose.blind.generation.sealed_labels import open_labels
 from diagnose.blind.scoring.proportion import Proportion
 from diagnose.gap.gap import is_reducible, share_removed
 from drftjax.common.errors import InputError
 
 NONE, UNKNOWN = "none", "unknown"
-
-
-# What shows by fewer floors than this is faint; of a pair, the weaker one counts.
-FAINT_FLOORS = 3.0
-
-
-CONFIDENT = 0.8
-
-
-BINS = 10
-
-
-# A promise is kept where the realised shrinkage lies within ten points of it.
-PROMISE = 0.10
-
-
 SINGLE, PAIR = "single", "pair"
-
-
 PLAIN, FAINT = "plain", "faint"
 
 
 @dataclass(frozen=True)
-class ScoredSet:
-    """A set's label beside its answer.
+class ScoreSettings:
+    """Thresholds of the scores.
 
     Attributes:
-        name: The set.
-        true: Effects that it has; "unknown" for one outside the catalogue.
-        floors: How much they show, where labels say it; of several, the weakest.
-        answer: What was answered.
+        faint_floors: Size below which a set is faint [noise floors]; of a pair, the weaker effect
+            counts.
+        confident_weight: Weight above which an answer is confident [-].
+        calibration_bins: Number of equal bins of weights from zero to one.
+        shrinkage_tolerance: Greatest difference of a realised shrinkage from the promised one that
+            is kept [-].
+    """
+
+    faint_floors: float = 3.0
+    confident_weight: float = 0.8
+    calibration_bins: int = 10
+    shrinkage_tolerance: float = 0.10
+
+
+DEFAULT_SCORING = ScoreSettings()
+
+
+@dataclass(frozen=True)
+class ScoredSet:
+    """Label of a set beside its answer.
+
+    Attributes:
+        name: Name of the set.
+        true: Effects that it has; "unknown" for a mechanism outside the catalogue.
+        floors: Size of the weakest effect [noise floors]; None if the label does not say.
+        answer: Answer to the set.
+        settings: Thresholds of the scores.
     """
 
     name: str
     true: tuple[str, ...]
     floors: float | None
     answer: Answer
+    settings: ScoreSettings = DEFAULT_SCORING
 
     @property
     def kind(self) -> str:
-        """Single, pair, unknown or none, and how plainly it shows where that is stated."""
+        """Single, pair, unknown or none; plain or faint where the size is known."""
         if not self.true:
             return NONE
         kind = UNKNOWN if UNKNOWN in self.true else SINGLE if len(self.true) == 1 else PAIR
         if self.floors is None:
             return kind
-        return f"{kind}, {PLAIN if self.floors >= FAINT_FLOORS else FAINT}"
+        return f"{kind}, {PLAIN if self.floors >= self.settings.faint_floors else FAINT}"
 
     @property
-    def tellable(self) -> bool:
-        """Whether a gap, or that there is none, can be told from these runs."""
-        return not self.kind.endswith(FAINT)
+    def is_faint(self) -> bool:
+        """True if the runs hardly show the effects."""
+        return self.kind.endswith(FAINT)
 
     @property
     def right_names(self) -> frozenset[str]:
-        """Every name that is right here."""
+        """Names that are right for this set."""
         return frozenset(self.true or (NONE,))
 
     @property
     def first(self) -> str:
-        """The answer at first place."""
+        """First name of the answer."""
         return next(iter(self.answer.named()), NONE)
 
-    def holds(self, explanation: str) -> bool:
-        """Whether an explanation, one name or several joined by +, is right as far as it goes."""
-        return all(each.strip() in self.right_names for each in explanation.split("+"))
+    def is_right(self, hypothesis: str) -> bool:
+        """True if every name of a hypothesis, joined by +, is right for this set."""
+        return all(each.strip() in self.right_names for each in hypothesis.split("+"))
 
     @property
-    def is_first(self) -> bool:
-        """Whether what leads is there; of one effect, and it alone is named."""
+    def first_is_right(self) -> bool:
+        """True if the first name is right; with one effect, it must be the only name."""
         alone = len(self.true) != 1 or len(self.answer.verdict) == 1
         return alone and self.first in self.right_names
 
     @property
     def all_named(self) -> bool:
-        """Whether each effect is named, and nothing else."""
+        """True if the answer names every effect of the set and nothing else."""
         return frozenset(self.answer.named() or (NONE,)) == self.right_names
 
     @property
     def in_group(self) -> bool:
-        """Whether each effect is named, or in the group of one that is."""
+        """True if every effect of the set is named, or in the group of one that is."""
         return self.right_names <= self._offered
 
     @property
     def group_size(self) -> int:
-        """How many effects are offered for one: those named, and all in their groups.
+        """Number of effects offered: those named and all in their groups.
 
-        Of a pair, those offered for the first.
+        For a pair, those offered for the first.
         """
         if len(self.true) == 1:
             return len(self._offered)
@@ -113,35 +119,41 @@ class ScoredSet:
 
     @property
     def confidently_wrong(self) -> bool:
-        """Whether an effect that the rig does not have is all but certain."""
+        """True if an effect that the rig does not have has a confident weight."""
         return any(
-            weight > CONFIDENT and name not in (NONE, UNKNOWN) and not self.holds(name)
+            weight > self.settings.confident_weight
+            and name not in (NONE, UNKNOWN)
+            and not self.is_right(name)
             for name, weight in self.answer.weights.items()
         )
 
 
-def scored_sets(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> list[ScoredSet]:
+def scored_sets(
+    labels: Mapping[str, dict],
+    answers: Mapping[str, Answer],
+    settings: ScoreSettings = DEFAULT_SCORING,
+) -> list[ScoredSet]:
     """Labels beside their answers, for every set that has both."""
     return [
-        ScoredSet(name, tuple(label["effects"]), _floors(label), answers[name])
+        ScoredSet(name, tuple(label["effects"]), _floors(label), answers[name], settings)
         for name, label in sorted(labels.items())
         if name in answers
     ]
 
 
 def _floors(label: dict) -> float | None:
-    apart = [each["floors"] for each in label.get("mechanisms", ())]
-    return min(apart) if apart else label.get("floors")
+    single = [each["floors"] for each in label.get("mechanisms", ())]
+    return min(single) if single else label.get("floors")
 
 
-def _share(over: Iterable[ScoredSet], of: Callable[[ScoredSet], bool]) -> dict:
-    held = [of(case) for case in over]
-    return Proportion(sum(held), len(held)).document()
+def _proportion(sets: Iterable[ScoredSet], is_hit: Callable[[ScoredSet], bool]) -> dict:
+    hits = [is_hit(each) for each in sets]
+    return Proportion(sum(hits), len(hits)).document()
 
 
-def _held(promises: Iterable[bool | None]) -> dict:
-    """The share of intervals that held; without those that were not given."""
-    given = [each for each in promises if each is not None]
+def _interval_coverage(covered: Iterable[bool | None]) -> dict:
+    """Proportion of intervals that hold the realised value, without those not given."""
+    given = [each for each in covered if each is not None]
     return Proportion(sum(given), len(given)).document()
 
 
@@ -149,137 +161,153 @@ def _order(kind: str) -> tuple[int, bool]:
     return (SINGLE, PAIR, UNKNOWN, NONE).index(kind.split(",")[0]), kind.endswith(FAINT)
 
 
-def by_kind(given: list[ScoredSet]) -> dict[str, dict]:
-    """Counts and shares for each kind of set that there is."""
+def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
+    """Counts and proportions for each kind of set that occurs."""
     table = {}
-    for kind in sorted({case.kind for case in given}, key=_order):
-        these = [case for case in given if case.kind == kind]
+    for kind in sorted({each.kind for each in sets}, key=_order):
+        these = [each for each in sets if each.kind == kind]
         row: dict = {
             "sets": len(these),
-            "first": _share(these, lambda case: case.is_first),
-            "in_group": _share(these, lambda case: case.in_group),
-            "mean_group_size": sum(case.group_size for case in these) / len(these),
-            "confidently_wrong": _share(these, lambda case: case.confidently_wrong),
+            "first": _proportion(these, lambda each: each.first_is_right),
+            "in_group": _proportion(these, lambda each: each.in_group),
+            "mean_group_size": sum(each.group_size for each in these) / len(these),
+            "confidently_wrong": _proportion(these, lambda each: each.confidently_wrong),
         }
         if kind == NONE:
-            row["false_alarms"] = _share(these, lambda case: bool(case.answer.named()))
+            row["false_alarms"] = _proportion(these, lambda each: bool(each.answer.named()))
         elif kind.startswith(UNKNOWN):
-            row["recognised"] = _share(these, lambda case: case.first == UNKNOWN)
+            row["recognised"] = _proportion(these, lambda each: each.first == UNKNOWN)
         else:
-            row["missed"] = _share(these, lambda case: not case.answer.named())
-            row["called_unknown"] = _share(these, lambda case: case.first == UNKNOWN)
+            row["missed"] = _proportion(these, lambda each: not each.answer.named())
+            row["called_unknown"] = _proportion(these, lambda each: each.first == UNKNOWN)
         if kind.startswith(PAIR):
-            row["both"] = _share(these, lambda case: case.all_named)
-            row["at_least_one"] = _share(
-                these, lambda case: bool(case.right_names & set(case.answer.named()))
+            row["both"] = _proportion(these, lambda each: each.all_named)
+            row["at_least_one"] = _proportion(
+                these, lambda each: bool(each.right_names & set(each.answer.named()))
             )
         table[kind] = row
     return table
 
 
-def confusion(given: list[ScoredSet]) -> dict[str, dict[str, int]]:
-    """How often each truth was answered by what; names of a pair are joined by +."""
+def confusion(sets: list[ScoredSet]) -> dict[str, dict[str, int]]:
+    """Number of sets by truth and by answer; the names of a pair are joined by +."""
     matrix: dict[str, Counter] = defaultdict(Counter)
-    for case in given:
-        truth = " + ".join(sorted(case.true)) or NONE
-        matrix[truth][" + ".join(sorted(case.answer.named())) or NONE] += 1
+    for each in sets:
+        truth = " + ".join(sorted(each.true)) or NONE
+        matrix[truth][" + ".join(sorted(each.answer.named())) or NONE] += 1
     return {truth: dict(sorted(row.items())) for truth, row in sorted(matrix.items())}
 
 
-def calibration(given: list[ScoredSet]) -> list[dict]:
-    """For weights in ten equal bins: how many, their mean, and the share that was right."""
-    bins: list[list[tuple[float, bool]]] = [[] for _ in range(BINS)]
-    for case in given:
-        for name, weight in case.answer.weights.items():
+def calibration(sets: list[ScoredSet], settings: ScoreSettings = DEFAULT_SCORING) -> list[dict]:
+    """Mean weight and proportion of right hypotheses, in equal bins of the weight."""
+    count = settings.calibration_bins
+    bins: list[list[tuple[float, bool]]] = [[] for _ in range(count)]
+    for each in sets:
+        for name, weight in each.answer.weights.items():
             # 0.3 times ten is 3 only nearly.
-            index = int(BINS * weight + 1e-9)
-            bins[min(max(index, 0), BINS - 1)].append((weight, case.holds(name)))
+            index = int(count * weight + 1e-9)
+            bins[min(max(index, 0), count - 1)].append((weight, each.is_right(name)))
     return [
         {
-            "from": index / BINS,
-            "to": (index + 1) / BINS,
-            "mean_weight": sum(w for w, _ in held) / len(held) if held else None,
-            "right": Proportion(sum(right for _, right in held), len(held)).document(),
+            "from": index / count,
+            "to": (index + 1) / count,
+            "mean_weight": sum(w for w, _ in pairs) / len(pairs) if pairs else None,
+            "right": Proportion(sum(right for _, right in pairs), len(pairs)).document(),
         }
-        for index, held in enumerate(bins)
+        for index, pairs in enumerate(bins)
     ]
 
 
-def shrinkage(given: list[ScoredSet]) -> dict[str, dict]:
-    """Promised against realised shrinkage of the misfit on fresh runs, by channel.
+def shrinkage(sets: list[ScoredSet], settings: ScoreSettings = DEFAULT_SCORING) -> dict[str, dict]:
+    """Promised and realised shrinkage of the gap on fresh runs, by channel.
 
-    Both are shares of what lies above the promise's noise floor. A promise is untried where the
-    fresh runs show too little above it.
+    Both are shares of the gap above the noise floor of the answer. A promise is untried if the
+    fresh runs have no gap above it.
     """
-    found: dict[str, list[dict]] = defaultdict(list)
+    tried: dict[str, list[dict]] = defaultdict(list)
     untried: Counter[str] = Counter()
-    for case in given:
-        for channel, fresh in case.answer.fresh.items():
-            promise = case.answer.gap.get(channel)
+    for each in sets:
+        for channel, fresh in each.answer.fresh.items():
+            promise = each.answer.gap.get(channel)
             if promise is None or not is_reducible(promise.before_mm, promise.floor_mm):
                 continue
-            tried = found[channel]
-            if not is_reducible(fresh.before_mm, promise.floor_mm):
+            rows = tried[channel]
+            if is_reducible(fresh.before_mm, promise.floor_mm):
+                rows.append({"set": each.name, **_realised(promise, fresh, settings)})
+            else:
                 untried[channel] += 1
-                continue
-            interval, after = promise.shrinkage_interval, fresh.after_mm
-            realised = (
-                math.nan
-                if after is None
-                else share_removed(fresh.before_mm, after, promise.floor_mm)
-            )
-            tried.append(
-                {
-                    "set": case.name,
-                    "promised": promise.shrinkage,
-                    "realised": realised,
-                    "kept": abs(realised - promise.shrinkage) <= PROMISE + 1e-12,
-                    "in_interval": interval and interval[0] <= realised <= interval[1],
-                }
-            )
     return {
         channel: {
-            "kept": Proportion(sum(each["kept"] for each in rows), len(rows)).document(),
-            "in_interval": _held(each["in_interval"] for each in rows),
+            "kept": Proportion(sum(row["kept"] for row in rows), len(rows)).document(),
+            "in_interval": _interval_coverage(row["in_interval"] for row in rows),
             "untried": untried[channel],
             "sets": rows,
         }
-        for channel, rows in sorted(found.items())
+        for channel, rows in sorted(tried.items())
     }
 
 
-def score(labels: Mapping[str, dict], answers: Mapping[str, Answer]) -> dict:
-    """Everything there is to say of answers, as plain values."""
-    given = scored_sets(labels, answers)
+def _realised(promise: GapAnswer, fresh: FreshAnswer, settings: ScoreSettings) -> dict:
+    if fresh.after_mm is None:
+        realised = math.nan
+    else:
+        realised = share_removed(fresh.before_mm, fresh.after_mm, promise.floor_mm)
+    interval, difference = promise.shrinkage_interval, abs(realised - promise.shrinkage)
+    return {
+        "promised": promise.shrinkage,
+        "realised": realised,
+        "kept": difference <= settings.shrinkage_tolerance + 1e-12,
+        "in_interval": interval and interval[0] <= realised <= interval[1],
+    }
+
+
+def score_answers(
+    labels: Mapping[str, dict],
+    answers: Mapping[str, Answer],
+    settings: ScoreSettings = DEFAULT_SCORING,
+) -> dict:
+    """Score answers against labels.
+
+    Args:
+        labels: Label of each set, by its name.
+        answers: Answer to each set, by its name.
+        settings: Thresholds of the scores.
+
+    Returns:
+        All scores, as a result file holds them.
+    """
+    sets = scored_sets(labels, answers, settings)
     return {
         "schema": "drft-blind-score",
         "schema_version": 1,
-        "sets": len(given),
+        "sets": len(sets),
         "unanswered": sorted(set(labels) - set(answers)),
-        "kinds": by_kind(given),
-        "confusion": confusion(given),
-        "calibration": calibration(given),
-        "calibration_without_faint": calibration([case for case in given if case.tellable]),
-        "shrinkage": shrinkage(given),
+        "kinds": by_kind(sets),
+        "confusion": confusion(sets),
+        "calibration": calibration(sets, settings),
+        "calibration_without_faint": calibration(
+            [each for each in sets if not each.is_faint], settings
+        ),
+        "shrinkage": shrinkage(sets, settings),
         "wrong": [
-            {"set": case.name, "true": list(case.true), "answered": case.answer.named()}
-            for case in given
-            if not case.all_named
+            {"set": each.name, "true": list(each.true), "answered": each.answer.named()}
+            for each in sets
+            if not each.all_named
         ],
     }
 
 
-def open_and_score(
+def read_labels_and_answers(
     folders: Sequence[Path], files: Sequence[Path]
 ) -> tuple[dict[str, dict], dict[str, Answer]]:
-    """Labels and answers by the name of the set; of several folders, by folder and set.
+    """Labels and answers by the name of the set; with several folders, by folder and set.
 
     Args:
         folders: Folders of sets with their labels.
-        files: The answers to each, in the same order.
+        files: File of answers to each folder, in the same order.
 
     Raises:
-        InputError: where a folder has no answers of its own, or one answers what it does not hold.
+        InputError: A folder has no answers of its own, or a file answers a set that is not there.
     """
     if len(folders) != len(files):
         raise InputError(
@@ -291,11 +319,11 @@ def open_and_score(
     labels: dict[str, dict] = {}
     answers: dict[str, Answer] = {}
     for folder, file in zip(folders, files, strict=True):
-        before = f"{folder}/" if len(folders) > 1 else ""
+        prefix = f"{folder}/" if len(folders) > 1 else ""
         given, known = read_answers(file), open_labels(folder)
-        strangers = sorted(set(given) - set(known))
-        if strangers:
-            raise InputError(f"{file}: answers {strangers[0]!r}, which {folder} has no label of")
-        labels |= {before + name: label for name, label in known.items()}
-        answers |= {before + name: answer for name, answer in given.items()}
+        surplus = sorted(set(given) - set(known))
+        if surplus:
+            raise InputError(f"{file}: answers {surplus[0]!r}, which {folder} has no label of")
+        labels |= {prefix + name: label for name, label in known.items()}
+        answers |= {prefix + name: answer for name, answer in given.items()}
     return labels, answers

@@ -1,4 +1,4 @@
-"""A score as tables for the terminal."""
+"""Scores of answers as tables for the terminal."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ def _text(share: dict | None) -> str:
 
 
 def tables(score: dict) -> Iterator[Table]:
-    """The tables of a score: kinds, confusions, calibration, and shrinkage where it is known."""
+    """Tables of a score: kinds, confusions, calibration, and shrinkage if it was measured."""
     yield _kinds(score)
     if any(answered != truth for truth, row in score["confusion"].items() for answered in row):
         yield _confusions(score)

@@ -1,4 +1,4 @@
-"""Blind sets: the plant that makes them, and that lots are settled by their seed."""
+"""Generation of blind sets: the plant, the random mechanisms, and that the seed decides all."""
 
 import dataclasses
 
@@ -6,17 +6,28 @@ import numpy as np
 import pytest
 
 from diagnose.blind.answers.answer import runs_of
-from diagnose.blind.generation import generate as make
-from diagnose.blind.generation import random_mechanisms as recipe
-from diagnose.blind.generation.effect_size import FLOORS, EffectSizeProbe
+from diagnose.blind.generation import generate
+from diagnose.blind.generation.effect_size import EffectSizeProbe
+from diagnose.blind.generation.generate import (
+    DEFAULT_GENERATION,
+    DEFAULT_NOISE,
+    FAULT_KINDS,
+    GenerationRequest,
+    GenerationSettings,
+    NoiseSettings,
+    add_noise,
+    make_set,
+    planned_faults,
+)
 from diagnose.blind.generation.random_mechanisms import (
     CATALOGUE,
-    STRANGERS,
     UNKNOWN,
+    UNLISTED,
     draw_mechanism,
     draw_unlisted,
+    stage_of,
 )
-from diagnose.blind.plant import plant
+from diagnose.blind.plant.plant import DEFAULT_PLANT, run_plant
 from diagnose.blind.plant.run_plan import PlannedRun, draw_fresh_runs, draw_nine_runs
 from drftjax.common.errors import InputError
 from drftjax.effects.catalogue import OURS, reported_name
@@ -36,13 +47,13 @@ NOTHING = 1e-12
 BENT = 5e-3
 # 200,000 numbers, of which a tenth lasts for some hundreds, tell their spread to a few per mille,
 # and the product of two far apart to as much.
-SPREAD, LASTING = 0.005, 0.003
+SPREAD, CORRELATED = 0.005, 0.003
 # Readings of centimetres are whole micrometres, but for doubles that are rounded to 1e-17 m.
 COUNTED = 1e-10
 
 
 def test_plant_without_mechanisms_is_the_simulator_but_for_its_plates():
-    run = plant.run_plant((), SHORT, 0.78)
+    run = run_plant((), SHORT, 0.78)
     time = run.time
     setup = SetUp(command=CommandSetUp(time.tolist(), SHORT.omega(time).tolist()))
     setup.terrain.zeta = 0.78
@@ -57,8 +68,8 @@ def test_plant_without_mechanisms_is_the_simulator_but_for_its_plates():
 
 
 def test_mechanisms_of_strength_zero_change_nothing():
-    bare = plant.run_plant((), SHORT, 0.78, ())
-    held = plant.run_plant((), SHORT, 0.78, ("sand", "rig"))
+    bare = run_plant((), SHORT, 0.78, ())
+    held = run_plant((), SHORT, 0.78, ("sand", "rig"))
     np.testing.assert_allclose(held.z, bare.z, rtol=0, atol=NOTHING)
     np.testing.assert_allclose(held.x, bare.x, rtol=0, atol=NOTHING)
 
@@ -71,12 +82,12 @@ def test_every_effect_of_the_catalogue_can_be_drawn():
 
 def test_eight_kinds_and_more_are_outside_the_catalogue():
     random = np.random.default_rng(0)
-    assert len(STRANGERS) >= 8
-    assert not set(STRANGERS) & {each.about.name for each in OURS}
-    assert {draw_unlisted(kind, random).name for kind in STRANGERS} == {UNKNOWN}
+    assert len(UNLISTED) >= 8
+    assert not set(UNLISTED) & {each.about.name for each in OURS}
+    assert {draw_unlisted(kind, random).name for kind in UNLISTED} == {UNKNOWN}
 
 
-def test_forms_are_drawn_anew():
+def test_every_draw_has_a_form_of_its_own():
     random = np.random.default_rng(0)
     forms = [draw_mechanism("loosening", random).form for _ in range(3)]
     assert len({form["decay"] for form in forms}) == 3
@@ -85,22 +96,22 @@ def test_forms_are_drawn_anew():
 def test_a_strength_is_found_for_the_gap_that_is_wanted():
     probe = EffectSizeProbe.of([SHORT], 0.78, ())
     for name, floors in (("sinkage_gain", 4.0), ("speed_gain", 2.0)):
-        _, gap = probe.strength(draw_mechanism(name, np.random.default_rng(1)), floors)
-        assert gap.floors == pytest.approx(floors, rel=FOUND)
+        _, size = probe.find_strength(draw_mechanism(name, np.random.default_rng(1)), floors)
+        assert size.floors == pytest.approx(floors, rel=FOUND)
 
 
 def test_what_zeta_explains_is_no_gap():
     probe = EffectSizeProbe.of([SHORT], 0.78, ())
     nudged = dataclasses.replace(probe, zeta=0.78 * 1.005)
-    gap = nudged.gap([])
-    assert gap.z > FLOORS["z"]
-    assert gap.z_left < BENT * gap.z
+    size = nudged.size([])
+    assert size.total["z"] > size.noise_floors["z"]
+    assert size.beyond_zeta["z"] < BENT * size.total["z"]
 
 
 def test_shares_of_kinds_are_those_that_are_wanted(tmp_path):
-    drawn = make.planned_faults(make.GenerationRequest(tmp_path, 200, seed=3))
+    drawn = planned_faults(GenerationRequest(tmp_path, 200, seed=3))
     assert sum(not each for each in drawn) == 24
-    assert sum(bool(each) and each[0] in STRANGERS for each in drawn) == 24
+    assert sum(bool(each) and each[0] in UNLISTED for each in drawn) == 24
     assert sum(len(each) == 2 for each in drawn) == 32
     named = {name for each in drawn for name in each}
     assert named >= {name for names in CATALOGUE.values() for name in names}
@@ -108,16 +119,16 @@ def test_shares_of_kinds_are_those_that_are_wanted(tmp_path):
 
 def test_sets_of_one_kind_are_all_of_it(tmp_path):
     drawn = {
-        kind: make.planned_faults(make.GenerationRequest(tmp_path, 20, 3, wrong=kind))
-        for kind in make.WRONG[1:]
+        kind: planned_faults(GenerationRequest(tmp_path, 20, 3, wrong=kind))
+        for kind in FAULT_KINDS[1:]
     }
     assert [len(each) for each in drawn.values()] == [20] * 4
     assert not any(drawn["none"])
-    assert all(len(each) == 1 and each[0] not in STRANGERS for each in drawn["one"])
-    assert all(len({recipe.stage_of(name) for name in each}) == 2 for each in drawn["pair"])
-    assert all(len(each) == 1 and each[0] in STRANGERS for each in drawn["unknown"])
+    assert all(len(each) == 1 and each[0] not in UNLISTED for each in drawn["one"])
+    assert all(len({stage_of(name) for name in each}) == 2 for each in drawn["pair"])
+    assert all(len(each) == 1 and each[0] in UNLISTED for each in drawn["unknown"])
     with pytest.raises(InputError, match="what is wrong is 'two', must be one of mixed, none,"):
-        make.GenerationRequest(tmp_path, 20, 3, wrong="two")
+        GenerationRequest(tmp_path, 20, 3, wrong="two")
 
 
 def test_protocols_fit_the_rig():
@@ -125,35 +136,45 @@ def test_protocols_fit_the_rig():
     for _ in range(50):
         for each in (*draw_nine_runs(random), *draw_fresh_runs(random)):
             # At the shortest half a second at rest, two ramps and a few seconds at one speed.
-            assert 7.9 < each.duration <= plant.LONGEST
-            assert each.duration / (plant.EVERY * each.steady_step() / 2) <= plant.ROWS
+            assert 7.9 < each.duration <= DEFAULT_PLANT.longest_run
+            row_interval = DEFAULT_PLANT.steps_per_row * each.steady_step() / 2
+            assert each.duration / row_interval <= DEFAULT_PLANT.max_rows
 
 
-def test_noise_is_white_and_lasting():
-    drawn = make.add_noise(np.random.default_rng(0), 200_000, 1.0)
-    assert drawn.std() == pytest.approx(np.sqrt(1 + make.LASTING**2), rel=SPREAD)
-    later = round(make.LASTS / plant.ROW)
-    lasting = np.mean(drawn[later:] * drawn[:-later])
-    assert lasting == pytest.approx(make.LASTING**2 * np.exp(-1), abs=LASTING)
+def test_noise_has_a_white_and_a_correlated_part():
+    drawn = add_noise(np.random.default_rng(0), 200_000, 1.0)
+    share = DEFAULT_NOISE.correlated_share
+    assert drawn.std() == pytest.approx(np.sqrt(1 + share**2), rel=SPREAD)
+    later = round(DEFAULT_NOISE.correlation_time / DEFAULT_PLANT.row_interval)
+    correlated = np.mean(drawn[later:] * drawn[:-later])
+    assert correlated == pytest.approx(share**2 * np.exp(-1), abs=CORRELATED)
+
+
+def test_settings_change_the_noise_and_the_shares_of_faults(tmp_path):
+    white = NoiseSettings(correlated_share=0.0)
+    drawn = add_noise(np.random.default_rng(0), 200_000, 1.0, white)
+    assert drawn.std() == pytest.approx(1, rel=SPREAD)
+    pairs = GenerationSettings(none_share=0.0, unknown_share=0.0, pair_share=1.0)
+    faults = planned_faults(GenerationRequest(tmp_path, 20, seed=3), pairs)
+    assert all(len(each) == 2 for each in faults)
 
 
 @pytest.fixture
 def short(monkeypatch):
-    """Runs of four seconds in place of the practice's."""
-    monkeypatch.setattr(make, "PRACTICE", (SHORT,) * 9)
-    monkeypatch.setattr(make, "draw_nine_runs", lambda random: (SHORT,) * 9)
-    monkeypatch.setattr(
-        make, "TELLING", (dataclasses.replace(SHORT, speed=tuple(-v for v in SHORT.speed)),) * 9
-    )
-    monkeypatch.setattr(make, "draw_fresh_runs", lambda random: (SHORT,) * 3)
+    """Runs of four seconds in place of all that a set may have."""
+    backward = dataclasses.replace(SHORT, speed=tuple(-v for v in SHORT.speed))
+    monkeypatch.setattr(generate, "PRACTICE_RUNS", (SHORT,) * 9)
+    monkeypatch.setattr(generate, "RECOMMENDED_RUNS", (backward,) * 9)
+    monkeypatch.setattr(generate, "draw_nine_runs", lambda random, settings: (SHORT,) * 9)
+    monkeypatch.setattr(generate, "draw_fresh_runs", lambda random, settings: (SHORT,) * 3)
 
 
 def test_sets_are_settled_by_their_seed(short, tmp_path):
     folders = [tmp_path / name for name in ("one", "two")]
     labels = []
     for folder in folders:
-        order = make.GenerationRequest(folder, 20, seed=4, protocol="practice")
-        labels.append(make.make_set(order, 7, ("travel_gain",)))
+        request = GenerationRequest(folder, 20, seed=4, protocol="practice")
+        labels.append(make_set(request, 7, ("travel_gain",)))
     assert labels[0] == labels[1]
     assert labels[0]["effects"] == ["travel_gain"]
     one, two = (sorted(folder.rglob("*.h5")) for folder in folders)
@@ -161,8 +182,8 @@ def test_sets_are_settled_by_their_seed(short, tmp_path):
         f"run_{each}.h5" for each in "abcdefghi"
     ]
     assert [each.read_bytes() for each in one] == [each.read_bytes() for each in two]
-    other = make.make_set(
-        make.GenerationRequest(tmp_path / "three", 20, seed=5, protocol="practice"),
+    other = make_set(
+        GenerationRequest(tmp_path / "three", 20, seed=5, protocol="practice"),
         7,
         ("travel_gain",),
     )
@@ -170,8 +191,8 @@ def test_sets_are_settled_by_their_seed(short, tmp_path):
 
 
 def test_a_run_looks_like_a_rig_s(short, tmp_path):
-    order = make.GenerationRequest(tmp_path, 20, seed=4, protocol="practice")
-    assert make.make_set(order, 0, ())["effects"] == []
+    request = GenerationRequest(tmp_path, 20, seed=4, protocol="practice")
+    assert make_set(request, 0, ())["effects"] == []
     run = read_run(tmp_path / "set_01" / "run_a.h5")
     assert (run.source, run.title, run.created) == ("virtual rig", "single-wheel run", None)
     assert set(run.measured.channels()) == {"x", "z"}
@@ -179,11 +200,11 @@ def test_a_run_looks_like_a_rig_s(short, tmp_path):
     assert run.measured.z is not None
     assert 1e6 * run.measured.z == pytest.approx(np.round(1e6 * run.measured.z), abs=COUNTED)
     assert run.setup.sinkage_static == pytest.approx(-run.measured.z[:50].mean())
-    assert run.setup.scaling_factor_initial == make.BELIEVED_ZETA
+    assert run.setup.scaling_factor_initial == DEFAULT_GENERATION.believed_zeta
 
 
 def test_a_set_that_is_interrupted_is_none(short, tmp_path, monkeypatch):
-    order = make.GenerationRequest(tmp_path, 20, seed=4, protocol="practice")
+    request = GenerationRequest(tmp_path, 20, seed=4, protocol="practice")
     written = []
 
     def interrupted(path, log):
@@ -192,9 +213,9 @@ def test_a_set_that_is_interrupted_is_none(short, tmp_path, monkeypatch):
         written.append(path)
         write_run(path, log)
 
-    monkeypatch.setattr(make, "write_run", interrupted)
+    monkeypatch.setattr(generate, "write_run", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        make.make_set(order, 0, ())
+        make_set(request, 0, ())
     assert len(written) == 3
     assert not list(tmp_path.iterdir())
 
@@ -209,8 +230,8 @@ def test_a_set_on_its_way_is_not_answered(tmp_path):
 def test_telling_runs_are_of_the_same_rigs(short, tmp_path):
     labels = {}
     for protocol in ("mixed", "telling"):
-        order = make.GenerationRequest(tmp_path / protocol, 20, seed=4, protocol=protocol)
-        labels[protocol] = make.make_set(order, 7, ("travel_gain",))
+        request = GenerationRequest(tmp_path / protocol, 20, seed=4, protocol=protocol)
+        labels[protocol] = make_set(request, 7, ("travel_gain",))
         assert labels[protocol].pop("protocol") in (protocol, "practice", "random")
     assert labels["mixed"] == labels["telling"]
     forward, backward = (read_run(tmp_path / p / "set_08" / "run_a.h5") for p in labels)

@@ -1,7 +1,7 @@
 """The plant of blind sets with a wheel that turns backward: each mechanism in the mirror.
 
-As in `test_backward.py`, what knows no direction mirrors by itself, and what is fixed in space or
-to the wheel does once it is mirrored as well.
+As in `tests/drftjax/effects/test_mirror_symmetry.py`, a mechanism without a direction mirrors by
+itself, and one that is fixed in space or to the wheel does once it is mirrored as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,11 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.blind.generation.random_mechanisms import CATALOGUE, STRANGERS
-from diagnose.blind.plant import bed, drive, machine, plant, sand
-from diagnose.blind.plant import sensors as instrument
-from diagnose.blind.plant import unlisted as stranger
-from diagnose.blind.plant.plant import Part, PlantChange
+from diagnose.blind.generation.random_mechanisms import CATALOGUE, UNLISTED
+from diagnose.blind.plant import bed, drive, machine, sand, sensors, unlisted
+from diagnose.blind.plant.plant import Part, PlantChange, PlantSettings, run_plant
 from diagnose.blind.plant.random_profiles import PLACES, RandomCurve, draw_variation
 from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sensors import PlantReading
@@ -27,10 +25,12 @@ CORNER = 5e-6
 # What a mechanism fixed in space does on the wrong side is far more [m].
 SEEN = 5e-5
 # Places that the way back is told by: play is crossed to a place, and begins at one.
-BETWEEN = 2 * drive.GRID
+BETWEEN = 2 * drive.SPEED_INTERVAL
 # A catch slips off at 0.2 m, of which places 1.5 mm apart miss up to one.
 SLIPS = 0.01
-FINER, MASS, ZETA = 0.5, 18.837, 0.8
+MASS, ZETA = 18.837, 0.8
+# Steps twice as long as a fit's, so that tests are quick.
+COARSE = PlantSettings(step_refinement=0.5)
 
 
 def profile(time: Sequence[float], speed: Sequence[float]) -> PlannedRun:
@@ -101,28 +101,28 @@ PARTS: dict[str, tuple[Part, ...]] = {
         drive.PlantSpeedRipple(0.1, 8.0, -0.4, 0.3, -0.7),
     ),
     "backlash": (drive.PlantBacklash(0.1),),
-    "sinkage_gain": (instrument.PlantSinkageGain(0.1, 0.1),),
-    "sinkage_drift": (instrument.PlantSinkageDrift(1e-4),),
-    "travel_gain": (instrument.PlantTravelGain(0.1, 0.1), instrument.PlantTravelGain(0.1, -0.1)),
-    "measurement_delay": (instrument.PlantMeasurementDelay(0.1),),
-    "measurement_filter": (instrument.PlantMeasurementFilter(0.1),),
-    "damaged_grouser": (stranger.DamagedGrouser(0.5, 0.7), stranger.DamagedGrouser(0.5, -0.7)),
-    "healing": (stranger.Healing(0.5),),
-    "swing": (stranger.Swing(0.3),),
-    "thixotropy": (stranger.Thixotropy(0.5),),
-    "rise_and_fall": (stranger.RiseAndFall(0.4),),
-    "critical_speed": (stranger.CriticalSpeed(0.5, 0.9),),
-    "catch": (stranger.Catch(20.0, 0.1, 0.15), stranger.Catch(20.0, -0.25, 0.15)),
-    "sinkage_drag": (stranger.SinkageDrag(200.0),),
-    "jamming_guide": (stranger.JammingGuide(1000.0),),
-    "travel_lift": (stranger.TravelLift(300.0), stranger.TravelLift(-300.0)),
-    "drive_crosstalk": (instrument.DriveCrosstalk(1e-3),),
+    "sinkage_gain": (sensors.PlantSinkageGain(0.1, 0.1),),
+    "sinkage_drift": (sensors.PlantSinkageDrift(1e-4),),
+    "travel_gain": (sensors.PlantTravelGain(0.1, 0.1), sensors.PlantTravelGain(0.1, -0.1)),
+    "measurement_delay": (sensors.PlantMeasurementDelay(0.1),),
+    "measurement_filter": (sensors.PlantMeasurementFilter(0.1),),
+    "damaged_grouser": (unlisted.DamagedGrouser(0.5, 0.7), unlisted.DamagedGrouser(0.5, -0.7)),
+    "healing": (unlisted.Healing(0.5),),
+    "swing": (unlisted.Swing(0.3),),
+    "thixotropy": (unlisted.Thixotropy(0.5),),
+    "rise_and_fall": (unlisted.RiseAndFall(0.4),),
+    "critical_speed": (unlisted.CriticalSpeed(0.5, 0.9),),
+    "catch": (unlisted.Catch(20.0, 0.1, 0.15), unlisted.Catch(20.0, -0.25, 0.15)),
+    "sinkage_drag": (unlisted.SinkageDrag(200.0),),
+    "jamming_guide": (unlisted.JammingGuide(1000.0),),
+    "travel_lift": (unlisted.TravelLift(300.0), unlisted.TravelLift(-300.0)),
+    "drive_crosstalk": (sensors.DriveCrosstalk(1e-3),),
 }
 DIRECTED = [name for name, parts in PARTS.items() if len(parts) > 1]
 
 
 def ran(part: Part, asked: PlannedRun) -> PlantReading:
-    return plant.run_plant([part], asked, ZETA, finer=FINER)
+    return run_plant([part], asked, ZETA, settings=COARSE)
 
 
 def apart(forward: PlantReading, backward: PlantReading) -> float:
@@ -132,7 +132,7 @@ def apart(forward: PlantReading, backward: PlantReading) -> float:
 
 def test_every_mechanism_that_can_be_drawn_is_mirrored_here():
     named = {name for names in CATALOGUE.values() for name in names}
-    assert set(PARTS) == named | set(STRANGERS)
+    assert set(PARTS) == named | set(UNLISTED)
 
 
 @pytest.mark.parametrize("name", list(PARTS))
@@ -183,7 +183,7 @@ def test_a_drive_that_turns_back_crosses_twice_its_play():
 
     def lost(course: np.ndarray) -> np.ndarray:
         missed = np.abs(course) - np.abs(backlash.follow(course))
-        return drive.GRID * np.array([missed[:1000].sum(), missed[1000:].sum()])
+        return drive.SPEED_INTERVAL * np.array([missed[:1000].sum(), missed[1000:].sum()])
 
     np.testing.assert_allclose(lost(np.r_[ahead, back]), [0.1, 0.2], rtol=0, atol=BETWEEN)
     np.testing.assert_allclose(
@@ -212,13 +212,13 @@ THERE = np.linspace(0, 0.6, 401)
 
 def test_a_catch_holds_the_carriage_back_from_either_side():
     both = np.r_[THERE, THERE[::-1]]
-    felt = pulls(stranger.Catch(20.0, 0.2, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
+    felt = pulls(unlisted.Catch(20.0, 0.2, 0.2), both, lambda k: 1.0 if k < 401 else -1.0)
     ahead, back = felt[:401], felt[401:]
     assert ahead.max() == back.min() == 0
     assert ahead.min() == pytest.approx(-20, rel=SLIPS)
     assert back.max() == pytest.approx(20, rel=SLIPS)
     # Let go before it slips off, the spring pulls back the same way.
-    half = pulls(stranger.Catch(20.0, 0.2, 0.2), [0.1, 0.3, 0.25], lambda k: (1.0, 1.0, -1.0)[k])
+    half = pulls(unlisted.Catch(20.0, 0.2, 0.2), [0.1, 0.3, 0.25], lambda k: (1.0, 1.0, -1.0)[k])
     np.testing.assert_allclose(half, [0, -10, -5])
 
 

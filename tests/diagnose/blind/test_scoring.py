@@ -22,27 +22,27 @@ from diagnose.blind.answers.answer_file import (
     read_answers,
     write_answers,
 )
-from diagnose.blind.generation.sealed_labels import HASH, SEALED, open_labels, seal
+from diagnose.blind.generation.sealed_labels import HASH_FILE, SEALED_FILE, open_labels, seal
 from diagnose.blind.scoring.proportion import Proportion
-from diagnose.blind.scoring.score import score
-from diagnose.commands import blind as commands
+from diagnose.blind.scoring.score import ScoreSettings, score_answers
+from diagnose.commands.blind import app
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import as_json
 from tests.helpers.drft_command import Drft
 
 
-def told(effects, floors=None):
+def label(effects, floors=None):
     return {"effects": effects} | ({} if floors is None else {"floors": floors})
 
 
 LABELS = {
-    "set_1": told(["drawbar"], 10.0),
-    "set_2": told(["loosening"], 2.0),
-    "set_3": told([]),
-    "set_4": told(["unknown"], 5.0),
-    "set_5": told(["speed_lag", "cohesion"], 5.0),
-    "set_6": told(["eccentricity"], 3.0),
-    "set_7": told(["drawbar", "backlash"], 9.0)
+    "set_1": label(["drawbar"], 10.0),
+    "set_2": label(["loosening"], 2.0),
+    "set_3": label([]),
+    "set_4": label(["unknown"], 5.0),
+    "set_5": label(["speed_lag", "cohesion"], 5.0),
+    "set_6": label(["eccentricity"], 3.0),
+    "set_7": label(["drawbar", "backlash"], 9.0)
     | {"mechanisms": [{"floors": 8.0}, {"floors": 1.0}]},
 }
 ANSWERS = {
@@ -69,7 +69,7 @@ ANSWERS = {
 
 
 def test_score_counts_what_a_hand_counts():
-    kinds = score(LABELS, ANSWERS)["kinds"]
+    kinds = score_answers(LABELS, ANSWERS)["kinds"]
     assert list(kinds) == [
         *("single, plain", "single, faint", "pair, plain", "pair, faint", "unknown, plain", "none")
     ]
@@ -89,7 +89,7 @@ def test_score_counts_what_a_hand_counts():
 
 def test_an_effect_answered_by_two_is_not_right_and_offers_more():
     two = Answer(["drawbar", "backlash"], groups=[["drawbar", "cable_spring"], ["backlash"]])
-    row = score({"set_1": LABELS["set_1"]}, {"set_1": two})["kinds"]["single, plain"]
+    row = score_answers({"set_1": LABELS["set_1"]}, {"set_1": two})["kinds"]["single, plain"]
     assert (row["first"]["hits"], row["in_group"]["hits"], row["mean_group_size"]) == (0, 1, 3)
 
 
@@ -98,7 +98,7 @@ def test_score_of_the_truth_has_no_fault():
         name: Answer(label["effects"] or ["none"], {"+".join(label["effects"]) or "none": 1.0})
         for name, label in LABELS.items()
     }
-    found = score(LABELS, truth)
+    found = score_answers(LABELS, truth)
     assert found["wrong"] == []
     assert found["calibration"][-1]["right"]["hits"] == len(LABELS)
     for row in found["kinds"].values():
@@ -107,7 +107,7 @@ def test_score_of_the_truth_has_no_fault():
 
 
 def test_confusions_and_calibration():
-    found = score(LABELS, ANSWERS)
+    found = score_answers(LABELS, ANSWERS)
     assert found["confusion"]["loosening"] == {"excavation": 1}
     assert found["confusion"]["none"] == {"drawbar": 1}
     assert found["confusion"]["cohesion + speed_lag"] == {"backlash + speed_lag": 1}
@@ -123,7 +123,7 @@ def test_confusions_and_calibration():
 
 
 def test_shrinkage_is_held_against_the_promise():
-    found = score(LABELS, ANSWERS)["shrinkage"]["x"]
+    found = score_answers(LABELS, ANSWERS)["shrinkage"]["x"]
     # Of 1 and 2 mm, 0.92 and 1.92 lie above the floor, and 0.8 and 1 mm went.
     realised = [each["realised"] for each in found["sets"]]
     assert realised == pytest.approx([0.8 / 0.92, 1.0 / 1.92])
@@ -136,7 +136,7 @@ def test_a_promise_without_an_interval_is_counted_without_one(tmp_path):
     answer["fresh"] = msgspec.to_builtins(ANSWERS["set_1"].fresh)
     write_answers(tmp_path / "answers.json", {"set_1": answer})
     read = read_answers(tmp_path / "answers.json")
-    found = score({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
+    found = score_answers({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
     assert (found["kept"]["hits"], found["in_interval"]["of"]) == (1, 0)
 
 
@@ -147,7 +147,7 @@ def test_effects_by_which_a_fresh_run_cannot_be_simulated_break_their_promise(tm
     write_answers(tmp_path / "answers.json", {"set_1": answer})
     read = read_answers(tmp_path / "answers.json")
     assert read["set_1"].fresh["x"].after_mm is None
-    found = score({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
+    found = score_answers({"set_1": LABELS["set_1"]}, read)["shrinkage"]["x"]
     assert (found["kept"]["hits"], found["kept"]["of"]) == (0, 1)
 
 
@@ -159,14 +159,22 @@ def test_a_file_has_null_where_there_is_no_number():
 def test_nothing_is_promised_of_a_gap_at_its_floor():
     faint = Answer(["drawbar"], {}, [], {"x": GapAnswer(0.1, 0.1, 0.08, 0.0, (0.0, 0.0))})
     faint.fresh = {"x": FreshAnswer(0.2, 0.1)}
-    assert score({"set_1": LABELS["set_1"]}, {"set_1": faint})["shrinkage"] == {}
+    assert score_answers({"set_1": LABELS["set_1"]}, {"set_1": faint})["shrinkage"] == {}
 
 
 def test_no_promise_is_tried_on_fresh_runs_at_the_floor():
     plain = Answer(["drawbar"], {}, [], {"x": GapAnswer(0.5, 0.1, 0.08, 0.9, (0.8, 1.0))})
     plain.fresh = {"x": FreshAnswer(0.1, 0.09)}
-    found = score({"set_1": LABELS["set_1"]}, {"set_1": plain})["shrinkage"]["x"]
+    found = score_answers({"set_1": LABELS["set_1"]}, {"set_1": plain})["shrinkage"]["x"]
     assert (found["untried"], found["sets"], found["kept"]["of"]) == (1, [], 0)
+
+
+def test_settings_move_the_thresholds():
+    strict = ScoreSettings(faint_floors=20.0, confident_weight=0.99, calibration_bins=5)
+    found = score_answers(LABELS, ANSWERS, strict)
+    assert all("faint" in kind for kind in found["kinds"] if kind != "none")
+    assert all(row["confidently_wrong"]["hits"] == 0 for row in found["kinds"].values())
+    assert [row["to"] for row in found["calibration"]] == [0.2, 0.4, 0.6, 0.8, 1.0]
 
 
 def test_interval_of_a_share():
@@ -180,21 +188,21 @@ def test_interval_of_a_share():
 def test_sealed_labels_open_and_are_not_to_be_read_by_eye(tmp_path):
     seal(tmp_path, LABELS)
     assert open_labels(tmp_path) == LABELS
-    assert b"drawbar" not in (tmp_path / SEALED).read_bytes()
-    assert len((tmp_path / HASH).read_text().strip()) == 64
+    assert b"drawbar" not in (tmp_path / SEALED_FILE).read_bytes()
+    assert len((tmp_path / HASH_FILE).read_text().strip()) == 64
 
 
 def test_a_seal_betrays_labels_that_were_changed(tmp_path):
     seal(tmp_path, LABELS)
-    stated = (tmp_path / HASH).read_text()
-    seal(tmp_path, LABELS | {"set_3": told(["drawbar"])})
-    (tmp_path / HASH).write_text(stated)
+    stated = (tmp_path / HASH_FILE).read_text()
+    seal(tmp_path, LABELS | {"set_3": label(["drawbar"])})
+    (tmp_path / HASH_FILE).write_text(stated)
     with pytest.raises(InputError, match="not what was sealed"):
         open_labels(tmp_path)
-    (tmp_path / HASH).unlink()
+    (tmp_path / HASH_FILE).unlink()
     with pytest.raises(InputError, match="lacks"):
         open_labels(tmp_path)
-    (tmp_path / SEALED).write_bytes(b"nothing of the kind")
+    (tmp_path / SEALED_FILE).write_bytes(b"nothing of the kind")
     with pytest.raises(InputError, match="damaged"):
         open_labels(tmp_path)
 
@@ -202,8 +210,8 @@ def test_a_seal_betrays_labels_that_were_changed(tmp_path):
 def test_plain_labels_are_read_too(tmp_path):
     (tmp_path / "labels.json").write_text('{"set_01": ["none"], "set_02": ["drawbar"]}')
     labels = open_labels(tmp_path)
-    assert labels == {"set_01": told([]), "set_02": told(["drawbar"])}
-    found = score(labels, {"set_02": Answer(["drawbar"])})
+    assert labels == {"set_01": label([]), "set_02": label(["drawbar"])}
+    found = score_answers(labels, {"set_02": Answer(["drawbar"])})
     assert found["kinds"]["single"]["first"]["share"] == 1
     assert found["unanswered"] == ["set_01"]
 
@@ -241,7 +249,7 @@ def test_answers_see_runs_alone(sets, blind, monkeypatch):
 
     monkeypatch.setattr("diagnose.blind.generation.sealed_labels.open_labels", opened)
     with_labels = dict(answer_sets(runs_of(sets)))
-    for name in (SEALED, HASH):
+    for name in (SEALED_FILE, HASH_FILE):
         (sets / name).unlink()
     assert dict(answer_sets(runs_of(sets))) == with_labels
     assert blind == [["run_a.h5", "run_b.h5"]] * 4
@@ -249,14 +257,14 @@ def test_answers_see_runs_alone(sets, blind, monkeypatch):
 
 def test_the_module_of_answers_knows_no_labels():
     # What a module does not import, it cannot open.
-    source = __import__("diagnose.blind.answers.answer", fromlist=["answering"])
+    source = __import__("diagnose.blind.answers.answer", fromlist=["answer"])
     assert not any("seal" in name or "label" in name for name in vars(source))
 
 
 def test_answer_and_score_from_the_command_line(sets, blind, tmp_path, monkeypatch, capsys):
     run = _app(monkeypatch, capsys)
     run("answer", sets, "-o", tmp_path / "answers.json")
-    seal(sets, {"set_1": told([]), "set_2": told(["drawbar"], 10.0)})
+    seal(sets, {"set_1": label([]), "set_2": label(["drawbar"], 10.0)})
     out = run("score", sets, "--answers", tmp_path / "answers.json", "-o", tmp_path / "score.json")
     assert "false alarms" in out
     found = json.loads((tmp_path / "score.json").read_text())
@@ -270,7 +278,7 @@ def test_several_folders_are_scored_as_one(tmp_path, monkeypatch, capsys):
     folders, files = [tmp_path / "a", tmp_path / "b"], [tmp_path / "a.json", tmp_path / "b.json"]
     for folder, file, effects in zip(folders, files, ([], ["drawbar"]), strict=True):
         folder.mkdir()
-        seal(folder, {"set_1": told(effects, 10.0)})
+        seal(folder, {"set_1": label(effects, 10.0)})
         answers = {"set_1": {"verdict": ["drawbar"], "weights": {"drawbar": 1.0}}}
         file.write_text(json.dumps({"schema": SCHEMA, "schema_version": 1, "answers": answers}))
     each = [part for file in files for part in ("--answers", file)]
@@ -287,7 +295,7 @@ def test_several_folders_are_scored_as_one(tmp_path, monkeypatch, capsys):
 
 def test_of_many_sets_without_an_answer_some_are_named(tmp_path, monkeypatch, capsys):
     run = _app(monkeypatch, capsys)
-    seal(tmp_path, {f"set_{number:02d}": told([]) for number in range(12)})
+    seal(tmp_path, {f"set_{number:02d}": label([]) for number in range(12)})
     answers = {"set_00": {"verdict": ["none"], "weights": {"none": 1.0}}}
     file = tmp_path / "answers.json"
     file.write_text(json.dumps({"schema": SCHEMA, "schema_version": 1, "answers": answers}))
@@ -390,7 +398,7 @@ def _app(monkeypatch, capsys):
 
     def run(*arguments) -> str:
         capsys.readouterr()
-        commands.app(list(map(str, arguments)), standalone_mode=False)
+        app(list(map(str, arguments)), standalone_mode=False)
         return capsys.readouterr().out
 
     return run

@@ -114,7 +114,8 @@ def test_a_zeta_far_from_all_others_is_named(case):
     candidates = [dataclasses.replace(case.runs[0], name=f"run {number}") for number in range(6)]
     columns = [np.full((2, 3, 1), 0.02)] * 6
     bench: Any = SimpleNamespace(
-        case=SimpleNamespace(runs=candidates, channels=("x", "z")), reference=np.zeros(6)
+        dataset=SimpleNamespace(runs=candidates, channels=("x", "z")),
+        log_reference_zeta=np.zeros(6),
     )
 
     def of(*zetas: float) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.gap.discretization_error import discretization_errors, residuals_on_finer_plates
+from diagnose.gap.discretization_error import discretization_errors, with_finer_plates
 from diagnose.gap.gap import gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
@@ -37,8 +37,8 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
     log_zeta = match_initial_zeta(case)
     own = discretization_errors(case, log_zeta)
     values = run.observation.values.copy()
-    values[:, case.counts(0)] = case.predicted(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
-    fine = residuals_on_finer_plates(
+    values[:, case.counts(0)] = case.prediction(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
+    fine = with_finer_plates(
         dataclasses.replace(run, observation=dataclasses.replace(run.observation, values=values))
     )
     assert fine.setup.wheel.plate_size == PLATE / 2
@@ -53,7 +53,7 @@ def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run):
 def recorded_runs(*setups) -> SimpleNamespace:
     """What a gap asks of a case: how runs were set up and sampled."""
     candidates = [SimpleNamespace(setup=each) for each in setups]
-    return SimpleNamespace(runs=candidates, channels=("x",), spacing=lambda run: 0.01)
+    return SimpleNamespace(runs=candidates, channels=("x",), sample_interval=lambda run: 0.01)
 
 
 def test_an_interval_is_of_draws_in_which_something_could_shrink():

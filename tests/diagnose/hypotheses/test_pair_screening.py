@@ -5,7 +5,7 @@ import pytest
 
 from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start, refine
-from diagnose.hypotheses.pair_screening import PAIRS, pair_candidates, simulated_pairs
+from diagnose.hypotheses.pair_screening import PAIRS, pair_candidates, refine_pairs
 from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import case_with
@@ -51,15 +51,15 @@ def test_what_singles_did_alone_puts_the_true_pair_first(bench, singles):
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(bench, singles):
     pair = next(pair_candidates(bench, singles)).build()
     assert not pair.is_simulated
-    assert pair.ahead is not None
-    there = pair.coordinates + pair.ahead[1]
+    assert pair.proposed_step is not None
+    there = pair.coordinates + pair.proposed_step[1]
     for free, coordinate in zip(pair.model.free, there, strict=True):
         (true,) = TRUTH[pair.model.names[free.index]].values()
         assert free.value(coordinate) == pytest.approx(true, rel=START)
 
 
 def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(bench, singles):
-    pairs = simulated_pairs(bench, singles)
+    pairs = refine_pairs(bench, singles)
     assert len({frozenset(each.names) for each in pairs}) == len(pairs) == PAIRS
     best = max(pairs, key=lambda each: each.score)
     assert set(best.names) == set(TRUTH)
@@ -90,10 +90,10 @@ def test_while_the_best_pair_is_far_off_as_many_more_are_tried(bench, singles, m
 
     monkeypatch.setattr("diagnose.hypotheses.pair_screening.pair_candidates", with_the_truth_late)
     monkeypatch.setattr("diagnose.hypotheses.pair_screening.FAR", np.inf)
-    near = simulated_pairs(bench, singles)
+    near = refine_pairs(bench, singles)
     assert len(near) == PAIRS
     assert set(TRUTH) not in [set(each.names) for each in near]
     monkeypatch.setattr("diagnose.hypotheses.pair_screening.FAR", 1.5)
-    far = simulated_pairs(bench, singles)
+    far = refine_pairs(bench, singles)
     assert len(far) == 2 * PAIRS
     assert set(far[0].names) == set(TRUTH)

@@ -40,7 +40,7 @@ def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way():
     best = found.singles[0]
     assert best.names == ("backlash",)
     assert best.coordinates[0] * best.model.free[0].scale == pytest.approx(0.22, abs=ONE_STEP)
-    x = found.bench.case.channels.index("x")
+    x = found.regressors.dataset.channels.index("x")
     for residual in best.residual:
         assert np.sqrt(np.mean(residual[x] ** 2)) < LEFT
 

@@ -59,11 +59,11 @@ def zeta_of(trial: Trial):
 def simulated(kind, values) -> np.ndarray:
     """The run with the curve's own class in the simulator."""
     trial = with_effects(case().trials[0], (with_values(kind, values),))
-    return np.asarray(jax.jit(of_trial)(trial, case().observed[0]))
+    return np.asarray(jax.jit(of_trial)(trial, case().observations[0]))
 
 
 def predicted(kind, coordinates) -> np.ndarray:
-    of = case().channels, case().trials[0], case().observed[0], as_real(0.0)
+    of = case().channels, case().trials[0], case().observations[0], as_real(0.0)
     return np.asarray(predict(AugmentedModel((kind,)), *of, np.asarray(coordinates)))
 
 
@@ -116,11 +116,11 @@ def test_the_derivative_is_by_the_effects_own_coordinates():
     # The gain of a reading beside it stays a number of its own.
     model = AugmentedModel((TravelGain, kind))
     at = np.array([*(0.3 for _ in range(len(model.free) - 1)), 0.5])
-    of = case().channels, case().trials[0], case().observed[0], as_real(0.01)
+    of = case().channels, case().trials[0], case().observations[0], as_real(0.01)
     value, slope = predict_with_jacobian(model, *of, at)
     assert slope.shape == (*value.shape, 1 + len(at))
     trial = with_zeta(case().trials[0], 0.01)
-    observed = case().observed[0]
+    observed = case().observations[0]
 
     def of_class(both):
         scaled = eqx.tree_at(zeta_of, trial, zeta_of(trial) * jnp.exp(both[0]))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diagnose.blind.plant import plant
-from diagnose.blind.plant.run_plan import TELLING as BLIND_TELLING
+from diagnose.blind.plant.plant import DEFAULT_PLANT
+from diagnose.blind.plant.run_plan import RECOMMENDED_RUNS
 from diagnose.commands.protocol import app
 from diagnose.next_runs.recommended_runs import TELLING, recommended_runs
 from drftjax.commands.options import USUAL_OMEGA_MAX
 from drftjax.common.errors import InputError
-from drftjax.common.package_data import data_file
+from drftjax.common.packages import data_file
 from drftjax.physics.integrator import sharpest_ramp
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
@@ -91,10 +91,11 @@ def test_sand_that_does_not_bear_the_wheel_is_refused():
 
 
 def test_the_blind_sets_are_of_the_same_runs():
-    for run, blind in zip(TELLING, BLIND_TELLING, strict=True):
+    for run, blind in zip(TELLING, RECOMMENDED_RUNS, strict=True):
         assert blind.time == run.time
         assert blind.speed == run.speed
-        assert blind.duration / (plant.EVERY * blind.steady_step() / 2) <= plant.ROWS
+        row_interval = DEFAULT_PLANT.steps_per_row * blind.steady_step() / 2
+        assert blind.duration / row_interval <= DEFAULT_PLANT.max_rows
 
 
 def test_the_command_writes_nine_set_ups(tmp_path):

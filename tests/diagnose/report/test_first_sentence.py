@@ -16,7 +16,7 @@ def found(runs: int, notes: list[str], gap: float = 1.0):
         groups=[["none", "drawbar"]],
         gap=gaps,
         notes=notes,
-        case=SimpleNamespace(runs=list(range(runs))),
+        dataset=SimpleNamespace(runs=list(range(runs))),
     )
 
 

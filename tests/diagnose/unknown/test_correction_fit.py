@@ -150,8 +150,8 @@ def test_the_model_file_simulates_and_closes_the_gap_of_a_fresh_run(
     assert entry_of(effect) == entry_of(found.correction.effect)
     assert drft("simulate", files / "model.toml", "-o", tmp_path / "again.h5").code == 0
     again = read_run(tmp_path / "again.h5").measured
-    first = found.case.recorded(0)[found.case.channels.index("z")]
-    then = np.interp(found.case.time(0), again.time, again.z)
+    first = found.dataset.recording(0)[found.dataset.channels.index("z")]
+    then = np.interp(found.dataset.time(0), again.time, again.z)
     assert np.abs(then - first).max() < MEAN_ZETA
     fresh = written(tmp_path, "fresh", *FRESH, seed=9)
     report = tmp_path / "evaluation.json"
@@ -201,7 +201,7 @@ def test_what_makes_a_channel_worse_is_not_added(found):
     pays = {**best.gap, "x": dataclasses.replace(x, after=2 * max(x.before, x.floor))}
     costly = dataclasses.replace(best, gap=pays)
     # Else it would be left out for that.
-    assert costly.left < 0.9 * costly.before
+    assert costly.remaining < 0.9 * costly.before
     assert best_selection([costly], reference) is reference
     assert best_selection([best, costly], reference) is best
 

@@ -80,7 +80,7 @@ def log_zeta() -> np.ndarray:
 @cache
 def plain() -> list[np.ndarray]:
     return [
-        case().predicted(AugmentedModel(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())
+        case().prediction(AugmentedModel(), run, z, np.zeros(0)) for run, z in enumerate(log_zeta())
     ]
 
 
@@ -88,7 +88,7 @@ def with_(effect: type, **values: float) -> list[np.ndarray]:
     """What every run would record with an effect, but for noise."""
     model = AugmentedModel((effect,))
     at = [f.coordinate(values[f.field]) if f.field in values else 0.0 for f in model.free]
-    return [case().predicted(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
+    return [case().prediction(model, run, z, np.array(at)) for run, z in enumerate(log_zeta())]
 
 
 def left(recorded: list[np.ndarray], seed: int = 0) -> list[np.ndarray]:
@@ -280,8 +280,8 @@ def test_an_effect_on_plates_and_on_a_scale_is_read_once():
     strengths = np.array([f.coordinate(more) for f in model.free])
     row = driven.channels.index("fz")
     exact = (
-        driven.predicted(model, 0, at, strengths)[row]
-        - driven.predicted(AugmentedModel(), 0, at, np.zeros(0))[row]
+        driven.prediction(model, 0, at, strengths)[row]
+        - driven.prediction(AugmentedModel(), 0, at, np.zeros(0))[row]
     )
     # The wheel carries its load all along: what it weighs, read too high by that share.
     weight = float(trial.simulator.rig.mass_z) * 9.81
@@ -309,7 +309,7 @@ def test_one_run_alone_is_described():
 def test_a_driven_carriage_has_stages_too():
     driven = driven_case()
     at = log_zeta()[:1]
-    reference = driven.predicted(AugmentedModel(), 0, at[0], np.zeros(0))
+    reference = driven.prediction(AugmentedModel(), 0, at[0], np.zeros(0))
     shifted = reference.copy()
     growing = 2.0 * np.clip(driven.time(0) - 1, 0, 2)
     shifted[driven.channels.index("torque")] += growing

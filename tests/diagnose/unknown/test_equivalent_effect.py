@@ -16,7 +16,7 @@ from diagnose.report.model_writer import model_toml
 from diagnose.report.text import paragraphs, verdict, write
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import gather_runs
-from diagnose.selection.verdict import by_name, reassign_unknown
+from diagnose.selection.verdict import reassign_unknown, weight_by_name
 from diagnose.unknown.correction_fit import (
     BOTH_WAYS,
     Correction,
@@ -148,7 +148,7 @@ def test_it_must_be_told_from_curves_over_other_things():
 def test_what_was_unknown_goes_to_the_effect():
     share = {("none",): 0.1, ("unknown",): 0.6, ("loosening",): 0.1, ("terrain_variation",): 0.2}
     moved = reassign_unknown(share, "terrain_variation")
-    assert by_name(moved)["terrain_variation"] == pytest.approx(0.8)
+    assert weight_by_name(moved)["terrain_variation"] == pytest.approx(0.8)
     assert moved["unknown",] == 0
     del share["terrain_variation",]
     assert reassign_unknown(share, "terrain_variation")["terrain_variation",] == 0.6

@@ -375,7 +375,7 @@ class Idle(AbstractZetaFactor):
         ("settling:Number", "the effect 'settling' of settling:Number is no effect class"),
         (
             "drftjax.effects.rig:Drawbar",
-            "'drawbar' of drftjax.effects.rig:Drawbar is there already",
+            "of drftjax.effects.rig:Drawbar takes the name 'drawbar', which is there already",
         ),
         ("settling:Nameless", "the effect 'settling' of settling:Nameless has no `about`"),
         ("settling:Idle", "the effect 'settling' of settling:Idle lacks "),

@@ -8,8 +8,8 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import gather
-from drftjax.recorded.observation import drop_refused, refused_readings
 from drftjax.recorded.prepared_run import prepare_run
+from drftjax.recorded.refused_readings import drop_refused, refused_readings
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.record import RunLog
 from hils.events import TickFlag

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from diagnose.gap.noise_floor import noise_floors
+from drftjax.recorded.noise_floor import DEFAULT_NOISE_FLOOR
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
-from drftjax.recorded.repeats import group_by_condition
+from drftjax.recorded.repeats import RepeatTolerances, group_by_condition
 from drftjax.setups.setup import SetUp
 from identify.cluster.result_codec import decode_result, encode_result
 from identify.commands.fit_cluster import _together
@@ -90,6 +91,36 @@ def test_carriages_tuned_to_their_sinkage_repeat_each_other(whole):
     # What two runs of a rig in the loop differ by, each tuned by its own sinkage.
     one, again = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.0777, 0.0778))
     assert group_by_condition([one, again]) == [[0, 1]]
+
+
+def test_tolerances_of_a_repeat_can_be_varied(whole):
+    fits = [fitted("a", 0.7), altered(fitted("b", 0.7, 5e-4), rig_mass_z=18.85)]
+    assert repeated_runs(fits) == []
+    assert repeated_runs(fits, RepeatTolerances(relative=1e-3)) == [[0, 1]]
+    assert noise_floor(fits, RepeatTolerances(relative=1e-3)) == pytest.approx(
+        {"z": 5e-4 / np.sqrt(2)}
+    )
+    sands = [whole, changed(whole, terrain_zeta=0.3)]
+    assert group_by_condition(sands, RepeatTolerances(log_zeta=2.0)) == [[0, 1]]
+    assert group_by_condition([whole, stopped(whole, 1.6)], RepeatTolerances(shared=0.9)) == [
+        [0],
+        [1],
+    ]
+
+
+def test_fits_and_diagnoses_call_the_same_runs_repeats(whole):
+    """Carriages tuned to their sinkage too, and runs of which one was stopped half way."""
+    for other in (
+        {"command_vx": [0.0, 0.0, 0.0777, 0.0777]},
+        {"command_time": [0.0, 0.3, 1.3, 1.5]},
+        {"rig_damping_z": 3.0},
+        {"wheel_width": 0.11},
+    ):
+        driven = {"command_vx": [0.0, 0.0, 0.0778, 0.0778]} if "command_vx" in other else {}
+        prepared = [changed(whole, **driven), changed(whole, **other)]
+        fits = [altered(fitted("a", 0.7), **each) for each in (driven, other)]
+        groups = [each for each in group_by_condition(prepared) if len(each) > 1]
+        assert groups == repeated_runs(fits)
 
 
 @pytest.mark.parametrize("what", ["lengths", "sands", "paces"])
@@ -296,7 +327,7 @@ def test_a_repeat_too_short_to_compare_parts_no_others():
 
 @pytest.mark.parametrize(("size", "pairs"), [(2, 1), (4, 6), (21, 210), (300, 3000)])
 def test_each_repeat_is_held_against_others_once(size, pairs):
-    found = [frozenset(pair) for pair in _pairs(range(size))]
+    found = [frozenset(pair) for pair in _pairs(range(size), DEFAULT_NOISE_FLOOR.max_partners)]
     assert len(found) == len({*found}) == pairs
 
 
@@ -346,7 +377,7 @@ def test_fits_of_another_load_wheel_or_command_are_no_repeats(other):
 def test_a_fit_goes_with_the_longest_run_that_it_repeats_in_any_order(order):
     # The first and last are too far apart in length, the middle one is near enough to both.
     runs = [
-        altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.3, 8.3, end]) for end in (9, 8.92, 8.84)
+        altered(fitted(f"{end}", 0.7), command_time=[7.0, 7.1, 7.2, end]) for end in (9, 8.2, 7.9)
     ]
     groups = repeated_runs([runs[k] for k in order])
     assert [{order[k] for k in group} for group in groups] == [{0, 1}]

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from drftjax.commands.log import app
 from drftjax.common.errors import InputError
-from drftjax.common.package_data import data_file, data_names
+from drftjax.common.packages import data_file, data_names
 from drftjax.runlog.check import check_files
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.importers.file_names import safe_names

@@ -14,9 +14,9 @@ from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
 from drftjax.tuning.kalman_tuner import KalmanTuner
 from drftjax.tuning.pi_tuner import ProportionalIntegralTuner
+from drftjax.tuning.replay import replay_tuner
 from drftjax.tuning.step_tuner import (
     Loop,
-    replay,
     tick_commands,
     tuned_tick,
     with_tuner_memory,
@@ -43,7 +43,7 @@ START = 0.0176
 SPEED = 0.5
 TUNERS = [ProportionalIntegralTuner(), KalmanTuner()]
 NAMES = ["pi", "kalman"]
-roll = eqx.filter_jit(replay)
+roll = eqx.filter_jit(replay_tuner)
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,10 @@ from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
+from drftjax.tuning.replay import known_sinkage, replay_tuner
 from drftjax.tuning.step_tuner import (
     Loop,
     StepTuner,
-    known_sinkage,
-    replay,
     tick_commands,
     tuned_tick,
     with_zeta_per_step,
@@ -29,7 +28,7 @@ ROUNDING, RATE_ROUNDING = 1e-15, 1e-13
 FOLLOWED = 0.01
 SUBSTEPS = 5
 START = 0.0176
-roll = eqx.filter_jit(replay)
+roll = eqx.filter_jit(replay_tuner)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event, TickFlag
 from hils.link.link import Arrival
 from hils.link.messages import Bye, Drive, EmergencyStop, Frame, RigState, Stop
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, ZeroAt, run
 from hils.recording.recorder import Recorder
 from hils.recording.sinks import InMemorySink
@@ -240,7 +240,7 @@ def test_stop_while_the_wheel_ramps_down_after_the_profile_leaves_the_run_comple
     made = make(msgspec.structs.replace(loop, setup=setup), cue=ask(), at=1.9)
     assert made.report.completed
     assert made.report.reason == "completed"
-    assert made.report.wish.reason == "asked"
+    assert made.report.stop_reason.reason == "asked"
     kinds = made.kinds()
     assert kinds.index(Event.STOP_ASKED) < kinds.index(Event.PROFILE_ENDED)
     assert made.events(Event.STOP_ASKED) == [0.0]
@@ -277,8 +277,8 @@ def press(stop, link):
 def test_rigs_own_emergency_stop_after_the_profile_asks_for_no_further_run():
     made = make(cue=press, at=3.6, link=Pressed)
     assert made.report.completed
-    assert made.report.wish is not None
-    assert made.report.wish.reason == "the rig made an emergency stop, reason 12 (unknown)"
+    assert made.report.stop_reason is not None
+    assert made.report.stop_reason.reason == "the rig made an emergency stop, reason 12 (unknown)"
     assert any(isinstance(said, EmergencyStop) for _, said in made.said)
     assert made.soft.rig.state is RigState.SAFE
     assert_told_after_the_profile(made, Event.EMERGENCY_STOP, 12)
@@ -308,9 +308,9 @@ def test_what_happens_to_the_rig_after_the_profile_is_in_the_log(fault, event, a
     script = FaultScript((Fault(fault, Window("stop", 0.0, 0.02)),))
     soft, rows = soft_rig(script=script), InMemorySink()
     given = Procedure(loop=loop_setup(), countdown=0.3)
-    report = run(given, soft.link, soft.clock, rows, Unattended(quiet=True), StopRequest())
+    report = run(given, soft.link, soft.clock, rows, UnattendedPrompts(quiet=True), StopRequest())
     assert report.completed
-    assert (report.wish and report.wish.reason) == reason
+    assert (report.stop_reason and report.stop_reason.reason) == reason
     made = Made(report, rows, soft, [])
     found = made.events(event)
     assert len(found) == 1

@@ -8,7 +8,7 @@ import pytest
 from hils.events import Event, TickFlag
 from hils.replay import replay
 from hils.rig_sim.faults import DelayedFrames, Fault, Window
-from hils.series import outcome_sentence
+from hils.series import outcome_lines
 from tests.helpers.fault_matrix import Cell, require_safety, struck
 
 # Five ticks are 100 ms.
@@ -40,7 +40,7 @@ def test_zeta_does_not_follow_them(late):
     assert Event.READINGS_STALE in late.events
     count = np.count_nonzero(old)
     (said,) = (
-        each for each in outcome_sentence(late.report, Path("run.h5")) if "zeta was held" in each
+        each for each in outcome_lines(late.report, Path("run.h5")) if "zeta was held" in each
     )
     assert said.startswith(f"{count} readings answered a command")
 

@@ -12,18 +12,18 @@ from drftjax.tuning.registry import TunerSetUp
 from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.experiment.experiment import (
-    CLOSE,
+    PAPER_RMSE,
     Experiment,
     ExperimentResult,
     Trajectory,
-    by_tick,
     hils_run,
     loosening_rig,
-    make,
-    steady,
+    run_experiment,
+    runs_by_tick,
+    steady_stretch,
     trajectory_distance,
 )
-from hils.experiment.report import report
+from hils.experiment.report import markdown_report
 from hils.experiment.spectrum import order, spectrum
 
 # The paper's speed, held for six seconds.
@@ -52,20 +52,20 @@ def loop(**options) -> LoopSetUp:
 
 @pytest.fixture(scope="module")
 def result() -> ExperimentResult:
-    return make(Experiment(loop=loop(), runs=RUNS))
+    return run_experiment(Experiment(loop=loop(), runs=RUNS))
 
 
 # The experiment -----------------------------------------------------------------------------------
 
 
 def test_simulation_and_rig_stay_within_a_millimetre(result):
-    assert [each.rmse < CLOSE for each in result.hils] == [True] * RUNS
+    assert [each.rmse < PAPER_RMSE for each in result.hils] == [True] * RUNS
 
 
 def test_without_eq_7_they_do_not():
     held = TunerSetUp("step", {"zeta_step": 0.0})
     # A quarter of zeta is worth 6 mm.
-    assert hils_run(Experiment(loop=loop(tuner=held), runs=1), 0).rmse > 3 * CLOSE
+    assert hils_run(Experiment(loop=loop(tuner=held), runs=1), 0).rmse > 3 * PAPER_RMSE
 
 
 def test_zeta_follows_the_sand_that_loosens(result):
@@ -111,13 +111,13 @@ def test_grousers_pass_once_a_second_and_twelve_times_a_turn(result):
 def test_grousers_out_of_step_make_the_tuner_ripple_with_them(result):
     setup = loop().setup
     setup.start.angle = float(np.radians(15.0))
-    shifted = make(Experiment(loop=msgspec.structs.replace(loop(), setup=setup), runs=1))
+    shifted = run_experiment(Experiment(loop=msgspec.structs.replace(loop(), setup=setup), runs=1))
     there, here = (each.spectra()["zeta"].at(1.0) for each in (shifted, result))
     assert there > 3 * here
 
 
 def test_a_slow_tick_follows_worse(result):
-    found = by_tick(result.experiment, (0.01, 0.08))
+    found = runs_by_tick(result.experiment, (0.01, 0.08))
     assert found[0.08].rmse > 3 * found[0.01].rmse
     np.testing.assert_array_equal(found[0.01].zeta, result.hils[0].zeta)
 
@@ -132,7 +132,7 @@ def test_the_document_holds_what_was_found(result):
 
 
 def test_the_report_names_the_paper_s_figures_beside_ours(result):
-    text = report(result, {0.01: result.hils[0]})
+    text = markdown_report(result, {0.01: result.hils[0]})
     assert f"under 1 mm: {RUNS} of {RUNS}." in text
     drft = next(line for line in text.splitlines() if line.startswith("| DRFT"))
     assert drft.endswith("| 8.4 |")
@@ -180,10 +180,10 @@ def test_a_spectrum_refuses_what_has_none(values):
 
 def test_the_steady_stretch_is_that_of_the_top_speed():
     omega = np.r_[np.zeros(50), np.linspace(0, 1, 100), np.ones(300), np.zeros(400)]
-    assert steady(omega, 0.01) == (slice(149, 450), 1.0)
-    assert steady(-omega, 0.01) == (slice(149, 450), 1.0)
+    assert steady_stretch(omega, 0.01) == (slice(149, 450), 1.0)
+    assert steady_stretch(-omega, 0.01) == (slice(149, 450), 1.0)
     with pytest.raises(InputError, match=r"holds its top speed for 0\.31 s"):
-        steady(omega[:180], 0.01)
+        steady_stretch(omega[:180], 0.01)
 
 
 # The program --------------------------------------------------------------------------------------

@@ -28,8 +28,8 @@ from hils.link.messages import (
     clock_us,
     decode,
     encode,
-    name,
-    newer,
+    is_newer,
+    message_name,
     wire_bytes,
 )
 from hils.link.timing import require_baud, watchdog_ms, watchdog_us
@@ -61,7 +61,7 @@ FRAMES = {
     ),
     Bye(): f"00 11 01 09 {HEADER} 80 71 48 45 00",
 }
-messages = pytest.mark.parametrize("message", FRAMES, ids=lambda each: name(type(each)))
+messages = pytest.mark.parametrize("message", FRAMES, ids=lambda each: message_name(type(each)))
 
 
 def framed(body: bytes) -> bytes:
@@ -189,10 +189,10 @@ def test_an_echo_of_its_own_emergency_stop_is_no_answer():
     """And does not set the count to the host's numbers, or all that the rig says would be old."""
     receiver = host()
     own = Frame(EmergencyStop(3), SESSION, 9_000_000, 5)
-    receiver.sent(own)
+    receiver.note_sent(own)
     assert receiver.feed(encode(own)) == []
     assert receiver.drops == {Drop.DIRECTION: 1}
-    assert receiver.halted is None
+    assert receiver.foreign_stop is None
     assert len(receiver.feed(sent(STATE, seq=1))) == 1
     # The rig's own answer, which may say the same, counts.
     assert len(receiver.feed(sent(EmergencyStop(3), seq=2))) == 1
@@ -208,9 +208,9 @@ def test_another_session_does_not_count_but_a_reset_rig_is_noticed():
     receiver = host()
     assert receiver.feed(sent(STATE, session=SESSION + 1)) == []
     assert receiver.drops == {Drop.SESSION: 1}
-    assert receiver.stranger == STATE
+    assert receiver.foreign_state == STATE
     receiver.expect(SESSION + 1)
-    assert receiver.stranger is None
+    assert receiver.foreign_state is None
 
 
 @pytest.mark.parametrize(
@@ -227,7 +227,7 @@ def test_another_session_does_not_count_but_a_reset_rig_is_noticed():
     ],
 )
 def test_newer_holds_over_the_wrap(new, last, counts):
-    assert newer(new, last) is counts
+    assert is_newer(new, last) is counts
     receiver = host()
     assert len(receiver.feed(sent(STATE, last) + sent(STATE, new))) == 1 + counts
     assert receiver.drops == ({} if counts else {Drop.ORDER: 1})

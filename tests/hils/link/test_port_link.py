@@ -21,7 +21,7 @@ from hils.link.messages import (
     EmergencyStop,
     RigState,
     StateReport,
-    newer,
+    is_newer,
 )
 from hils.link.port_link import PortLink, first_number
 from hils.link.ports import SocketPort
@@ -161,11 +161,11 @@ def test_the_thread_says_that_it_has_started():
 @pytest.mark.parametrize("start", [0.0, 1.7e9, (1 << 31) / 2000 - 0.001, 4e9])
 def test_a_restarted_host_is_newer_for_a_rig_that_counts_on_and_for_one_that_starts_at_zero(start):
     first = first_number(start)
-    assert newer(first, 0)
+    assert is_newer(first, 0)
     assert 0 < first < 1 << 31
     if first < 1 << 30:
         sent_at_1_khz = 1000 * 100
-        assert newer(first_number(start + 101.0), first + sent_at_1_khz)
+        assert is_newer(first_number(start + 101.0), first + sent_at_1_khz)
 
 
 def test_arrivals_are_timed_by_the_links_clock(rig):

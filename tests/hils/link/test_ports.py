@@ -18,7 +18,7 @@ from drftjax.common.errors import InputError
 from hils.link.link import LinkLost
 from hils.link.messages import Arm, Drop, Frame, Measurement, RigState, encode
 from hils.link.port_link import PortLink
-from hils.link.ports import BACKLOG, SerialPort, SocketPort, UrlPort, open_port, ports
+from hils.link.ports import BACKLOG, SerialPort, SocketPort, UrlPort, list_ports, open_port
 from tests.helpers.link_endpoints import (
     BAUD,
     PATIENCE,
@@ -244,7 +244,7 @@ def test_ports_are_listed_by_name_with_what_is_known_of_them(monkeypatch):
     ]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: found)
     nothing = "nothing known of it"
-    assert ports() == [
+    assert list_ports() == [
         ("/dev/ttyS0", nothing),
         ("/dev/ttyUSB0", nothing),
         ("/dev/ttyUSB1", "UART, FTDI"),

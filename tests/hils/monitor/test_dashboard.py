@@ -17,7 +17,7 @@ from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
 from hils.events import Phase
 from hils.monitor.dashboard import Dashboard, Point, plot
-from hils.monitor.observer import RunInfo, RunObserver, observed_run, unobserved_run
+from hils.monitor.observer import RunInfo, RunObserver, with_live_view, without_observer
 from hils.monitor.status import INTERVAL, WHOLE, RunStatus, StatusReader
 from hils.monitor.view_process import StopKey
 from hils.procedure.active_runs import ActiveRun
@@ -46,25 +46,25 @@ class Told(AbstractPrompts):
     def __init__(self):
         self.lines: list[str] = []
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         self.lines.append(text)
 
-    def mention(self, text: str) -> None:
+    def say_if_free(self, text: str) -> None:
         self.lines.append(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self.lines.append(text)
 
-    def enter(self, phase: Phase, lasts: float = math.nan) -> None:
+    def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
-    def show(self, sinkage: float) -> None:
+    def show_sinkage(self, sinkage: float) -> None:
         pass
 
 
 @functools.cache
 def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
-    """A run, the scenes that were told of it with their times, and the dialogue behind the view."""
+    """A run, the scenes that were told of it with their times, and the prompts behind the view."""
     setup = SetUp(
         command=PROFILE,
         wheel=WheelSetUp(plate_size=8e-3),
@@ -76,7 +76,7 @@ def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
     scales = Instruments(x_scale=x_scale)
     soft = soft_rig(setup=VirtualSetUp(physics=QUICK, instruments=scales))
     kept, told, scenes, stop = InMemorySink(), Told(), [], StopRequest()
-    onlooker = RunObserver(
+    observer = RunObserver(
         RunInfo("a run", "/dev/rig", "run.h5", 3.0, RADIUS),
         lambda scene: scenes.append((soft.clock.now(), scene)),
         soft.clock,
@@ -87,12 +87,12 @@ def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
         Procedure(loop=loop, free=free, countdown=0.4),
         soft.link,
         soft.clock,
-        onlooker.rows(kept),
-        onlooker.dialogue(told),
+        observer.rows(kept),
+        observer.prompts(told),
         stop,
-        onlooker.begin,
+        observer.begin,
     )
-    return kept, scenes, told, onlooker
+    return kept, scenes, told, observer
 
 
 def test_phases_come_in_order():
@@ -169,9 +169,9 @@ def test_free_run_shows_the_measured_sinkage_alone():
 
 
 def test_questions_come_before_the_view_and_what_is_told_meanwhile_is_told_later():
-    _, scenes, told, onlooker = looked_on()
+    _, scenes, told, observer = looked_on()
     assert [line.split()[0] for line in told.lines] == ["Hold", "Let"]
-    later = onlooker.end()
+    later = observer.end()
     assert later[0].startswith("Armed")
     assert scenes[-1][1].words == later[-3:]
 
@@ -188,7 +188,7 @@ def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkey
     procedure = Procedure(loop=LoopSetUp(setup=setup, commands=CommandLimits(2.0, 0.3)))
     soft, whole = soft_rig(), ActiveRun(1, "", "/dev/rig", "run-01.h5 to run-09.h5")
     given = procedure, soft.link, soft.clock, InMemorySink(), Told(), StopRequest()
-    with observed_run(whole, tmp_path / "run-03.h5", *given) as seen:
+    with with_live_view(whole, tmp_path / "run-03.h5", *given) as seen:
         seen.begin()
     assert scenes[0].duration == 3.0
     assert scenes[0].output.endswith("run-03.h5")
@@ -196,8 +196,8 @@ def test_view_tells_the_length_of_the_profile_and_the_run_log_of_this_run(monkey
 
 def test_without_a_view_rows_and_words_go_where_they_went():
     rows, told = InMemorySink(), Told()
-    seen = unobserved_run(rows, told)
-    assert (seen.rows, seen.dialogue) == (rows, told)
+    seen = without_observer(rows, told)
+    assert (seen.rows, seen.prompts) == (rows, told)
 
 
 # Scenes over a pipe -------------------------------------------------------------------------------
@@ -287,11 +287,11 @@ def test_hostile_words_give_the_terminal_no_orders():
     scenes, stop = [], StopRequest()
     clock = soft_rig(setup=VirtualSetUp(physics=QUICK)).clock
     quality = soft_rig(setup=VirtualSetUp(physics=QUICK)).link.quality
-    onlooker = RunObserver(
+    observer = RunObserver(
         RunInfo("\x1b[2J", "p", "o", 3.0, 0.1), scenes.append, clock, quality, stop
     )
-    onlooker.begin()
-    onlooker.told("\x1b]0;title\x07 and\nmore")
+    observer.begin()
+    observer.on_message("\x1b]0;title\x07 and\nmore")
     drawn = Dashboard()
     drawn.add(scenes[-1], 0.0)
     escapes = re.findall("\x1b[^m]{0,12}.", "".join(drawn.lines(100, 30, 0.0, keys=True)))

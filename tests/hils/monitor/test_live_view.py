@@ -20,21 +20,21 @@ import os, sys, time
 from pathlib import Path
 from hils.monitor.live_view import LiveView
 from hils.events import Phase
-from hils.monitor.status import Scene
+from hils.monitor.status import RunStatus
 from hils.control.stop_request import StopRequest
-from hils.procedure.active_runs import announced
+from hils.procedure.active_runs import registered
 
 said = open("said", "w", buffering=1)
 stop = StopRequest()
-stop.uncut = True
-with announced("/dev/rig", [Path("run.h5")]) as run, stop.on_signals():
+stop.uninterruptible = True
+with registered("/dev/rig", [Path("run.h5")]) as run, stop.on_signals():
     view = LiveView(run)
     print("host", os.getpid(), file=said)
     print("view", view.pid, file=said)
     number = 0
-    while stop.wish is None:
+    while stop.first_reason is None:
         number += 1
-        view.show(Scene(phase=Phase.RUNNING, time=number * 0.05, duration=24.0, real=0.0123))
+        view.show(RunStatus(phase=Phase.RUNNING, time=number * 0.05, duration=24.0, real=0.0123))
         if number % 20 == 0:
             print("shown", number, file=said)
         time.sleep(PAUSE)
@@ -42,7 +42,7 @@ with announced("/dev/rig", [Path("run.h5")]) as run, stop.on_signals():
     began = time.monotonic()
     view.close()
     print("closed", time.monotonic() - began, file=said)
-print("ended", stop.emergency, stop.wish.reason, file=said)
+print("ended", stop.emergency, stop.first_reason.reason, file=said)
 """
 
 

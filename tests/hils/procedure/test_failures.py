@@ -10,7 +10,7 @@ from hils.control.stop_request import StopRequest
 from hils.events import Phase
 from hils.link.link import InProcessLink
 from hils.link.messages import Bye, RigState
-from hils.procedure.operator_prompts import Unattended
+from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import VirtualSetUp
@@ -38,7 +38,7 @@ def test_lost_link_closes_the_file_and_says_so():
         soft.link,
         soft.clock,
         rows,
-        Unattended(quiet=True),
+        UnattendedPrompts(quiet=True),
         StopRequest(),
     )
     assert report.reason.startswith("link lost: ")
@@ -83,7 +83,7 @@ def test_fault_of_the_program_still_stops_the_rig():
             soft.link,
             soft.clock,
             rows,
-            Unattended(quiet=True),
+            UnattendedPrompts(quiet=True),
             StopRequest(),
         )
     assert rows.end_reason == "failed: ZeroDivisionError: of a bug"
@@ -93,8 +93,8 @@ def test_fault_of_the_program_still_stops_the_rig():
 
 
 def test_nothing_that_is_told_can_prevent_the_stop():
-    class Speechless(Unattended):
-        def enter(self, phase, lasts=math.nan):
+    class Speechless(UnattendedPrompts):
+        def enter_phase(self, phase, lasts=math.nan):
             if phase is Phase.STOPPING:
                 raise OSError("the terminal is gone")
 

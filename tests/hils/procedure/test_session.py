@@ -8,7 +8,7 @@ import pytest
 from drftjax.common.errors import InputError
 from hils.link.link import MOST_REPORTS, LinkLost
 from hils.link.messages import (
-    MEANINGS,
+    REASON_MEANINGS,
     VIRTUAL_RIG,
     Arm,
     Drive,
@@ -21,7 +21,7 @@ from hils.link.messages import (
     encode,
     wire_bytes,
 )
-from hils.procedure.session import GAP, TRIES, RigStopped, new_session
+from hils.procedure.session import GAP, TRIES, RigStopped, draw_session_number
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 from tests.helpers.protocol_variants import (
     HELLO,
@@ -262,7 +262,7 @@ def test_an_emergency_stop_while_the_rig_is_being_armed_is_answered_and_ends_tha
 def test_an_emergency_stop_on_its_way_when_the_rig_is_greeted_anew_is_not_unlatched():
     table = Table(PressedBy(Hello))
     table.session.connect(HELLO)  # the button is pressed before it: that is over with HELLO
-    table.session.require_unhalted()
+    table.session.require_no_rig_stop()
     table.rig.left = 1  # and once more, before the next
     table.rig.protocol.emergency_stop(3, 0.0)  # SAFE; the words of it are lost
     table.rig.protocol.advance(10.0, b"")
@@ -279,7 +279,7 @@ def test_an_emergency_stop_is_not_lost_among_many_other_words():
         rig.report(0)
     table.clock.sleep_until(60.0)
     with pytest.raises(InputError, match=RELEASE):
-        table.session.require_unhalted()
+        table.session.require_no_rig_stop()
     assert rig.said[-1] == 7
     assert len(table.link.reports()) <= MOST_REPORTS
 
@@ -317,7 +317,7 @@ def test_reasons_of_another_rig_are_its_firmwares():
 
 
 def test_every_reason_has_words():
-    assert set(MEANINGS) == set(Reason)
+    assert set(REASON_MEANINGS) == set(Reason)
 
 
 def test_a_state_that_only_measurements_tell_is_told():
@@ -341,10 +341,10 @@ def test_words_of_an_earlier_boot_that_come_late_are_no_reset():
     table.rig.pressed = encode(Frame(late, 4, 999, 0))
     table.link.begin(1)
     table.clock.sleep_until(0.01)
-    assert table.link.quality().stranger == late
+    assert table.link.quality().foreign_state == late
     table.rig.pressed = encode(Frame(late, 4, 999, 0))
     table.ready().drive(0.1)
-    assert table.link.quality().stranger is None
+    assert table.link.quality().foreign_state is None
 
 
 def test_a_rig_that_was_reset_before_arm_is_not_armed():
@@ -366,7 +366,7 @@ def test_a_line_that_breaks_is_told_as_such():
 
 
 def test_session_numbers_are_drawn_and_never_zero():
-    numbers = {new_session() for _ in range(2000)}
+    numbers = {draw_session_number() for _ in range(2000)}
     assert len(numbers) > 1500
     assert min(numbers) >= 1
     assert max(numbers) <= 65_535

@@ -148,7 +148,7 @@ def test_a_fault_that_the_rig_reports_is_logged_once_and_asks_for_no_further_run
     table = Resting(Failing())
     assert table.bring_to_rest()
     assert table.logged == [(Event.RIG_STATE, RigState.FAULT), (Event.RIG_FAULT, 7)]
-    assert table.stop.wish.reason == "the rig reports fault 7"
+    assert table.stop.first_reason.reason == "the rig reports fault 7"
     assert not table.stop.emergency
 
 
@@ -161,7 +161,7 @@ def test_a_rig_that_goes_safe_is_logged_and_may_run_again():
     table = Resting(Safe())
     assert table.bring_to_rest()
     assert table.logged == [(Event.RIG_STATE, RigState.SAFE)]
-    assert table.stop.wish is None
+    assert table.stop.first_reason is None
 
 
 def test_what_ended_the_run_is_not_logged_again():
@@ -186,7 +186,7 @@ def test_an_emergency_stop_at_the_farewell_is_answered_logged_and_asks_for_no_fu
     table = Resting(Parting())
     assert table.bring_to_rest()
     assert table.logged == [(Event.EMERGENCY_STOP, 12)]
-    assert table.stop.wish.reason.startswith("the rig made an emergency stop, reason 12")
+    assert table.stop.first_reason.reason.startswith("the rig made an emergency stop, reason 12")
     assert table.said[-2:] == [Bye(), EmergencyStop(12)]
 
 

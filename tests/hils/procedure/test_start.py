@@ -11,7 +11,7 @@ from drftjax.runlog.hdf5.api import survey_run, write_run
 from hils.clock import VirtualClock
 from hils.control.stop_request import StopRequest
 from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
-from hils.procedure.operator_prompts import LOOK, Unattended
+from hils.procedure.operator_prompts import LOOK, UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
@@ -34,8 +34,8 @@ class InTheAir(OtherRig):
 def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over, tmp_path):
     told, clock, rows = [], VirtualClock(START), InMemorySink()
 
-    class Listener(Unattended):
-        def tell(self, text):
+    class Listener(UnattendedPrompts):
+        def say(self, text):
             told.append(text)
 
         mention = tell
@@ -69,11 +69,11 @@ def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, ove
     clock, given = VirtualClock(START), Procedure(loop=loop_setup(), countdown=0.3, free=free)
     link = LoggedLink(InTheAir(over=over), clock)
     with pytest.raises(InputError, match=f"rests {said}"):
-        run(given, link, clock, InMemorySink(), Unattended(quiet=True), StopRequest())
+        run(given, link, clock, InMemorySink(), UnattendedPrompts(quiet=True), StopRequest())
     assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
 
 
-class Pressing(Unattended):
+class Pressing(UnattendedPrompts):
     """An operator who presses the rig's own emergency stop while asked for something else."""
 
     def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
@@ -99,7 +99,7 @@ def test_rigs_own_emergency_stop_before_arm_is_answered_and_nothing_is_armed(que
     assert "emergency stop" in rows.end_reason
 
 
-class Resetting(Unattended):
+class Resetting(UnattendedPrompts):
     """The rig is reset at one of the questions."""
 
     def __init__(self, rig: Buttons, clock: VirtualClock, question: str):
@@ -140,13 +140,13 @@ def test_a_file_that_cannot_be_recorded_any_more_after_the_questions_is_refused(
             soft.link,
             soft.clock,
             Filling(),
-            Unattended(quiet=True),
+            UnattendedPrompts(quiet=True),
             StopRequest(),
         )
     assert "arm" not in soft.rig.occasions
 
 
-class Waiting(Unattended):
+class Waiting(UnattendedPrompts):
     """An operator who never presses Enter, at a rig whose own emergency stop is pressed."""
 
     def __init__(self, rig: Buttons, clock: VirtualClock):
@@ -174,8 +174,8 @@ def test_rigs_own_emergency_stop_ends_an_open_question():
 def test_rig_that_is_safe_from_before_is_told_of_and_driven():
     told = []
 
-    class Listener(Unattended):
-        def tell(self, text):
+    class Listener(UnattendedPrompts):
+        def say(self, text):
             told.append(text)
 
     soft, given = soft_rig(), Procedure(loop=loop_setup(), countdown=0.3)

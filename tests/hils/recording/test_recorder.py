@@ -66,7 +66,7 @@ def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
     flags = OnlineRow._fields.index("flags")
     tick[:, 0] = [0.0, 0.1, 0.2]
     tick[1, 3], tick[1, flags] = np.inf, TickFlag.FRESH | TickFlag.LATE
-    kept, told = RowSanitizer().sanitized(Kind.ONLINE, tick)
+    kept, told = RowSanitizer().sanitize(Kind.ONLINE, tick)
     assert kept[1, 3] == 0.0
     assert kept[1, flags] == TickFlag.FRESH | TickFlag.LATE | TickFlag.NOT_FINITE
     np.testing.assert_array_equal(kept[[0, 2]], tick[[0, 2]])
@@ -76,20 +76,20 @@ def test_a_tick_that_is_not_finite_is_flagged_and_keeps_its_place():
 @pytest.mark.parametrize("kind", [Kind.COMMAND, Kind.MEASURED])
 def test_a_command_or_a_reading_that_is_not_finite_is_left_out_and_told(kind):
     rows = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 1.0, 2.0]])
-    kept, told = RowSanitizer().sanitized(kind, rows)
+    kept, told = RowSanitizer().sanitize(kind, rows)
     np.testing.assert_array_equal(kept, rows[[0, 2]])
     assert told.tolist() == [[0.1, float(Event.ROW_NOT_FINITE), float(kind)]]
 
 
 def test_times_that_do_not_increase_move_up_by_the_least_there_is():
     sound = RowSanitizer()
-    first, _ = sound.sanitized(Kind.MEASURED, np.array([[0.5, 1.0], [0.5, 2.0], [0.4, 3.0]]))
-    again, _ = sound.sanitized(Kind.MEASURED, np.array([[0.5, 4.0], [0.6, 5.0]]))
+    first, _ = sound.sanitize(Kind.MEASURED, np.array([[0.5, 1.0], [0.5, 2.0], [0.4, 3.0]]))
+    again, _ = sound.sanitize(Kind.MEASURED, np.array([[0.5, 4.0], [0.6, 5.0]]))
     times = np.concatenate([first, again])[:, 0]
     assert (np.diff(times) > 0).all()
     # By three units in the last place in all.
     np.testing.assert_allclose(times, [0.5, 0.5, 0.5, 0.5, 0.6], rtol=0, atol=4 * np.spacing(0.5))
-    events, _ = sound.sanitized(Kind.EVENTS, np.array([[0.5, 1.0, 0.0], [0.4, 2.0, 0.0]]))
+    events, _ = sound.sanitize(Kind.EVENTS, np.array([[0.5, 1.0, 0.0], [0.4, 2.0, 0.0]]))
     assert events[:, 0].tolist() == [0.5, 0.5]
 
 
@@ -99,7 +99,7 @@ def test_a_tick_has_a_number_for_each_channel_of_the_format():
 
 def test_whole_numbers_of_a_tick_are_kept_within_their_types():
     tick = np.full((1, len(OnlineRow._fields)), 2.0**32 + 300.4)
-    kept, _ = RowSanitizer().sanitized(Kind.ONLINE, tick)
+    kept, _ = RowSanitizer().sanitize(Kind.ONLINE, tick)
     row = OnlineRow(*kept[0])
     assert (row.tuned, row.flags, row.seq_sent, row.seq_received) == (44, 300, 300, 300)
     assert {row.fz_sim, row.late, row.rig_time} == {2.0**32 + 300.4}

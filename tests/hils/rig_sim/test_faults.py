@@ -10,7 +10,6 @@ from hils.rig_sim.fault_injection import FaultInjector
 from hils.rig_sim.faults import (
     INT32,
     KINDS,
-    Absurd,
     Counts,
     DamagedFrames,
     DelayedBytes,
@@ -26,8 +25,9 @@ from hils.rig_sim.faults import (
     LostFrames,
     ReorderedBytes,
     ReorderedFrames,
-    Saturated,
-    Stuck,
+    SaturatedDrive,
+    ScaleJump,
+    StuckScale,
     Window,
     read_faults,
     split_frames,
@@ -93,7 +93,7 @@ def test_delayed_bytes_open_a_gap_within_the_frame():
 
 
 def test_stuck_scale_keeps_what_it_read_when_the_fault_began():
-    run = FaultInjector(FaultScript((Fault(Stuck("z"), Window(start=1.0, duration=1.0)),)))
+    run = FaultInjector(FaultScript((Fault(StuckScale("z"), Window(start=1.0, duration=1.0)),)))
     run.mark("power", 10.0)
     assert run.counts(Counts(5, 6, 0.1), 10.5) == (5, 6, 0.1)
     assert run.counts(Counts(7, 8, 0.1), 11.0) == (7, 8, 0.1)
@@ -104,18 +104,18 @@ def test_stuck_scale_keeps_what_it_read_when_the_fault_began():
 def test_absurd_reading_jumps_either_way_and_fits_the_wire():
     generator = random()
     read = {
-        Absurd("both").read(Counts(5, -5, 0.0), Counts(0, 0, 0.0), generator).z for _ in range(9)
+        ScaleJump("both").read(Counts(5, -5, 0.0), Counts(0, 0, 0.0), generator).z for _ in range(9)
     }
     assert read == {INT32, 5 - INT32}
-    once = Absurd("x", rate=0.25, counts=100)
+    once = ScaleJump("x", rate=0.25, counts=100)
     x = [once.read(Counts(0, 0, 0.0), Counts(0, 0, 0.0), generator).x for _ in range(1000)]
     assert 200 < np.count_nonzero(x) < 300
     assert set(x) == {-100, 0, 100}
 
 
 def test_saturated_drive_keeps_the_sense_of_rotation():
-    assert Saturated(0.2).drive(MotorDemand(-0.5, 0.1, True)) == (-0.2, 0.1, True)
-    assert Saturated(0.2).drive(MotorDemand(0.1, 0.1, True)) == (0.1, 0.1, True)
+    assert SaturatedDrive(0.2).drive(MotorDemand(-0.5, 0.1, True)) == (-0.2, 0.1, True)
+    assert SaturatedDrive(0.2).drive(MotorDemand(0.1, 0.1, True)) == (0.1, 0.1, True)
 
 
 def test_window_opens_after_the_first_of_its_occasions():
@@ -125,7 +125,7 @@ def test_window_opens_after_the_first_of_its_occasions():
     run.mark("arm", 9.0)
     assert run.next_edge(3.0) == 3.5
     assert run.next_edge(3.5) == 4.5
-    assert [run.unplugged(t) for t in (3.4, 3.5, 4.4, 4.5)] == [False, True, True, False]
+    assert [run.is_unplugged(t) for t in (3.4, 3.5, 4.4, 4.5)] == [False, True, True, False]
 
 
 def test_faults_strike_only_towards_their_end():
@@ -213,7 +213,7 @@ def test_script_is_read_from_a_file(tmp_path):
     path = tmp_path / "faults.toml"
     path.write_text(GOOD)
     assert read_faults(path) == FaultScript(
-        (Fault(LostFrames(0.3, "rig"), Window("motion", 1.0, 2.0)), Fault(Stuck())), seed=7
+        (Fault(LostFrames(0.3, "rig"), Window("motion", 1.0, 2.0)), Fault(StuckScale())), seed=7
     )
 
 

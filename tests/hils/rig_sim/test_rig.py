@@ -12,7 +12,8 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
-from drftjax.setups.setup import TerrainSetUp, WheelSetUp
+from drftjax.setups.setup import WheelSetUp
+from drftjax.setups.terrain_setup import DynamicTerrain
 from drftjax.simulation.rollout import simulate
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import sinkage_under_load
@@ -31,7 +32,6 @@ from hils.link.messages import (
 )
 from hils.rig_sim.config import BedSetUp, VirtualSetUp, read_virtual_setup
 from hils.rig_sim.faults import (
-    Absurd,
     Disconnect,
     DriveFault,
     Fault,
@@ -39,8 +39,9 @@ from hils.rig_sim.faults import (
     FlippedBytes,
     LostFrames,
     Reset,
-    Saturated,
-    Stuck,
+    SaturatedDrive,
+    ScaleJump,
+    StuckScale,
     Window,
 )
 from hils.rig_sim.in_process import QUICK, SoftRig, rig_physics, soft_rig
@@ -181,7 +182,7 @@ def test_physics_is_finer_than_the_loop_own():
 def test_wheel_hangs_at_touch_down_until_it_is_armed():
     soft = opened()
     soft.clock.sleep_until(soft.clock.now() + 5.0)
-    assert soft.rig.held
+    assert soft.rig.is_held
     assert soft.rig.motion.z == 0.0
     assert abs(measured(soft).z * SCALE.z_scale) < 6 * SCALE.z_noise
     soft.link.send(Drive(FULL_SPEED, 0.0, False, 100))
@@ -189,7 +190,7 @@ def test_wheel_hangs_at_touch_down_until_it_is_armed():
     assert soft.rig.motion.omega == 0.0
     soft.link.send(Arm())
     drive(soft, 0.2)
-    assert not soft.rig.held
+    assert not soft.rig.is_held
     # Let down, it is on its way to 16 mm.
     assert soft.rig.motion.z < -5e-3
 
@@ -203,7 +204,7 @@ def test_next_session_finds_the_bed_prepared_anew():
     soft.link.begin(8)
     soft.link.send(Hello(round(TICK * 1e6), 100))
     soft.clock.sleep_until(soft.clock.now() + 0.1)
-    assert soft.rig.held
+    assert soft.rig.is_held
     assert abs(measured(soft).z * SCALE.z_scale) < 6 * SCALE.z_noise
     soft.link.send(Arm())
     drive(soft, LOWERING_TIME + 0.1)
@@ -310,7 +311,7 @@ def test_plug_pulled_loses_the_link_and_the_rig_goes_safe_by_itself():
     soft = settled(None, Fault(Disconnect(), Window("motion", 0.5)))
     with pytest.raises(LinkLost, match="plug"):
         drive(soft, 1.0, FULL_SPEED)
-    soft.rig.live(soft.clock.now() + 0.5)
+    soft.rig.advance_unplugged(soft.clock.now() + 0.5)
     assert soft.rig.state is RigState.SAFE
     assert soft.rig.motion.omega == 0.0
 
@@ -318,7 +319,7 @@ def test_plug_pulled_loses_the_link_and_the_rig_goes_safe_by_itself():
 def test_reset_gives_a_new_boot_number_and_stands_still():
     soft = settled(None, Fault(Reset(), Window("motion", 0.5, 0.2)))
     drive(soft, 1.5, FULL_SPEED)
-    stranger = soft.link.quality().stranger
+    stranger = soft.link.quality().foreign_state
     assert soft.rig.state is RigState.IDLE
     assert soft.rig.motion.omega == 0.0
     assert stranger is not None
@@ -326,18 +327,18 @@ def test_reset_gives_a_new_boot_number_and_stands_still():
 
 
 def test_stuck_and_absurd_scales():
-    soft = settled(None, Fault(Stuck("z"), Window("motion", 0.5)))
+    soft = settled(None, Fault(StuckScale("z"), Window("motion", 0.5)))
     z = [each.z for each in drive(soft, 2.0, FULL_SPEED)]
     assert len(set(z[60:])) == 1
     assert len(set(z[:40])) > 10
-    soft = settled(None, Fault(Absurd("z", counts=100_000), Window("motion", 0.5)))
+    soft = settled(None, Fault(ScaleJump("z", counts=100_000), Window("motion", 0.5)))
     z = [each.z for each in drive(soft, 1.0, FULL_SPEED)]
     assert min(map(abs, z[60:])) > 90_000
     assert max(map(abs, z[:40])) < 10_000
 
 
 def test_saturated_drive_turns_slower_and_says_so():
-    soft = settled(None, Fault(Saturated(0.1), Window("motion", 0.5)))
+    soft = settled(None, Fault(SaturatedDrive(0.1), Window("motion", 0.5)))
     read = drive(soft, 1.5, FULL_SPEED)
     assert read[40].omega == pytest.approx(FULL_SPEED, abs=OMEGA)
     assert read[-1].omega == pytest.approx(0.1, abs=OMEGA)
@@ -352,7 +353,7 @@ def test_drive_fault_stands_still_until_power_up():
 
 
 def test_wheel_that_sinks_to_its_end_stop_is_a_fault():
-    soft = opened(quick(terrain=TerrainSetUp(zeta=0.02)))
+    soft = opened(quick(terrain=DynamicTerrain(zeta=0.02)))
     soft.link.send(Arm())
     read = drive(soft, 3.0)
     assert (read[-1].state, read[-1].fault) == (RigState.FAULT, RigFault.END_STOP)
