@@ -10,9 +10,10 @@ from drftjax.recorded.prepared_run import Run, prepare_runs
 from drftjax.runlog.record import CHANNELS
 from drftjax.setups.setup import SetUp
 from identify.design.required_speed import add_required_speeds
-from identify.fit_constant import WHITE, Progress
+from identify.fit_constant import FIT_SETTINGS, WHITE, FitSettings, Progress
 from identify.fit_constant import fit as fit_prepared
 from identify.fit_path import fit_paths
+from identify.fit_path_jointly import JOINT_FIT_SETTINGS, JointFitSettings
 from identify.parameters.parameter import Parameter, parameter, require_once
 from identify.parameters.phase_zeta import zeta_phases
 from identify.results.result import FitResult
@@ -41,6 +42,8 @@ def fit(
     keep_rest: bool = False,
     compare: str | Sequence[str] = CHANNELS,
     progress: Progress | None = None,
+    settings: FitSettings = FIT_SETTINGS,
+    path_settings: JointFitSettings = JOINT_FIT_SETTINGS,
 ) -> FitResult:
     """Fit numbers of the simulator to recorded runs, as `drft fit` does.
 
@@ -53,18 +56,20 @@ def fit(
         runs: Files, run logs or pairs of a set-up and a run log; one, several, or several by name.
         model: Wheel, sand, rig and effects in place of what the run logs believe of them; commands
             and starts are always the runs'.
-        parameters: What is fitted; zeta and lambda where nothing is named, and beside a path
+        parameters: Fitted parameters; zeta and lambda where nothing is named, and beside a path
             nothing. Names, or `drftjax.own(...)` and `drftjax.shared(...)`. By name alone, zeta
             and the start are each run's own, and all else is shared by the runs. An effect's
             number is NAME.NUMBER, such as "drawbar.force"; the effect is added where it is not.
         zeta: "constant"; "phases", one for each phase of the command; or "path", zeta(t) as smooth
             as the data say, which is then each run's `path`, and the parameters beside it.
         knots: Time from knot to knot of a path [s].
-        noise: How residuals scatter.
+        noise: Model of the residuals.
         starts: Starting points to try; see `identify.solver.multistart`.
         keep_rest: Whether samples after the last stop are compared too.
         compare: Channels that are compared, such as "z", of those that the simulation predicts.
         progress: Called with the stage, the solver's step and the sum of squares.
+        settings: Decision numbers of a fit with constant parameters.
+        path_settings: Decision numbers of a fit of zeta(t).
 
     Raises:
         InputError: where a run, a parameter or the whole cannot be fitted, and why.
@@ -95,10 +100,10 @@ def fit(
             compare=channels,
         )
         if zeta == "path":
-            return fit_paths(prepared, knots, wanted, progress)
+            return fit_paths(prepared, knots, wanted, progress, path_settings)
         if zeta == "phases":
             wanted = zeta_phases(prepared, wanted)
-        result = fit_prepared(prepared, wanted, progress, noise, starts=starts)
+        result = fit_prepared(prepared, wanted, progress, noise, starts=starts, settings=settings)
         return add_required_speeds(result)
 
 

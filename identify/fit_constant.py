@@ -1,8 +1,8 @@
-"""Fit numbers of the simulator to recorded runs."""
+"""Fit of the simulator's parameters to recorded runs, constant in time or by phase."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -17,49 +17,74 @@ from drftjax.recorded.prepared_run import PreparedRun
 from identify.parameters.bijector import Interval
 from identify.parameters.parameter import Parameter
 from identify.parameters.phase_zeta import PhaseZeta, has_phase_zeta, with_phases
-from identify.results.findings import findings
+from identify.results.findings import FINDING_SETTINGS, FindingSettings, findings
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.initial_zeta import zeta_from_mean_sinkage
-from identify.solver.levenberg_marquardt import LEAST_GAIN, NEGLIGIBLE, Solution, solve
+from identify.solver.levenberg_marquardt import Solution, solve
 from identify.solver.multistart import best_start, require_starts
 from identify.solver.problem import Coordinates, Problem, predict
+from identify.solver.settings import (
+    BATCHED_SETTINGS,
+    MULTISTART_SETTINGS,
+    SOLVER_SETTINGS,
+    BatchedSolverSettings,
+    MultistartSettings,
+    SolverSettings,
+)
 from identify.uncertainty.covariance import null_directions
 from identify.uncertainty.estimate import Estimate
 from identify.uncertainty.noise_model import AbstractNoise, White
-from identify.uncertainty.priors import apply_priors, prior_conflicts
+from identify.uncertainty.priors import (
+    PRIOR_SETTINGS,
+    PriorSettings,
+    apply_priors,
+    prior_conflicts,
+)
 
-# Fits with the weights that the last fit's residuals give; two change the values no further than
-# a small part of their errors.
-REWEIGHTINGS = 2
-
-
-# What a step must gain before the last weights are known, in residual variances: other weights
-# move the least sum of squares by more.
-ROUGHLY_LEAST = 10.0
-
-
-# A run whose residuals are so many times most runs' is weighed by its own: it was recorded or set
-# up amiss, and must not pass for what the others scatter by.
-ODD_MISFIT = 10.0
-
-
-# So far from where it starts a bounded number's coordinate leaves no slope to come back by.
-FARTHEST = 5.0
+# Constant error of the simulation over a phase of the command [m, N, N m]: what its plates and step
+# leave open in sinkage (docs/integrator.md), and the same share of the rest.
+MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
 
 
 WHITE = White()
 
 
-# How far the simulation may be off by a constant over a phase of the command [m, N, N m]: what its
-# plates and step leave open in sinkage (docs/integrator.md), and the same share of the rest.
-MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
+@dataclass(frozen=True)
+class FitSettings:
+    """Decision numbers of a fit with constant parameters.
+
+    Attributes:
+        reweightings: Fits with the weights that the last fit's residuals give; two change the
+            values no further than a small part of their errors.
+        rough_gain: Gain of a step [residual variances] below which a fit has converged while its
+            weights are not yet final: other weights move the minimum by more.
+        odd_misfit: A run whose RMS residual is so many times that of most runs is weighted by its
+            own: it was recorded or set up wrongly, and must not count as scatter of the others.
+        farthest: Move of a bounded number's coordinate from its start beyond which it has no slope
+            left to come back by.
+        finest: Share of a channel's constant simulation error (`MODEL_ERROR`) below which no
+            channel is weighted as finer, however fine its readings: the others tell as much then.
+        finest_run: Smallest residual of a run; see `identify.solver.whitening.Whitening`.
+        solver, short_steps, multistart, priors: Numbers of these.
+        findings: Numbers of the sentences on the result.
+    """
+
+    reweightings: int = 2
+    rough_gain: float = 10.0
+    odd_misfit: float = 10.0
+    farthest: float = 5.0
+    finest: float = 0.2
+    finest_run: float = 0.1
+    solver: SolverSettings = SOLVER_SETTINGS
+    short_steps: BatchedSolverSettings = BATCHED_SETTINGS
+    multistart: MultistartSettings = MULTISTART_SETTINGS
+    priors: PriorSettings = PRIOR_SETTINGS
+    findings: FindingSettings = FINDING_SETTINGS
 
 
-# No channel is weighed as finer than this share of it, however fine its readings: the others tell
-# as much then.
-FINEST = 0.2
+FIT_SETTINGS = FitSettings()
 
 
 Progress = Callable[[str, int, float], None]
@@ -72,20 +97,22 @@ def fit(
     noise: AbstractNoise = WHITE,
     model_error: Mapping[str, float] = MODEL_ERROR,
     starts: int = 1,
+    settings: FitSettings = FIT_SETTINGS,
 ) -> FitResult:
-    """Fit `parameters` to all runs together.
+    """Fit `parameters` to all runs together, by weighted least squares.
 
     Residuals are weighted first by each instrument's white noise; then, as the model's own error
-    is mostly far larger, by what each channel's residuals were over all runs.
+    is mostly far larger, by the RMS of each channel's residuals over all runs.
 
     Args:
         runs: Runs; those of another kind of wheel, law or carriage than most are left out.
-        parameters: What to fit, shared or for each run.
+        parameters: Fitted parameters, shared or one for each run.
         progress: Called with the stage, the solver's step and the sum of squares.
-        noise: How residuals scatter.
-        model_error: How far the simulation may be off by a constant over a phase of the command,
-            by channel [m, N, N m]; none where it is empty.
+        noise: Model of the residuals.
+        model_error: Standard deviation of a constant error of the simulation over a phase of the
+            command, by channel [m, N, N m]; none where it is empty.
         starts: Starting points to try; the best is kept. See `identify.solver.multistart`.
+        settings: Decision numbers.
 
     Raises:
         InputError: where no run is left, or two have the same name.
@@ -93,37 +120,50 @@ def fit(
     runs = with_phases(runs, parameters) if has_phase_zeta(parameters) else list(runs)
     problem, before, failures = _problem(runs, tuple(parameters), noise)
     kept = [each for each in runs if each.name not in failures]
-    coordinates, tried = zeta_from_mean_sinkage(problem, problem.start()), None
+    coordinates, summary = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
     require_starts(starts)
     if starts > 1:
-        coordinates, tried = best_start(
-            problem, len(kept), starts, progress=lambda s, n: report(f"{starts} starts", s, n)
+        coordinates, summary = best_start(
+            problem,
+            len(kept),
+            starts,
+            progress=lambda s, n: report(f"{starts} starts", s, n),
+            settings=settings.multistart,
         )
     solution = solve(
-        problem, coordinates, lambda s, v: report("fit", s, v), least_gain=ROUGHLY_LEAST
+        problem,
+        coordinates,
+        lambda s, v: report("fit", s, v),
+        least_gain=settings.rough_gain,
+        settings=settings.solver,
     )
-    thrown = _stuck_at_bounds(problem, coordinates, solution.coordinates)
-    if solution.status != "converged" or any(thrown):
-        solution = _in_short_steps(problem, len(kept), coordinates, solution, thrown, report)
-    for turn in range(REWEIGHTINGS):
+    stuck = _stuck_at_bounds(problem, coordinates, solution.coordinates, settings.farthest)
+    if solution.status != "converged" or any(stuck):
+        solution = _in_short_steps(
+            problem, len(kept), coordinates, solution, stuck, report, settings
+        )
+    for turn in range(settings.reweightings):
         active, start = solution.active, solution.coordinates
-        problem = _reweighted(problem, predict(problem, start), noise, active)
-        stage = f"reweighted fit {turn + 1} of {REWEIGHTINGS}"
+        problem = _reweighted(problem, predict(problem, start), noise, active, settings)
+        stage = f"reweighted fit {turn + 1} of {settings.reweightings}"
         solution = solve(
             problem,
             start,
             lambda s, v, stage=stage: report(stage, s, v),
             active,
-            LEAST_GAIN if turn == REWEIGHTINGS - 1 else ROUGHLY_LEAST,
+            None if turn == settings.reweightings - 1 else settings.rough_gain,
+            settings.solver,
         )
-        thrown = _stuck_at_bounds(problem, start, solution.coordinates)
-        if any(thrown):
-            solution = _in_short_steps(problem, len(kept), start, solution, thrown, report)
-    estimate = Estimate.of(problem, solution, tuple(kept), model_error)
+        stuck = _stuck_at_bounds(problem, start, solution.coordinates, settings.farthest)
+        if any(stuck):
+            solution = _in_short_steps(problem, len(kept), start, solution, stuck, report, settings)
+    estimate = Estimate.of(problem, solution, tuple(kept), model_error, settings.finest_run)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
-        estimate = apply_priors(estimate, lambda s, size: report("fit with its priors", s, np.nan))
-    return replace(_result(estimate, before, failures), starts=tried)
+        estimate = apply_priors(
+            estimate, lambda s, size: report("fit with its priors", s, np.nan), settings.priors
+        )
+    return replace(_result(estimate, before, failures, settings), starts=summary)
 
 
 def _in_short_steps(
@@ -131,43 +171,50 @@ def _in_short_steps(
     runs: int,
     start: Coordinates,
     solution: Solution,
-    thrown: list[bool],
+    stuck: list[bool],
     report: Progress,
+    settings: FitSettings = FIT_SETTINGS,
 ) -> Solution:
-    """Where short steps lead to: a number that hardly bears on the runs may be thrown far off.
+    """Return the solution that short steps lead to.
+
+    A long step may move a number that hardly bears on the runs to its bound, and leave it there.
 
     Args:
         problem: Runs and parameters.
         runs: Number of true runs.
-        start: Where the solver began.
-        solution: Where it ended. From there short steps go on. Where a number was thrown they go
-            from the start, with that number held first and then free, so that they come to no
-            worse an end than without it; the better end counts.
-        thrown: Which numbers were thrown, by `_thrown`.
+        start: Coordinates that the solver started from.
+        solution: Its end. From there short steps go on. Where a number is stuck they go from the
+            start, with that number held first and then free, so that they come to no worse an end
+            than without it; the better end counts.
+        stuck: Numbers that are stuck, by `_stuck_at_bounds`.
         report: Called with the stage, the step and the sum of squares.
+        settings: Decision numbers.
     """
     descent = BatchedLevenbergMarquardt(problem, runs, None, solution.active)
-    point = descent.flat(start if any(thrown) else solution.coordinates)[None]
+    point = descent.flat(start if any(stuck) else solution.coordinates)[None]
 
-    def said(step: int, _: int) -> None:
+    def tell(step: int, _: int) -> None:
         report("short steps", step, np.nan)
 
-    if any(thrown):
-        shared, own = thrown[: descent.shared], thrown[descent.shared :]
+    if any(stuck):
+        shared, own = stuck[: descent.shared], stuck[descent.shared :]
         held = np.array([*shared, *own * runs])
-        point = descent.run(point, held, progress=said).points
-    ends = descent.run(point, progress=said)
+        point = descent.run(point, held, progress=tell).points
+    ends = descent.run(point, progress=tell)
     again = solve(
         problem,
         descent.coordinates(ends.points[0]),
         lambda s, v: report("fit again", s, v),
         solution.active,
+        settings=settings.solver,
     )
-    return again if not any(thrown) or again.loss < solution.loss else solution
+    return again if not any(stuck) or again.loss < solution.loss else solution
 
 
-def _stuck_at_bounds(problem: Problem, start: Coordinates, end: Coordinates) -> list[bool]:
-    """Which bounded numbers steps have thrown to their bounds, where they hardly move any more.
+def _stuck_at_bounds(
+    problem: Problem, start: Coordinates, end: Coordinates, farthest: float
+) -> list[bool]:
+    """Return which bounded numbers were moved so near to a bound that they hardly move any more.
 
     Returns:
         For each shared number, then for each of the runs' own.
@@ -175,7 +222,7 @@ def _stuck_at_bounds(problem: Problem, start: Coordinates, end: Coordinates) -> 
     (shared, own), (shared_there, own_there) = start, end
     moved = np.abs(np.asarray(shared_there - shared)), np.abs(np.asarray(own_there - own)).max(0)
     return [
-        isinstance(each.bijector, Interval) and bool(move > FARTHEST)
+        isinstance(each.bijector, Interval) and bool(move > farthest)
         for each, move in zip(problem.shared + problem.own, np.concatenate(moved), strict=True)
     ]
 
@@ -183,7 +230,12 @@ def _stuck_at_bounds(problem: Problem, start: Coordinates, end: Coordinates) -> 
 def _problem(
     runs: list[PreparedRun], parameters: tuple[Parameter, ...], noise: AbstractNoise = WHITE
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
-    """The batch of runs that the set-up's own values can simulate, what they give, and the rest."""
+    """Return the problem of the runs that can be simulated at their own values.
+
+    Returns:
+        The problem; its prediction there, shape (runs, channels, samples); and the reason for each
+        run that is left out.
+    """
     runs, failures = _startable_runs(runs, parameters)
     while True:
         if not runs:
@@ -209,7 +261,7 @@ def _problem(
 def _startable_runs(
     runs: list[PreparedRun], parameters: tuple[Parameter, ...]
 ) -> tuple[list[PreparedRun], dict[str, str]]:
-    """The largest set of runs that one program fits, and why the others are left out."""
+    """Return the largest set of runs that one program fits, and why the others are left out."""
     failures: dict[str, str] = {}
     for each in runs:
         try:
@@ -222,24 +274,28 @@ def _startable_runs(
 
 
 def _reweighted(
-    problem: Problem, simulated: np.ndarray, noise: AbstractNoise, active: np.ndarray
+    problem: Problem,
+    simulated: np.ndarray,
+    noise: AbstractNoise,
+    active: np.ndarray,
+    settings: FitSettings,
 ) -> Problem:
-    """The problem with each channel weighed, and whitened, by its residuals over all runs."""
+    """Return the problem weighted and whitened by the residuals of all runs, channel by channel."""
     weight = np.asarray(problem.batch.observed.weight)
     counts = (weight > 0) & active[:, None, None]
     raw = np.where(counts, simulated - np.asarray(problem.batch.observed.values), 0)
     intervals = np.asarray(problem.batch.observed.intervals)
     number = counts.sum(axis=2)
     each = np.sqrt((raw**2).sum(axis=2) / np.maximum(number, 1))
-    # A channel that is met better than its instrument can tell must not rule the others.
+    # A channel that is fitted better than its instrument resolves must not outweigh the others.
     finest = np.array(
         [
-            max(_lower_median(fast), FINEST * MODEL_ERROR[channel])
+            max(_lower_median(fast), settings.finest * MODEL_ERROR[channel])
             for channel, fast in zip(problem.batch.channels, _fast(raw, counts), strict=True)
         ]
     )
     usual = [_lower_median(e[n > 0]) for e, n in zip(each.T, number.T, strict=True)]
-    odd = each > ODD_MISFIT * np.maximum(usual, finest)
+    odd = each > settings.odd_misfit * np.maximum(usual, finest)
     kept = np.where(odd, 0, number)
     pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
     fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
@@ -248,7 +304,7 @@ def _reweighted(
 
 
 def _fast(raw: np.ndarray, counts: np.ndarray) -> list[np.ndarray]:
-    """White noise of each channel's residuals [m, N, N m], of the runs that have some."""
+    """Return the white noise of the residuals [m, N, N m], by channel and run that has some."""
     return [
         np.array(
             [
@@ -265,7 +321,10 @@ def _lower_median(values: np.ndarray) -> float:
     return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
 
 
-def _result(estimate: Estimate, before: np.ndarray, failures: dict[str, str]) -> FitResult:
+def _result(
+    estimate: Estimate, before: np.ndarray, failures: dict[str, str], settings: FitSettings
+) -> FitResult:
+    """Return the result of a fit, with its findings."""
     problem, solution = estimate.problem, estimate.solution
     error = np.sqrt(np.diag(estimate.covariance))
     shared_coordinates, own_coordinates = solution.coordinates
@@ -274,7 +333,7 @@ def _result(estimate: Estimate, before: np.ndarray, failures: dict[str, str]) ->
     shared = values_of(problem.shared, shared_coordinates, error[: estimate.shared])
     after = predict(problem, solution.coordinates)
     recorded = np.asarray(problem.batch.observed.values)
-    states = run_states(estimate)
+    states = run_states(estimate, settings.solver.negligible)
     fits = []
     for index, each in enumerate(estimate.runs):
         own = values_of(problem.own, own_coordinates[index], own_error[index])
@@ -320,8 +379,8 @@ def _result(estimate: Estimate, before: np.ndarray, failures: dict[str, str]) ->
         steps=solution.steps,
         failures=failures,
         findings=[
-            *findings(problem.parameters, shared, fits, spread, hidden, scatter),
-            *prior_conflicts(estimate),
+            *findings(problem.parameters, shared, fits, spread, hidden, scatter, settings.findings),
+            *prior_conflicts(estimate, settings.priors),
         ],
         labels=estimate.labels,
         covariance=estimate.covariance_of_values,
@@ -329,11 +388,15 @@ def _result(estimate: Estimate, before: np.ndarray, failures: dict[str, str]) ->
     )
 
 
-def run_states(estimate: Estimate) -> list[str]:
-    """How the solver left each run: "converged", "stalled" or "diverged".
+def run_states(estimate: Estimate, negligible: float = SolverSettings.negligible) -> list[str]:
+    """Return the state of each run: "converged", "stalled" or "diverged".
 
-    A run has stalled where a straight line still promises to lower its own sum of squares by a
-    noticeable part, moving its own parameters by more than their errors.
+    A run has stalled where the linearisation still promises to lower its own sum of squares by more
+    than a negligible share, moving its own parameters by more than their errors.
+
+    Args:
+        estimate: Of the fit.
+        negligible: Share of a run's sum of squares that is not worth a warning.
     """
     solution = estimate.solution
     _, own = map(np.asarray, solution.coordinates)
@@ -349,10 +412,10 @@ def run_states(estimate: Estimate) -> list[str]:
             states.append("converged" if solution.status == "converged" else "stalled")
             continue
         rows = solution.blocks[run][..., estimate.shared :].reshape(-1, estimate.own)
-        left = solution.residual[run].ravel()
+        residual = solution.residual[run].ravel()
         information = rows.T @ rows + np.diag(slopes[run] ** 2)
-        slope = rows.T @ left + slopes[run] * priors[run]
+        slope = rows.T @ residual + slopes[run] * priors[run]
         gain = float(slope @ np.linalg.lstsq(information, slope, rcond=None)[0])
-        noticeable = max(NEGLIGIBLE, 1 / max(int(counted[run]), 1)) * float(left @ left)
+        noticeable = max(negligible, 1 / max(int(counted[run]), 1)) * float(residual @ residual)
         states.append("stalled" if gain > noticeable else "converged")
     return states

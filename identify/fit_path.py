@@ -1,4 +1,4 @@
-"""zeta(t) of recorded runs, and numbers beside it, as the result of a fit."""
+"""Fit of zeta(t), and of parameters jointly with it, as a fit's result."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -9,7 +9,12 @@ import numpy as np
 from drftjax.recorded.compatible import retry_without_failures
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
-from identify.fit_path_jointly import Progress, fit_jointly
+from identify.fit_path_jointly import (
+    JOINT_FIT_SETTINGS,
+    JointFitSettings,
+    Progress,
+    fit_jointly,
+)
 from identify.parameters.parameter import Parameter
 from identify.results.findings import at_bounds, unidentified
 from identify.results.result import FitResult
@@ -23,46 +28,54 @@ def fit_paths(
     knot_spacing: float = KNOT_SPACING,
     parameters: Sequence[Parameter] = (),
     progress: Progress | None = None,
+    settings: JointFitSettings = JOINT_FIT_SETTINGS,
 ) -> FitResult:
-    """zeta(t) of each run, its smoothness chosen by the evidence; all else as believed, or fitted.
+    """Fit zeta(t) of each run, its smoothness chosen by the evidence, and parameters with it.
 
     Args:
         prepared: Runs; one that has no sinkage, is too short, cannot be simulated or is of
             another kind of wheel, law or carriage than most is left out.
         knot_spacing: Time from knot to knot [s].
-        parameters: What is fitted beside the paths; see `identify.fit_path_jointly`.
+        parameters: Parameters fitted jointly with the paths; see `identify.fit_path_jointly`.
         progress: Called with the stage and the step.
+        settings: Decision numbers.
 
     Raises:
-        InputError: where no run is left, or a parameter is one of the path itself.
+        InputError: where no run is left, or a parameter is part of every path.
     """
-    make = partial(fit_jointly, parameters=parameters, knot_spacing=knot_spacing, progress=progress)
-    kept, beside, left_out = retry_without_failures(list(prepared), make)
-    paths = [each.path() for each in beside.solvers]
-    shared, own = beside.values
-    runs = [_run(*each) for each in zip(kept, paths, own, strict=True)]
+    make = partial(
+        fit_jointly,
+        parameters=parameters,
+        knot_spacing=knot_spacing,
+        progress=progress,
+        settings=settings,
+    )
+    kept, joint, left_out = retry_without_failures(list(prepared), make)
+    paths = [each.path() for each in joint.solvers]
+    shared, own = joint.values
+    fits = [_run(*each) for each in zip(kept, paths, own, strict=True)]
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
         f"{int(path.identified.sum())} of {len(path.identified)} knots that the run tells"
         for path in paths
         if len(inside := path.value[path.identified])
     ]
-    findings += [said for path in paths if (said := path.contradiction())]
-    findings += unidentified(shared, runs)
-    findings += at_bounds(shared, runs)
+    findings += [said for path in paths if (said := path.contradiction(settings.path))]
+    findings += unidentified(shared, fits)
+    findings += at_bounds(shared, fits)
     return FitResult(
         shared=shared,
-        runs=runs,
+        runs=fits,
         status="converged"
-        if beside.converged
+        if joint.converged
         else "stalled"
-        if beside.iterations
+        if joint.iterations
         else "out of steps",
-        steps=beside.iterations + max(path.steps for path in paths),
+        steps=joint.iterations + max(path.steps for path in paths),
         failures=left_out,
         findings=findings,
-        labels=beside.labels,
-        covariance=beside.covariance_of_values,
+        labels=joint.labels,
+        covariance=joint.covariance_of_values,
     )
 
 
@@ -93,7 +106,7 @@ def _simulated(trial: Trial):
 
 
 def _at(trial: Trial, each: PreparedRun) -> np.ndarray:
-    """Simulated channels at the recorded times, shape (channels, samples)."""
+    """Return the simulated channels at the recorded times, shape (channels, samples)."""
     output = _simulated(trial)
     time = np.asarray(output.time)
     return np.stack(

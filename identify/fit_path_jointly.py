@@ -1,13 +1,14 @@
-"""Other numbers fitted beside the zeta(t) of each run: lambda of all, or what each has for itself.
+"""Joint fit of parameters and the zeta(t) of each run, by variable projection.
 
-Paths are fitted at given values, then the values move by Gauss-Newton with the paths free to
-follow, and so on: variable projection. With a run's derivatives by its path, $u$, and by the
-values, $\\theta$, whitened by the noise that the path was found with, and the path's prior, the
-information on the values is the Schur complement, summed over runs,
+Paths are fitted at given values of the parameters, then the values move by Gauss-Newton with the
+paths free to follow, and so on (G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10:413, 1973). With
+a run's derivatives by its path, $u$, and by the values, $\\theta$, whitened by the noise that the
+path was found with, and the path's prior, the information on the values is the Schur complement,
+summed over runs,
 
 $$A_{\\theta\\theta} - A_{\\theta u} A_{uu}^{-1} A_{u\\theta},$$
 
-so what a zeta(t) could do as well tells nothing of them.
+so that an effect that a zeta(t) could have as well is no information on them.
 """
 
 import copy
@@ -30,39 +31,45 @@ from identify.parameters.parameter import Parameter
 from identify.results.values import Value, values_of
 from identify.solver.problem import coordinates_of
 from identify.zeta_path.gauss_newton import ZetaPathSolver
+from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
 from identify.zeta_path.simulate import predict_path
 from identify.zeta_path.smoother import path_solvers
 
-# What every path finds for itself.
-OF_THE_PATH = ("start.x", "start.sinkage")
+# Numbers that every path has among its own coordinates.
+PATH_COORDINATES = ("start.x", "start.sinkage")
 
 
-# A step of a bounded or positive number's coordinate that the linearisation is trusted for, and of
-# one that may have any size, in typical changes.
-LONGEST_MOVE = 1.0
+@dataclass(frozen=True)
+class JointFitSettings:
+    """Decision numbers of parameters fitted jointly with the zeta(t) of each run.
+
+    Attributes:
+        longest_step: Longest step of a parameter's coordinate that the linearisation is trusted
+            for.
+        max_iterations: Gauss-Newton steps of the parameters, at most.
+        small_step: The iteration has converged where no parameter would move by so much of its
+            standard error.
+        least_information: Information on a coordinate that the runs do not determine: an error of
+            10,000.
+        nearby: Distances from a coordinate at which its derivative may be taken: no derivative
+            changes by a tenth over them.
+        noticeable: Fall of the log evidence for which a step is rejected; paths that stop elsewhere
+            in the rough make a smaller one by themselves.
+        max_rejections: Rejected steps in a row, each half as long, at most.
+        path: Decision numbers of the paths.
+    """
+
+    longest_step: float = 1.0
+    max_iterations: int = 20
+    small_step: float = 0.1
+    least_information: float = 1e-8
+    nearby: tuple[float, ...] = (-0.04, -0.02, 0.0, 0.02, 0.04)
+    noticeable: float = 1.0
+    max_rejections: int = 3
+    path: ZetaPathSettings = ZETA_PATH_SETTINGS
 
 
-MOST_TURNS = 20
-
-
-# Turns end where no value would move by so much of its standard error.
-SMALL_MOVE = 0.1
-
-
-# Of a coordinate that the runs see nothing of: an error of 10,000.
-LEAST_INFORMATION = 1e-8
-
-
-# How far from a coordinate its derivative may be taken: no derivative changes by a tenth over it.
-CLOSE_BY = np.linspace(-0.04, 0.04, 5)
-
-
-# A step is refused where the log evidence falls by more than this, which paths that stop elsewhere
-# in the rough make by themselves, and halved so often.
-NOTICEABLE = 1.0
-
-
-MOST_REFUSED = 3
+JOINT_FIT_SETTINGS = JointFitSettings()
 
 
 Progress = Callable[[str, int, float], None]
@@ -70,17 +77,17 @@ Progress = Callable[[str, int, float], None]
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """Paths with numbers beside them.
+    """Parameters and paths of a joint fit.
 
     Attributes:
-        parameters: What was fitted beside them, shared ones first.
-        places: Of each run's values among the coordinates, in the parameters' order.
-        steps: Each run's path, its covariance that of a path whose other numbers are uncertain.
+        parameters: Fitted parameters, shared ones first.
+        places: Places of each run's values among the coordinates, in the parameters' order.
+        solvers: Each run's path; its covariance includes that of the parameters.
         runs: The runs with the values put in.
         coordinates: Of the values: shared, then each run's own, shape (coordinates,).
         covariance: Of these, shape (coordinates, coordinates).
-        turns: Gauss-Newton steps of the values.
-        converged: Whether they settled.
+        iterations: Gauss-Newton steps of the values.
+        converged: True where values and paths converged.
     """
 
     parameters: tuple[Parameter, ...]
@@ -101,7 +108,7 @@ class JointFit:
 
     @property
     def values(self) -> tuple[dict[str, Value], list[dict[str, Value]]]:
-        """Shared values, and each run's own."""
+        """Shared values by name, and each run's own."""
         error = np.sqrt(np.diag(self.covariance))
         each = [
             values_of(self.parameters, jnp.asarray(self.coordinates[place]), error[place])
@@ -125,7 +132,7 @@ class JointFit:
 
 
 def require_joint_parameters(parameters: Sequence[Parameter]) -> None:
-    """Refuse what a path finds itself.
+    """Raise InputError for parameters that are part of every path.
 
     Raises:
         InputError: names the parameter.
@@ -136,7 +143,7 @@ def require_joint_parameters(parameters: Sequence[Parameter]) -> None:
                 f"{each.quantity.label} is what a path is of; leave it out, or fit zeta as a "
                 "constant or by phases"
             )
-        if each.quantity.name in OF_THE_PATH:
+        if each.quantity.name in PATH_COORDINATES:
             raise InputError(f"each path finds its own {each.quantity.name}; leave it out")
 
 
@@ -145,73 +152,84 @@ def fit_jointly(
     parameters: Sequence[Parameter],
     knot_spacing: float,
     progress: Progress | None = None,
+    settings: JointFitSettings = JOINT_FIT_SETTINGS,
 ) -> JointFit:
-    """zeta(t) of each run and the parameters, by what all runs say together.
+    """Fit the zeta(t) of each run and the parameters, to all runs together.
 
     Args:
         runs: Runs of the same kind of wheel, law and carriage.
-        parameters: What is fitted beside the paths; shared ones first in what is returned.
+        parameters: Parameters beside the paths; shared ones come first in the result.
         knot_spacing: Of the paths [s].
-        progress: Called with the stage and the turn.
+        progress: Called with the stage and the iteration.
+        settings: Decision numbers.
 
     Raises:
         RunError: where a run has no such number, or cannot be fitted at the values it starts from.
-        InputError: where a parameter is of the path itself.
+        InputError: where a parameter is part of every path.
     """
     if not parameters:
-        steps = path_solvers(runs, knot_spacing)
+        steps = path_solvers(runs, knot_spacing, settings=settings.path)
         settled = all(each.converged for each in steps)
         nowhere = [np.zeros(0, int)] * len(steps)
         return JointFit((), nowhere, steps, [*runs], np.zeros(0), np.zeros((0, 0)), 0, settled)
     require_joint_parameters(parameters)
     report = progress or (lambda stage, turn, evidence: None)
-    fit = _JointProblem(runs, parameters)
+    fit = _JointProblem(runs, parameters, settings)
     now = fit.start()
     best = fit.paths_at(now, knot_spacing, None)
-    turns = refused = 0
+    iterations = rejected = 0
     halved, converged = 1.0, False
     linear = fit.linearize(now, best)
-    while turns < MOST_TURNS:
-        report("paths, and numbers beside them", turns, np.nan)
+    while iterations < settings.max_iterations:
+        report("paths, and numbers beside them", iterations, np.nan)
         information, slope = fit.normal_equations(now, linear)
-        covariance = _inverse(information)
+        covariance = _inverse(information, settings.least_information)
         move = -covariance @ slope
         error = np.sqrt(np.diag(covariance))
-        if np.all(np.abs(move) <= SMALL_MOVE * error):
+        if np.all(np.abs(move) <= settings.small_step * error):
             converged = True
             break
-        move *= halved * min(1.0, LONGEST_MOVE / np.abs(move).max())
-        turns += 1
+        move *= halved * min(1.0, settings.longest_step / np.abs(move).max())
+        iterations += 1
         try:
             tried = fit.paths_at(now + move, knot_spacing, best)
         except RunError:
             tried = None
-        if tried is None or fit.evidence(now + move, tried) < fit.evidence(now, best) - NOTICEABLE:
-            refused, halved = refused + 1, halved / 2
-            if refused == MOST_REFUSED:
+        if (
+            tried is None
+            or fit.evidence(now + move, tried) < fit.evidence(now, best) - settings.noticeable
+        ):
+            rejected, halved = rejected + 1, halved / 2
+            if rejected == settings.max_rejections:
                 break
             continue
-        now, best, refused, halved = now + move, tried, 0, 1.0
+        now, best, rejected, halved = now + move, tried, 0, 1.0
         linear = fit.linearize(now, best)
-    covariance = _inverse(fit.normal_equations(now, linear)[0])
+    covariance = _inverse(fit.normal_equations(now, linear)[0], settings.least_information)
     fit.widen(best, linear, covariance)
     converged = converged and all(each.converged for each in best)
     places = [fit.places_of(run) for run in range(len(best))]
     placed = fit.runs_at(now)
-    return JointFit(fit.parameters, places, best, placed, now, covariance, turns, converged)
+    return JointFit(fit.parameters, places, best, placed, now, covariance, iterations, converged)
 
 
 class _JointProblem:
-    """Runs and parameters, and what one linearisation of all says of the parameters."""
+    """Runs and parameters of a joint fit, with their linearisation."""
 
-    def __init__(self, runs: Sequence[PreparedRun], parameters: Sequence[Parameter]):
+    def __init__(
+        self,
+        runs: Sequence[PreparedRun],
+        parameters: Sequence[Parameter],
+        settings: JointFitSettings = JOINT_FIT_SETTINGS,
+    ):
+        self.settings = settings
         self.runs = list(runs)
         shared = [each for each in parameters if each.shared]
         self.parameters = (*shared, *(each for each in parameters if not each.shared))
         self.shared = len(shared)
 
     def start(self) -> np.ndarray:
-        """Coordinates of the runs as they stand; shared ones from the first run."""
+        """Return the coordinates of the runs' own values; shared ones from the first run."""
         for each in self.runs:
             try:
                 for parameter in self.parameters:
@@ -224,11 +242,11 @@ class _JointProblem:
         return np.r_[every[0, : self.shared], every[:, self.shared :].ravel()]
 
     def places_of(self, run: int) -> np.ndarray:
-        """Places of a run's coordinates, in the parameters' order."""
+        """Return the places of a run's coordinates, in the parameters' order."""
         return coordinates_of(run, len(self.parameters), self.shared)
 
     def runs_at(self, coordinates: np.ndarray) -> list[PreparedRun]:
-        """The runs with these values in trial and set-up."""
+        """Return the runs with these values in trial and set-up."""
         found = []
         for run, each in enumerate(self.runs):
             own = coordinates[self.places_of(run)]
@@ -241,16 +259,16 @@ class _JointProblem:
     def paths_at(
         self, coordinates: np.ndarray, spacing: float, begun: list[ZetaPathSolver] | None
     ) -> list[ZetaPathSolver]:
-        """The paths at these values."""
-        return path_solvers(self.runs_at(coordinates), spacing, begun)
+        """Return the paths at these values."""
+        return path_solvers(self.runs_at(coordinates), spacing, begun, self.settings.path)
 
     def evidence(self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]) -> float:
-        """Log probability of all runs, and of what was believed."""
+        """Return the log probability of all runs and of the priors."""
         prior, _ = self._priors(coordinates)
         return sum(each.posterior.evidence for each in steps) - 0.5 * float(prior @ prior)
 
     def _priors(self, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals of the priors and their derivatives, by coordinate."""
+        """Return the residuals of the priors and their derivatives, by coordinate."""
         residual, slope = np.zeros(len(coordinates)), np.zeros(len(coordinates))
         for run in range(len(self.runs)):
             for place, parameter in zip(self.places_of(run), self.parameters, strict=True):
@@ -262,7 +280,7 @@ class _JointProblem:
     def linearize(
         self, coordinates: np.ndarray, steps: Sequence[ZetaPathSolver]
     ) -> list["_Linear"]:
-        """Second derivatives and slope of half the misfit of each run, where its path ended."""
+        """Return second derivatives and slope of half the misfit of each run, at its path's end."""
         slopes: dict[int, np.ndarray] = {}
         for batch in {id(each.batch): each.batch for each in steps}.values():
             alike = [run for run, each in enumerate(steps) if each.batch is batch]
@@ -275,7 +293,9 @@ class _JointProblem:
                 curves[at], paths[at] = steps[run].curve, steps[run].padded
                 own[at] = coordinates[self.places_of(run)]
             inputs = map(jnp.asarray, (curves, paths, own))
-            found = np.asarray(_slopes(batch, device_mesh(), self.parameters, *inputs))
+            found = np.asarray(
+                _slopes(batch, device_mesh(), self.parameters, self.settings.nearby, *inputs)
+            )
             slopes |= {run: found[steps[run].number] for run in alike}
         return [
             _Linear(len(each.coordinates), *each.information_with(slopes[run][:, each.counts]))
@@ -285,7 +305,7 @@ class _JointProblem:
     def normal_equations(
         self, coordinates: np.ndarray, linear: Sequence["_Linear"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Information on the values with every path free, and the slope of half the misfit."""
+        """Return information on the values with every path free, and half the misfit's slope."""
         prior, prior_slope = self._priors(coordinates)
         information = np.diag(prior_slope**2)
         slope = prior_slope * prior
@@ -299,7 +319,7 @@ class _JointProblem:
     def widen(
         self, steps: Sequence[ZetaPathSolver], linear: Sequence["_Linear"], covariance: np.ndarray
     ) -> None:
-        """Count the values' uncertainty in that of the paths."""
+        """Add the values' uncertainty to that of the paths."""
         for run, (each, here) in enumerate(zip(steps, linear, strict=True)):
             place = self.places_of(run)
             each.widen(here.follows @ covariance[np.ix_(place, place)] @ here.follows.T)
@@ -311,7 +331,7 @@ class _Linear:
 
     Attributes:
         path: Number of the path's coordinates.
-        information: Second derivative of half the misfit and the bends, shape (all, all).
+        information: Second derivative of half the misfit and the prior's square, shape (all, all).
         slope: Their first, shape (all,).
     """
 
@@ -321,22 +341,22 @@ class _Linear:
 
     @cached_property
     def follows(self) -> np.ndarray:
-        """Change of the path, turned round, by which it makes up for one of each value."""
+        """Negative change of the path that follows one unit of each value, shape (path, values)."""
         return np.linalg.solve(
             self.information[: self.path, : self.path], self.information[: self.path, self.path :]
         )
 
     def with_path_free(self) -> tuple[np.ndarray, np.ndarray]:
-        """Information and slope by the values."""
+        """Return information and slope by the values, the path eliminated."""
         coupling = self.information[: self.path, self.path :]
         own = self.information[self.path :, self.path :] - coupling.T @ self.follows
         return own, self.slope[self.path :] - self.follows.T @ self.slope[: self.path]
 
 
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Covariance; very large, not infinite, along what the runs do not see."""
+def _inverse(information: np.ndarray, least: float) -> np.ndarray:
+    """Return the covariance; very large, not infinite, along undetermined directions."""
     size, axes = np.linalg.eigh(information)
-    return (axes / np.maximum(size, LEAST_INFORMATION)) @ axes.T
+    return (axes / np.maximum(size, least)) @ axes.T
 
 
 def _with(trial, parameters: Sequence[Parameter], coordinates):
@@ -350,13 +370,14 @@ def _slopes(
     batch: Batch,
     mesh: Mesh,
     parameters: tuple[Parameter, ...],
+    nearby: tuple[float, ...],
     curves: Float[Array, "runs ends knots"],
     paths: Float[Array, "runs path"],
     coordinates: Float[Array, "runs values"],
 ) -> Float[Array, "runs channels samples values"]:
-    """Derivative of every run's channels by its values' coordinates, its path as it is.
+    """Return the derivative of every run's channels by its values' coordinates, its path held.
 
-    The calmest of those at values close by: where a jump of the wheel is about to move by a step,
+    The smallest of those at nearby values: where a jump of the wheel is about to move by a step,
     the derivative says how the jump multiplies, up to a thousandfold, not how the run goes on.
     """
 
@@ -368,7 +389,7 @@ def _slopes(
         def simulated(at: Array) -> Array:
             return predict_path(_with(trial, parameters, at), observed, batch.channels, curve, path)
 
-        found = jax.vmap(jax.jacfwd(simulated))(here + CLOSE_BY[:, None])
+        found = jax.vmap(jax.jacfwd(simulated))(here + np.array(nearby)[:, None])
         size = jnp.linalg.norm(jnp.nan_to_num(found, nan=jnp.inf), axis=(1, 2))
         return jnp.take_along_axis(found, jnp.argmin(size, axis=0)[None, None, None], axis=0)[0]
 

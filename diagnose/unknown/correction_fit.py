@@ -36,7 +36,7 @@ from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
 from diagnose.unknown.dependence import FittedCurve, choose_disturbance, fit_curve
 from diagnose.unknown.disturbances import Disturbance
 from diagnose.unknown.settings import DEFAULT_UNKNOWN_EFFECT, UnknownEffectSettings
-from drftjax.effects.correction import STAGES, Curve, entry_of, correction_variables, with_values
+from drftjax.effects.correction import STAGES, Curve, correction_variables, entry_of, with_values
 from drftjax.recorded.repeats import group_by_condition
 
 EQUIVALENT_EFFECTS = {

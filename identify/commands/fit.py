@@ -144,7 +144,7 @@ def fit(
     from identify.fit_constant import fit as fit_runs
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
-    from identify.results.result import result_files
+    from identify.results.result import result_files, write_with_figure
     from identify.uncertainty.noise_model import Autoregressive, White, noise_model
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
@@ -233,12 +233,7 @@ def fit(
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
     result = result.with_failures(gathered.skipped)
     if stem is not None:
-        from drftjax.common.figures import save_figure
-
-        written = result.write(stem)
-        picture = result_files(stem)[2]
-        save_figure(result.plot(), picture)
-        say(f"written: {', '.join(str(each) for each in [*written, picture])}")
+        say(f"written: {', '.join(map(str, write_with_figure(result, stem)))}")
 
 
 def _require_method(method: str, start_zeta: float | None) -> None:

@@ -64,6 +64,8 @@ def fit_on_cluster(
     Raises:
         InputError: see `fit_on`; also where no run can be fitted.
     """
+    from identify.results.result import write_with_figure
+
     where = parse_address(address)
     require_extra()
     if stem is None:
@@ -97,7 +99,7 @@ def fit_on_cluster(
             )
         result = _together({name: store.result(at) for name, at in done.items()}, done, failures)
     _show(console, result)
-    written = ", ".join(str(each) for each in _write(result, stem))
+    written = ", ".join(str(each) for each in write_with_figure(result, stem))
     _say(console, f"written: {written}; {store.path} keeps every fit for a call that goes on")
 
 
@@ -197,16 +199,6 @@ def _summary(result: "FitResult") -> list[str]:
             f"{channel}: RMSE {before[channel] * scale:.3f} → {after[channel] * scale:.3f} {unit}"
         )
     return lines
-
-
-def _write(result: "FitResult", stem: Path) -> list[Path]:
-    from drftjax.common.figures import save_figure
-    from identify.results.result import result_files
-
-    picture = result_files(stem)[2]
-    written = result.write(stem)
-    save_figure(result.plot(), picture)
-    return [*written, picture]
 
 
 def _say(console: Console, text: str, style: str | None = None) -> None:

@@ -24,7 +24,7 @@ from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import Trial
 from identify.parameters.phase_zeta import PhaseZeta
 from identify.results.result import FitResult
-from identify.results.values import UNTOLD
+from identify.results.values import IDENTIFIABILITY
 from identify.solver.problem import Problem, linearize
 from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import covariance
@@ -78,11 +78,12 @@ def required_speed(estimate: Estimate, setups: Sequence[SetUp], name: str) -> st
         if error is None:
             break
         share = error / abs(believed)
-        if share <= UNTOLD:
+        if share <= IDENTIFIABILITY.identified_error:
             wanted = factor if last is None else _between(last, (factor, share))
+            percent = 100 * IDENTIFIABILITY.identified_error
             return (
                 f"{label} could be identified from about {wanted * speed:.2g} rad/s on: at "
-                f"{wanted:.2g} times this speed its standard error falls to {100 * UNTOLD:.0f} % "
+                f"{wanted:.2g} times this speed its standard error falls to {percent:.0f} % "
                 f"of the believed {believed:.4g}"
             )
         last, tried = (factor, share), factor
@@ -102,7 +103,7 @@ def _top(setup: SetUp) -> float:
 def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
     """The factor at which the error crosses the wanted share, straight in logarithms."""
     (a, above), (b, under) = last, now
-    way = np.log(above / UNTOLD) / np.log(above / under)
+    way = np.log(above / IDENTIFIABILITY.identified_error) / np.log(above / under)
     return float(a * (b / a) ** way)
 
 

@@ -1,6 +1,7 @@
-"""What a fit's numbers mean, in sentences: what these runs can tell, and what they cannot."""
+"""Findings of a fit, in sentences: what its runs identify, and what they cannot."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -9,18 +10,36 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.observation import SHOWN
 from identify.parameters.parameter import Parameter
 from identify.results.noise_floor import fast_scatter, noise_floor
-from identify.results.outliers import moving_start_sentences, outlier_sentences
+from identify.results.outliers import (
+    OUTLIER_SETTINGS,
+    OutlierSettings,
+    moving_start_sentences,
+    outlier_sentences,
+)
 from identify.results.values import RunFit, Value
 from identify.solver.problem import coordinates_of
 from identify.uncertainty.random_effects import paule_mandel
 
-# Two parameters closer than this move the runs alike.
-ALIKE = 0.999
+
+@dataclass(frozen=True)
+class FindingSettings:
+    """Numbers of the sentences on a result.
+
+    Attributes:
+        alike: Correlation of two parameters above which they move the runs alike [-].
+        lost: Share of a parameter's unit length in undetermined directions that is more than
+            rounding.
+        linked: Correlation of two parameters' undetermined parts that links them [-].
+        outliers: Numbers of the search for outliers.
+    """
+
+    alike: float = 0.999
+    lost: float = 1e-6
+    linked: float = 0.1
+    outliers: OutlierSettings = OUTLIER_SETTINGS
 
 
-# Of a parameter's unit length: so much of it unseen is more than rounding, and so much of two that
-# is unseen together links them.
-LOST, LINKED = 1e-6, 0.1
+FINDING_SETTINGS = FindingSettings()
 
 
 NO_SCATTER: Mapping[str, float] = MappingProxyType({})
@@ -33,57 +52,59 @@ def findings(
     spread: np.ndarray,
     unseen: np.ndarray,
     scatter: Mapping[str, float] = NO_SCATTER,
+    settings: FindingSettings = FINDING_SETTINGS,
 ) -> list[str]:
-    """Sentences on identifiability, bounds, scatter between runs and the noise floor.
+    """Return sentences on identifiability, bounds, scatter between runs and the noise floor.
 
     Args:
-        parameters: What was fitted, shared ones first.
-        shared: Their values.
+        parameters: Fitted parameters, shared ones first.
+        shared: Values of the shared ones, by name.
         runs: Fitted runs.
-        spread: Covariance of all coordinates: shared, then each run's own.
-        unseen: Directions that the runs do not see, in columns, of the same coordinates.
+        spread: Covariance of all coordinates: shared, then each run's own, shape (all, all).
+        unseen: Directions that the runs do not determine, in columns, shape (all, directions).
         scatter: Standard deviation from run to run of a shared value, by its name.
+        settings: Decision numbers.
     """
-    told = unidentified(shared, runs)
-    told += at_bounds(shared, runs)
-    told += _impossible(runs)
-    told += _collinear(parameters, len(shared), runs, spread)
-    told += _confused(parameters, len(runs), unseen)
-    told += [
+    sentences = unidentified(shared, runs)
+    sentences += at_bounds(shared, runs)
+    sentences += _impossible(runs)
+    sentences += _collinear(parameters, len(shared), runs, spread, settings.alike)
+    sentences += _confused(parameters, len(runs), unseen, settings)
+    sentences += [
         f"{shared[name].label} of each run alone would scatter by "
         f"{100 * each / abs(shared[name].value):.2g} %, which the error of the shared one counts in"
         for name, each in scatter.items()
         if each > 0
     ]
-    return [*told, *between_run_sentences(runs)]
+    return [*sentences, *between_run_sentences(runs, settings.outliers)]
 
 
 def unidentified(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
-    """Sentences on values that their runs tell no more of than the order of size."""
-    told = [
+    """Return sentences on values of which the runs determine no more than the order of size."""
+    sentences = [
         f"{value.label} cannot be identified from these runs: {value}"
         for value in shared.values()
         if not value.identified
     ]
-    told += [
+    sentences += [
         f"{run.name}: {value.label} cannot be identified from this run: {value}"
         for run in runs
         for value in run.values.values()
         if not value.identified
     ]
-    return told
+    return sentences
 
 
 def at_bounds(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
-    """Sentences on values that ended at a bound."""
+    """Return sentences on values that ended at a bound."""
     of_runs = [value for run in runs if run.status != "diverged" for value in run.values.values()]
     labels = {each.label: None for each in (*shared.values(), *of_runs) if each.at_bound}
     return [f"{label} has run into its bound" for label in labels]
 
 
 def _impossible(runs: Sequence[RunFit]) -> list[str]:
-    """Sentences on values that a set-up refuses: what may be zero is fitted on both sides of it."""
-    told: dict[str, None] = {}
+    """Return sentences on values that no set-up takes: numbers that may be zero can be negative."""
+    sentences: dict[str, None] = {}
     for run in runs:
         if run.status == "diverged":
             continue
@@ -92,19 +113,21 @@ def _impossible(runs: Sequence[RunFit]) -> list[str]:
                 part.build()
             except InputError as problem:
                 why = f"as fitted, {problem}: no simulation takes it; give bounds, or leave it"
-                told[why] = None
-    return [*told]
+                sentences[why] = None
+    return [*sentences]
 
 
-def between_run_sentences(runs: Sequence[RunFit]) -> list[str]:
-    """Sentences on odd readings, and on what runs differ by: by own values, and repeats beyond.
+def between_run_sentences(
+    runs: Sequence[RunFit], outliers: OutlierSettings = OUTLIER_SETTINGS
+) -> list[str]:
+    """Return sentences on outliers, on the scatter between runs and on the noise floor.
 
     Runs that could not be simulated to the end are left out.
     """
     runs = [run for run in runs if run.status != "diverged"]
-    told = [*moving_start_sentences(runs), *outlier_sentences(runs), *_scatter(runs)]
+    sentences = [*moving_start_sentences(runs), *outlier_sentences(runs, outliers), *_scatter(runs)]
     if not runs:
-        return told
+        return sentences
     floor = noise_floor(runs)
     scatter = floor or fast_scatter(runs)
     each = ", ".join(
@@ -112,23 +135,27 @@ def between_run_sentences(runs: Sequence[RunFit]) -> list[str]:
         for channel, value in scatter.items()
     )
     if not scatter:
-        told.append("no run was repeated, and none has samples enough to tell its noise")
+        sentences.append("no run was repeated, and none has samples enough to tell its noise")
     elif not floor:
-        told.append(
+        sentences.append(
             f"no run was repeated; what is left scatters by {each} from sample to sample: the "
             "noise floor as far as one run can tell it"
         )
     elif all(run.has_own_zeta for run in runs):
-        told.append(f"repeated runs differ by {each} beyond their own values: the noise floor")
+        sentences.append(f"repeated runs differ by {each} beyond their own values: the noise floor")
     else:
-        told.append(f"repeated runs differ by {each}, what their sands differ by included")
-    return told
+        sentences.append(f"repeated runs differ by {each}, what their sands differ by included")
+    return sentences
 
 
 def _collinear(
-    parameters: Sequence[Parameter], shared: int, runs: Sequence[RunFit], spread: np.ndarray
+    parameters: Sequence[Parameter],
+    shared: int,
+    runs: Sequence[RunFit],
+    spread: np.ndarray,
+    alike: float,
 ) -> list[str]:
-    """Pairs of parameters that runs cannot tell apart: shared ones, or with a run's own."""
+    """Return sentences on pairs of parameters that move their runs alike."""
     ordered = [p.quantity.label for p in parameters if p.shared]
     ordered += [p.quantity.label for p in parameters if not p.shared]
     blind: dict[tuple[str, str], list[str]] = {}
@@ -136,35 +163,37 @@ def _collinear(
     for number, run in counted:
         seen = coordinates_of(number, len(ordered), shared)
         error = np.sqrt(np.diag(spread)[seen])
-        alike = np.abs(spread[np.ix_(seen, seen)] / np.outer(error, error))
-        for i, j in np.argwhere(np.tril(alike, -1) > ALIKE):
+        correlation = np.abs(spread[np.ix_(seen, seen)] / np.outer(error, error))
+        for i, j in np.argwhere(np.tril(correlation, -1) > alike):
             blind.setdefault((ordered[i], ordered[j]), []).append(run.name)
-    told = []
+    sentences = []
     for (one, other), names in blind.items():
         who = "these runs" if len(names) == len(counted) else ", ".join(names)
-        told.append(
+        sentences.append(
             f"{one} and {other} cannot be told apart by {who}: they see only a combination of the "
             "two"
         )
-    return told
+    return sentences
 
 
-def _confused(parameters: Sequence[Parameter], runs: int, unseen: np.ndarray) -> list[str]:
-    """Three parameters or more of which these runs see less combinations than numbers."""
+def _confused(
+    parameters: Sequence[Parameter], runs: int, unseen: np.ndarray, settings: FindingSettings
+) -> list[str]:
+    """Return sentences on three parameters or more that only together are undetermined."""
     labels = [p.quantity.label for p in parameters if p.shared]
     labels += runs * [p.quantity.label for p in parameters if not p.shared]
     share = unseen @ unseen.T
-    lost = np.flatnonzero(np.diag(share) > LOST)
+    lost = np.flatnonzero(np.diag(share) > settings.lost)
     size = np.sqrt(np.diag(share)[lost])
-    linked = np.abs(share[np.ix_(lost, lost)]) > LINKED * np.outer(size, size)
+    linked = np.abs(share[np.ix_(lost, lost)]) > settings.linked * np.outer(size, size)
     groups: list[tuple[str, ...]] = []
-    left = set(range(len(lost)))
-    while left:
-        group = new = {min(left)}
+    remaining = set(range(len(lost)))
+    while remaining:
+        group = new = {min(remaining)}
         while new:
-            new = {i for i in left - group if linked[i, list(group)].any()}
+            new = {i for i in remaining - group if linked[i, list(group)].any()}
             group = group | new
-        left -= group
+        remaining -= group
         names = tuple(dict.fromkeys(labels[lost[i]] for i in sorted(group)))
         if len(names) > 2 and names not in groups:
             groups.append(names)
@@ -174,11 +203,11 @@ def _confused(parameters: Sequence[Parameter], runs: int, unseen: np.ndarray) ->
 
 
 def _scatter(runs: Sequence[RunFit]) -> list[str]:
-    """Spread of each run's own values beyond their errors: a random effect between runs.
+    """Return sentences on own values that scatter beyond their errors: a random effect.
 
-    Of values that their runs tell, and only where chance would hardly make it.
+    Of identified values, and only where chance would hardly make it.
     """
-    told = []
+    sentences = []
     for name in runs[0].values if runs else ():
         values_of_runs = [run.values[name] for run in runs]
         known = [each for each in values_of_runs if each.identified and not each.at_bound]
@@ -186,8 +215,8 @@ def _scatter(runs: Sequence[RunFit]) -> list[str]:
         found = paule_mandel(values, np.array([each.error for each in known]))
         if found.identified and found.mean != 0:
             share = 100 * np.sqrt(found.variance) / abs(found.mean)
-            told.append(
+            sentences.append(
                 f"{known[0].label} is {found.mean:.4g} on average and scatters by {share:.2g} % "
                 "from run to run beyond its errors"
             )
-    return told
+    return sentences

@@ -269,6 +269,20 @@ def result_files(stem: Path) -> tuple[Path, Path, Path]:
     return text, binary, picture
 
 
+def write_with_figure(result: FitResult, stem: Path) -> list[Path]:
+    """Write `stem`.json, `stem`.h5 and `stem`.png; return their names.
+
+    Raises:
+        InputError: where they cannot be written.
+    """
+    from drftjax.common.figures import save_figure
+
+    written = result.write(stem)
+    picture = result_files(stem)[2]
+    save_figure(result.plot(), picture)
+    return [*written, picture]
+
+
 def _path(path: "ZetaPath | None") -> dict | None:
     if path is None:
         return None

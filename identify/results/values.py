@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,15 +11,22 @@ from drftjax.setups.setup import RigSetUp, SetUp, WheelSetUp
 from identify.parameters.parameter import Parameter, typical_change
 from identify.parameters.quantity import is_zeta_name
 
-if TYPE_CHECKING:
-    pass
 
-# A standard error of so much of the value, or more, tells little but the order of size; one of so
-# many times the value leaves nothing worth a place in a table.
-UNTOLD = 0.5
+@dataclass(frozen=True)
+class IdentifiabilitySettings:
+    """Numbers that say from which standard error on a value is not identified.
+
+    Attributes:
+        identified_error: Standard error, as a share of the value, above which the runs determine
+            hardly more than the order of size.
+        reported_error: The same, above which nothing is worth a place in a table.
+    """
+
+    identified_error: float = 0.5
+    reported_error: float = 100.0
 
 
-NOTHING_TOLD = 100.0
+IDENTIFIABILITY = IdentifiabilitySettings()
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class Value:
         value, error: The number and its standard error, in `unit`.
         unit: "-" for none.
         label: Its short name in reports.
-        at_bound: Whether the fit ended at a bound of it, where its error means nothing.
+        at_bound: True where the fit ended at a bound of it, where its error means nothing.
     """
 
     value: float
@@ -41,19 +48,19 @@ class Value:
 
     @property
     def size(self) -> float:
-        """What the error is held against: the value, or what it typically changes by if more."""
+        """Size that the error is compared with: the value, or its typical change if larger."""
         return max(abs(self.value), typical_change(self.label))
 
     @property
     def identified(self) -> bool:
-        """Whether the runs tell more than its order of size."""
-        return self.error <= UNTOLD * self.size
+        """True where the runs determine more than its order of size."""
+        return self.error <= IDENTIFIABILITY.identified_error * self.size
 
     def cell(self) -> str:
-        """Value and error, as a table shows them."""
+        """Return value and error, as a table shows them."""
         if self.at_bound:
             return f"{self.value:.5g}, at a bound"
-        if not self.error < NOTHING_TOLD * self.size:
+        if not self.error < IDENTIFIABILITY.reported_error * self.size:
             return "not told"
         return f"{self.value:.5g} ± {self.error:.2g}"
 
@@ -67,10 +74,10 @@ class Value:
 def values_of(
     parameters: Sequence[Parameter], coordinates: Float[Array, " parameters"], errors: np.ndarray
 ) -> dict[str, Value]:
-    """Values and standard errors by name; an error is carried over by the bijector's slope.
+    """Return values and standard errors by name; errors are scaled by the bijector's slope.
 
     Args:
-        parameters: What was fitted.
+        parameters: Fitted parameters.
         coordinates, errors: Of each, and its standard error, shape (parameters,).
     """
     found = {}
@@ -90,19 +97,19 @@ class RunFit:
     """One run of a fit.
 
     Attributes:
-        name: The run, as reports call it.
+        name: Name of the run in reports.
         setup: Its set-up with the fitted values put in.
         values: Its own fitted values, by name.
         time: Recorded times [s], shape (samples,).
         counts: True for the samples that were compared, shape (samples,).
         channels: Names of the channels compared.
-        recorded: What was recorded [m, N, N m], shape (channels, samples).
-        before, after: What was simulated before and after the fit, like `recorded`.
-        status: How the run ended: "converged"; "at a bound", where one of its values has run into
+        recorded: Recorded channels [m, N, N m], shape (channels, samples).
+        before, after: Simulated channels before and after the fit, like `recorded`.
+        status: End of the run: "converged"; "at a bound", where one of its values has run into
             one; "stalled", where more was to gain; "diverged", where it could no longer be
             simulated and was put aside, so that it does not bear on the others.
         path: zeta(t), where that was fitted.
-        believed: Its wheel and rig before the fit, where these are kept.
+        believed: Wheel and rig of its set-up before the fit, where these are kept.
     """
 
     name: str
@@ -120,7 +127,7 @@ class RunFit:
 
     @property
     def has_own_zeta(self) -> bool:
-        """Whether its zeta was fitted to it alone."""
+        """True where its zeta was fitted to this run only."""
         return self.path is not None or any(map(is_zeta_name, self.values))
 
     @property
@@ -130,11 +137,11 @@ class RunFit:
 
     @property
     def predictions(self) -> dict[str, np.ndarray]:
-        """What was simulated after the fit, by channel [m, N, N m]."""
+        """Simulated channels after the fit, by channel [m, N, N m]."""
         return dict(zip(self.channels, self.after, strict=True))
 
     def rmse(self, fitted: bool = True) -> dict[str, float]:
-        """Root mean square of simulated minus recorded where compared, by channel [m, N, N m]."""
-        left = (self.after if fitted else self.before) - self.recorded
-        errors = np.sqrt(np.mean(left[:, self.counts] ** 2, axis=1))
+        """Return the RMS of simulated minus recorded where compared, by channel [m, N, N m]."""
+        residual = (self.after if fitted else self.before) - self.recorded
+        errors = np.sqrt(np.mean(residual[:, self.counts] ** 2, axis=1))
         return dict(zip(self.channels, errors.tolist(), strict=True))

@@ -1,7 +1,7 @@
-"""Many fits of one batch side by side: Levenberg-Marquardt from many points under one vmap.
+"""Levenberg-Marquardt from many points of one batch side by side, under one vmap.
 
-Starting points, places of a profile and simulated recordings all ask for the same: the batch and
-its derivative at many coordinates at once. The small linear algebra of each is NumPy's.
+Starting points, places of a profile and simulated recordings need the same: the batch and its
+derivative at many coordinates at once. The small linear algebra of each point is NumPy's.
 """
 
 import math
@@ -15,8 +15,8 @@ import numpy as np
 
 from drftjax.common.memory import piece_bytes
 from identify.parameters.parameter import Parameter
-from identify.solver.levenberg_marquardt import LEAST_GAIN
 from identify.solver.problem import Coordinates, Problem, normal_equations
+from identify.solver.settings import BATCHED_SETTINGS, BatchedSolverSettings
 from identify.solver.whitening import Whitening
 
 # Derivatives of so many bytes at most are held at once; more points are taken in turns.
@@ -24,33 +24,17 @@ CHUNK_BYTES = 2e8
 
 
 # Points are computed together by ones, fours, sixteens: few programs for any number of them.
-ROOMIER = 4
-
-
-MOST_STEPS = 40
-
-
-# Shorter steps in a row that gain nothing: what is left lies under the simulation's resolution.
-MOST_REFUSED = 6
-
-
-# Damping, as a share of the information's diagonal; each refusal multiplies it, each step divides.
-FIRST_DAMPING, DAMPING_FACTOR = 1e-3, 8.0
-
-
-# No coordinate moves by more than this in one step, so that a straight line is not followed out
-# of sight.
-LONGEST_STEP = 0.3
+CHUNK_GROWTH = 4
 
 
 @dataclass(frozen=True, eq=False)
 class BatchedSolution:
-    """Where each point came to.
+    """End of the iteration from each point.
 
     Attributes:
         points: Coordinates, shape (points, coordinates).
         loss: Sum of squares there, priors included; infinite where nothing could be simulated.
-        settled: Whether no further step gains anything.
+        converged: True where no further step gains anything, shape (points,).
     """
 
     points: np.ndarray
@@ -66,18 +50,19 @@ def _blocks_at_all(problem: Problem, points: Coordinates) -> tuple[jax.Array, ja
 def _blocks_at(problem: Problem, points: Coordinates) -> tuple[jax.Array, ...]:
     if len(points[0]) > 1:
         return _blocks_at_all(problem, points)
-    # The program that others need for one point, too.
+    # The program that other callers compile for one point, too.
     return tuple(each[None] for each in problem.blocks(points[0][0], points[1][0]))
 
 
 class BatchedLevenbergMarquardt:
-    """A batch of runs, ready to be fitted from many points.
+    """Solver of one problem from many points.
 
     Args:
         problem: Runs and parameters.
         runs: Number of true runs; the rest of the batch is padding.
-        whitening: Of the residuals; as weighted where none is given.
+        whitening: Of the residuals; the problem's own weights where none is given.
         active: False for runs that do not count, shape (runs,).
+        settings: Decision numbers.
     """
 
     def __init__(
@@ -86,10 +71,12 @@ class BatchedLevenbergMarquardt:
         runs: int,
         whitening: Whitening | None = None,
         active: np.ndarray | None = None,
+        settings: BatchedSolverSettings = BATCHED_SETTINGS,
     ):
         self.problem = problem
         self.runs = runs
         self.whitening = whitening
+        self.settings = settings
         weight = np.asarray(problem.batch.observed.weight)
         self.counts = weight > 0
         if active is not None:
@@ -98,24 +85,24 @@ class BatchedLevenbergMarquardt:
         size = max(1, weight.size * (self.shared + self.own + 1) * 8)
         # Powers, so that few programs are compiled as what is free comes and goes.
         fitting = max(1.0, piece_bytes(CHUNK_BYTES) / size)
-        self.chunk = ROOMIER ** math.floor(math.log(fitting, ROOMIER))
+        self.chunk = CHUNK_GROWTH ** math.floor(math.log(fitting, CHUNK_GROWTH))
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The parameter of each coordinate."""
+        """Parameter of each coordinate."""
         return [*self.problem.shared, *self.problem.own * self.runs]
 
     def start(self) -> np.ndarray:
-        """The point that the problem starts from."""
+        """Return the point that the problem starts from."""
         return self.flat(self.problem.start())
 
     def flat(self, coordinates: Coordinates) -> np.ndarray:
-        """Coordinates in one row, padded runs left out."""
+        """Return coordinates in one row, padded runs left out."""
         shared, own = map(np.asarray, coordinates)
         return np.r_[shared, own[: self.runs].ravel()]
 
     def coordinates(self, point: np.ndarray) -> Coordinates:
-        """Coordinates as the problem takes them, from one row."""
+        """Return coordinates as the problem takes them, from one row."""
         shared, own = self._coordinates(point[None])
         return self.problem.on_all_devices((shared[0], own[0]))
 
@@ -126,7 +113,7 @@ class BatchedLevenbergMarquardt:
         shift: np.ndarray | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> BatchedSolution:
-        """Lower the sum of squares from every point.
+        """Minimise the sum of squares from every point.
 
         Args:
             points: Where to start, shape (points, coordinates).
@@ -134,14 +121,15 @@ class BatchedLevenbergMarquardt:
             shift: Added to every whitened residual, shape (points, runs, channels, samples).
             progress: Called with the number of the step and of points that still move.
         """
+        numbers = self.settings
         free = np.ones(points.shape[1], bool) if held is None else ~held
         here = points.copy()
         count = float(self.counts.sum())
         loss, information, slope = self._equations(here, shift)
         settled = ~np.isfinite(loss)
-        damping = np.full(len(here), FIRST_DAMPING)
-        refused = np.zeros(len(here), int)
-        for number in range(1, MOST_STEPS + 1):
+        damping = np.full(len(here), numbers.first_damping)
+        rejected = np.zeros(len(here), int)
+        for number in range(1, numbers.max_steps + 1):
             moving = np.flatnonzero(~settled)
             if progress:
                 progress(number, len(moving))
@@ -149,34 +137,38 @@ class BatchedLevenbergMarquardt:
                 break
             tried = here.copy()
             for point in moving:
-                tried[point] += _step(information[point], slope[point], damping[point], free)
+                tried[point] += _step(
+                    information[point], slope[point], damping[point], free, numbers.longest_step
+                )
             kept = None if shift is None else shift[moving]
             fresh = self._equations(tried[moving], kept)
             for point, *ours in zip(moving, *fresh, strict=True):
                 gain = loss[point] - ours[0]
                 if not gain > 0:
-                    refused[point] += 1
-                    damping[point] *= DAMPING_FACTOR
-                    settled[point] = refused[point] == MOST_REFUSED
+                    rejected[point] += 1
+                    damping[point] *= numbers.damping_factor
+                    settled[point] = rejected[point] == numbers.max_rejections
                     continue
-                settled[point] = gain * count <= LEAST_GAIN * ours[0]
+                settled[point] = gain * count <= numbers.small_gain * ours[0]
                 here[point] = tried[point]
                 loss[point], information[point], slope[point] = ours
-                damping[point] /= DAMPING_FACTOR
-                refused[point] = 0
+                damping[point] /= numbers.damping_factor
+                rejected[point] = 0
         return BatchedSolution(here, loss, settled & np.isfinite(loss))
 
     def _equations(
         self, points: np.ndarray, shift: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Loss, J^T J and J^T r of every point, the priors included."""
+        """Return loss, J^T J and J^T r of every point, the priors included."""
         size = points.shape[1]
         loss = np.full(len(points), np.inf)
         information, slope = np.zeros((len(points), size, size)), np.zeros((len(points), size))
         for begin in range(0, len(points), self.chunk):
             part = points[begin : begin + self.chunk]
             # One size of chunk is compiled once; the last is filled up.
-            filled = np.concatenate([part, part[:1].repeat(self._room(len(points)) - len(part), 0)])
+            filled = np.concatenate(
+                [part, part[:1].repeat(self._padded_size(len(points)) - len(part), 0)]
+            )
             residuals, blocks = map(np.asarray, _blocks_at(self.problem, self._coordinates(filled)))
             for index in range(len(part)):
                 number = begin + index
@@ -186,16 +178,17 @@ class BatchedLevenbergMarquardt:
                     loss[number], information[number], slope[number] = ends
         return loss, information, slope
 
-    def _room(self, points: int) -> int:
-        """How many points the program for so many takes: each such number is compiled once."""
-        room = 1
-        while room < min(points, self.chunk):
-            room *= ROOMIER
-        return min(self.chunk, room)
+    def _padded_size(self, points: int) -> int:
+        """Return how many points the program for so many takes; each such size is compiled once."""
+        size = 1
+        while size < min(points, self.chunk):
+            size *= CHUNK_GROWTH
+        return min(self.chunk, size)
 
     def _normal(
         self, residual: np.ndarray, blocks: np.ndarray, point: np.ndarray, shift: np.ndarray | None
     ) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """Return loss, J^T J and J^T r at one point; None where it cannot be simulated."""
         residual = np.where(self.counts, residual, 0)
         blocks = np.where(self.counts[..., None], blocks, 0)
         if not (np.isfinite(residual).all() and np.isfinite(blocks).all()):
@@ -211,6 +204,7 @@ class BatchedLevenbergMarquardt:
         return float(np.sum(residual**2) + np.sum(prior**2)), information, slope
 
     def _priors(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the priors' residuals and their slopes, by coordinate."""
         values = [
             (float(p.prior_residual(at)), float(p.bijector.slope(at)) / p.prior_error)
             if np.isfinite(p.prior_error)
@@ -230,10 +224,11 @@ class BatchedLevenbergMarquardt:
 
 
 def _step(
-    information: np.ndarray, slope: np.ndarray, damping: float, free: np.ndarray
+    information: np.ndarray, slope: np.ndarray, damping: float, free: np.ndarray, longest: float
 ) -> np.ndarray:
+    """Return the damped Gauss-Newton step of the free coordinates, no longer than `longest`."""
     move = np.zeros(len(slope))
     inner = information[np.ix_(free, free)]
     damped = inner + damping * np.diag(np.maximum(np.diag(inner), np.finfo(float).tiny))
     move[free] = -np.linalg.lstsq(damped, slope[free], rcond=None)[0]
-    return move * min(1.0, LONGEST_STEP / max(np.abs(move).max(initial=0.0), LONGEST_STEP))
+    return move * min(1.0, longest / max(np.abs(move).max(initial=0.0), longest))

@@ -12,54 +12,24 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from identify.solver.problem import Coordinates, Problem, normal_equations
-
-# A step that lowers the sum of squares by less than this many residual variances moves no
-# parameter by a noticeable part of its standard error.
-LEAST_GAIN = 0.1
-
-
-# After so many refusals in a row, each a shorter step than the last, what is left to gain lies
-# under the simulation's resolution: stops and landings make the sum of squares rough by as much.
-MOST_REFUSED = 3
-
-
-# Parts of the whole step that are tried along it where damping finds nothing: optimistix damps all
-# coordinates alike, which hardly shortens a step in one that the runs tell well.
-PARTS = (0.3, 0.1, 0.03)
-
-
-# Steps in a row, each shorter than the last, on which a run cannot be simulated before it is put
-# aside for the others' sake.
-MOST_STRIKES = 3
-
-
-# A run whose roughness keeps the others from gaining more than this, in residual variances, is
-# left where it is while they go on; they go back where all together lose by it.
-HELD = 1.0
-
-
-# Of the sum of squares: less is not worth a warning.
-NEGLIGIBLE = 0.01
-
-
-MOST_STEPS = 60
+from identify.solver.settings import SOLVER_SETTINGS, SolverSettings
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the solver stopped.
+    """End of a solve.
 
     Attributes:
-        coordinates: Shared coordinates, and each run's own.
+        coordinates: Shared coordinates, shape (shared,), and each run's own, shape (runs, own).
         residual: Weighted residuals there, shape (runs, channels, samples).
         blocks: Their derivative, shape (runs, channels, samples, shared + own).
-        prior: Residuals of the priors of all coordinates: shared, then each run's own.
-        prior_slope: Their derivative, each by its own coordinate.
+        prior_residual: Of all coordinates: shared, then each run's own, shape (coordinates,).
+        prior_slope: Its derivative, each by its own coordinate, likewise.
         steps: Steps taken.
         status: "converged", "stalled" or "out of steps".
         predicted_gain: Share of the sum of squares that the linearised problem could still gain.
-        active: False for runs that were put aside, as their simulation diverged; shape (runs,).
-            They count no more, and their own coordinates stay where they last could be simulated.
+        active: False for runs that were put aside because their simulation diverged, shape
+            (runs,). They count no more; their own coordinates stay where they last were simulated.
     """
 
     coordinates: Coordinates
@@ -83,7 +53,8 @@ def solve(
     start: Coordinates,
     progress: Callable[[int, float], None] | None = None,
     active: np.ndarray | None = None,
-    least_gain: float = LEAST_GAIN,
+    least_gain: float | None = None,
+    settings: SolverSettings = SOLVER_SETTINGS,
 ) -> Solution:
     """Minimise the sum of squared weighted residuals, a compiled step at a time.
 
@@ -92,25 +63,27 @@ def solve(
         start: Coordinates to start from.
         progress: Called with the number of the step and the sum of squares so far.
         active: False for runs that do not count.
-        least_gain: Where a step gains less than so many residual variances, and the next one
-            promises no more, the sum of squares is least.
+        least_gain: Gain [residual variances] below which steps have converged, if another than that
+            of the settings.
+        settings: Decision numbers.
     """
+    least_gain = settings.small_gain if least_gain is None else least_gain
     report = progress or (lambda step, loss: None)
     counted = (np.asarray(problem.batch.observed.weight) > 0).sum(axis=(1, 2))
     active = np.ones(len(counted), bool) if active is None else active.copy()
     moving = active.copy()
-    strikes = np.zeros(len(counted), int)
+    failures = np.zeros(len(counted), int)
 
-    def begun() -> tuple:
+    def restarted() -> tuple:
         task = problem, problem.on_all_devices(jnp.asarray(moving))
         return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
 
     coordinates, ahead, status, number = start, None, "out of steps", 0
-    # Where runs were set aside for the others' sake.
+    # Places at which runs were held for the others' sake.
     parted: list[Coordinates] = []
-    task, state, loss, each, refused = begun()
+    task, state, loss, each, rejected = restarted()
     shortened = False
-    for number in range(1, MOST_STEPS + 1):
+    for number in range(1, settings.max_steps + 1):
         tried = state.y_eval
         coordinates, state, now, each_now, each_next = _step(task, coordinates, state)
         now, each_now = float(now), np.asarray(each_now)
@@ -120,38 +93,38 @@ def solve(
                 status = "converged"
                 break
             if not shortened and _gain(each_now, np.asarray(each_next), counted) <= least_gain:
-                # So short a step is taken on the straight line's word.
+                # So short a step is taken by the linearisation, without a simulation.
                 ahead, status = state.y_eval, "converged"
                 break
-            loss, each, refused = now, each_now, 0
+            loss, each, rejected = now, each_now, 0
             continue
         # From here on steps are damped, and promise little because they are short.
         shortened = True
-        sound, each_tried = map(np.asarray, _tried(task, tried))
+        simulated, each_tried = map(np.asarray, _tried(task, tried))
         if not all(np.isfinite(part).all() for part in state.y_eval):
-            sound = sound & np.asarray(_differentiated(task, coordinates))
-        strikes = np.where(moving & ~sound, strikes + 1, 0)
-        if strikes.any():
-            if strikes.max() < MOST_STRIKES:
+            simulated = simulated & np.asarray(_differentiated(task, coordinates))
+        failures = np.where(moving & ~simulated, failures + 1, 0)
+        if failures.any():
+            if failures.max() < settings.max_failures:
                 continue
-            active &= strikes < MOST_STRIKES
+            active &= failures < settings.max_failures
             moving &= active
         else:
-            refused += 1
-            if refused < MOST_REFUSED:
+            rejected += 1
+            if rejected < settings.max_rejections:
                 continue
             least = least_gain * loss / max(counted[moving].sum(), 1)
-            nearer = _on_the_way(task, coordinates, state, loss - least)
+            nearer = _part_of_step(task, coordinates, state, loss - least, settings)
             if nearer is not None:
                 coordinates = nearer
-                task, state, loss, each, refused = begun()
+                task, state, loss, each, rejected = restarted()
                 shortened = False
                 continue
             rough = moving & (each_tried > each)
             others = moving & ~rough
             gain = _gain(each[others], each_tried[others], counted[others])
-            # Of numbers that all share no run may be left out: what one loses, others gain.
-            if not problem.own or not rough.any() or gain <= HELD:
+            # Of shared numbers alone no run may be held: what one loses, others gain.
+            if not problem.own or not rough.any() or gain <= settings.held_gain:
                 status = "stalled"
                 break
             parted.append(coordinates)
@@ -159,10 +132,10 @@ def solve(
         if not moving.any():
             status = "stalled"
             break
-        task, state, loss, each, refused = begun()
+        task, state, loss, each, rejected = restarted()
         shortened = False
     if (active != moving).any() or not np.isfinite(loss):
-        # The solver has not been where it stands with all these runs.
+        # The solver has not been at this place with all these runs.
         task = problem, problem.on_all_devices(jnp.asarray(active))
         stands = [(at, *_step(task, at, _initial(task, at))[1:3]) for at in (coordinates, *parted)]
         best = min(stands, key=lambda each: np.nan_to_num(float(each[2]), nan=np.inf))
@@ -173,7 +146,7 @@ def solve(
     residual, blocks, prior, prior_slope = map(np.asarray, ends)
     coordinates = ahead or coordinates
     predicted_gain, _ = _whole_step(problem, residual, blocks, prior, prior_slope)
-    if status == "stalled" and predicted_gain < NEGLIGIBLE:
+    if status == "stalled" and predicted_gain < settings.negligible:
         status = "converged"
     return Solution(
         coordinates, residual, blocks, prior, prior_slope, number, status, predicted_gain, active
@@ -181,7 +154,7 @@ def solve(
 
 
 def _gain(before: np.ndarray, now: np.ndarray, counted: np.ndarray) -> float:
-    """What a step gained, in each run's residual variances: a run met badly rules no other."""
+    """Return a step's gain, each run's in its residual variances: no bad fit outweighs others."""
     variance = np.maximum(now, np.finfo(float).tiny) / np.maximum(counted, 1)
     return float(np.sum(np.where(counted > 0, np.abs(before - now) / variance, 0)))
 
@@ -193,9 +166,12 @@ def _whole_step(
     prior: np.ndarray,
     prior_slope: np.ndarray,
 ) -> tuple[float, np.ndarray]:
-    """Share of the sum of squares that a straight line could still take away, and the step there.
+    """Return the predicted gain of the whole Gauss-Newton step, and the step.
 
-    Arguments as in `Solution`; the step is of all coordinates: shared ones, then each run's own.
+    Arguments as in `Solution`.
+
+    Returns:
+        Share of the sum of squares [-], and the step of all coordinates, shape (coordinates,).
     """
     information, slope = normal_equations(blocks, len(problem.shared), residual)
     information += np.diag(prior_slope**2)
@@ -205,19 +181,21 @@ def _whole_step(
     return float(-slope @ step / whole), step
 
 
-def _on_the_way(task: "Task", coordinates: Coordinates, state, under: float) -> Coordinates | None:
-    """A part of the way along the whole step where the sum of squares is `under` so much.
+def _part_of_step(
+    task: "Task", coordinates: Coordinates, state, under: float, settings: SolverSettings
+) -> Coordinates | None:
+    """Return a place along the whole step where the sum of squares is `under` so much.
 
-    None where there is none, or the step promises nothing noticeable.
+    None where there is none, or the predicted gain is negligible.
     """
     problem, _ = task
     residual, blocks, prior, prior_slope = map(np.asarray, _ending(coordinates, coordinates, state))
     predicted_gain, step = _whole_step(problem, residual, blocks, prior, prior_slope)
-    if predicted_gain < NEGLIGIBLE:
+    if predicted_gain < settings.negligible:
         return None
     shared, own = coordinates
     number = len(problem.shared)
-    for part in PARTS:
+    for part in settings.step_parts:
         there = problem.on_all_devices(
             (shared + part * step[:number], own + part * step[number:].reshape(own.shape))
         )
@@ -253,7 +231,7 @@ def _step(task: Task, coordinates: Coordinates, state):
     residual, *priors = state.f_info.residual
     each = jnp.sum(residual**2, axis=(1, 2))
     loss = each.sum() + sum(jnp.sum(part**2) for part in priors)
-    # What a straight line says that the next step, known already, leaves of each run.
+    # Sum of squares of each run that the linearisation predicts after the next step, known already.
     ahead = jax.tree.map(jnp.subtract, state.y_eval, coordinates)
     predicted_gain, *_ = state.f_info.jac.mv(ahead)
     return coordinates, state, loss, each, jnp.sum((residual + predicted_gain) ** 2, axis=(1, 2))
@@ -261,21 +239,21 @@ def _step(task: Task, coordinates: Coordinates, state):
 
 @eqx.filter_jit
 def _tried(task: Task, tried: Coordinates) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
-    """Which runs can be simulated at `tried`, and each run's sum of squares there."""
+    """Return which runs can be simulated at `tried`, and each run's sum of squares there."""
     residual = task[0].residual(*tried)
     return _finite(residual), jnp.sum(residual**2, axis=(1, 2))
 
 
 @eqx.filter_jit
 def _loss(task: Task, at: Coordinates) -> Float[Array, ""]:
-    """Sum of squares of the runs that count, and of the priors."""
+    """Return the sum of squares of the runs that count, and of the priors."""
     residual, *priors = _function(at, task)[0]
     return jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in priors)
 
 
 @eqx.filter_jit
 def _differentiated(task: Task, coordinates: Coordinates) -> Bool[Array, " runs"]:
-    """Which runs can be differentiated where the solver stands."""
+    """Return which runs can be differentiated at these coordinates."""
     return _finite(task[0].blocks(*coordinates)[1])
 
 
@@ -285,9 +263,9 @@ def _finite(values: Array) -> Bool[Array, " runs"]:
 
 @eqx.filter_jit
 def _ending(coordinates: Coordinates, ahead: Coordinates, state):
-    """Residuals and derivatives where the solver stands, on a straight line to `ahead`.
+    """Return residuals and derivatives, extrapolated linearly from the solver's place to `ahead`.
 
-    What the solver has is taken: nothing is simulated.
+    The solver's own linearisation is used; nothing is simulated.
     """
     info = state.f_info
     shared, own = coordinates
@@ -299,20 +277,20 @@ def _ending(coordinates: Coordinates, ahead: Coordinates, state):
     blocks = jnp.stack([info.jac.mv(unit)[0] for unit in units], axis=-1)
     step = jax.tree.map(jnp.subtract, ahead, coordinates)
     residual, *priors = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
-    # Each prior bears on one coordinate, so a single sweep gives every slope.
+    # Each prior depends on one coordinate, so a single sweep gives every slope.
     _, *slopes = info.jac.mv(jax.tree.map(jnp.ones_like, coordinates))
     flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (priors, slopes)]
     return residual, blocks, *flat
 
 
 def _counted(active: Bool[Array, " runs"], values: Array) -> Array:
-    """`values` of each run, zero for those that do not count, whatever theirs are."""
+    """Return `values` of each run, zero for those that do not count."""
     return jnp.where(active.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
 
 
 @eqx.filter_custom_jvp
 def structured_residual(task: Task, coordinates: Coordinates) -> Array:
-    """`problem.residual` of the runs that count, its derivative made of one block for each run.
+    """Return `problem.residual` of the runs that count, its derivative made of one block a run.
 
     The blocks are computed once, however many directions the solver asks for.
     """

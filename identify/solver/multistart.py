@@ -1,4 +1,4 @@
-"""Several starting points: whether a fit ends where it should, or in a valley of its own."""
+"""Fit from several starting points, to find a local optimum that is not the global one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,29 +11,22 @@ from identify.parameters.bijector import Interval, Positive, Scaled
 from identify.parameters.parameter import Parameter
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import Coordinates, Problem
+from identify.solver.settings import MULTISTART_SETTINGS, MultistartSettings
 
-# Starting points scatter by a factor of e^0.5 either way (positive numbers), over the middle of
-# their bounds [-], or by so many of their typical changes (others).
-FACTOR, MIDDLE, CHANGES = 0.5, 0.6, 3.0
-
-
-# Two ends are the same optimum where their sums of squares differ by less than this share.
-SAME_OPTIMUM = 0.02
-
-
-MOST_STARTS = 1000
+# Starting points that a fit may be asked for, at most.
+MAX_STARTS = 1000
 
 
 @dataclass(frozen=True)
 class MultistartSummary:
-    """What became of several starting points.
+    """Outcome of several starting points.
 
     Attributes:
-        count: How many there were, the usual one among them.
-        same: How many ended in the best optimum.
-        other: How many ended in another, with a larger sum of squares.
-        lost: How many could not be simulated or did not settle.
-        usual: Whether the usual starting point ended in the best one.
+        count: Their number, the usual one among them.
+        same: Number that ended in the best optimum.
+        other: Number that ended in another, with a larger sum of squares.
+        lost: Number that could not be simulated or did not converge.
+        usual: True where the usual starting point ended in the best one.
     """
 
     count: int
@@ -43,19 +36,19 @@ class MultistartSummary:
     usual: bool
 
     def __str__(self) -> str:
-        told = f"{self.same} of {self.count} starting points ended in the same optimum, the best"
+        text = f"{self.same} of {self.count} starting points ended in the same optimum, the best"
         if self.other:
-            told += f"; {self.other} in worse ones"
+            text += f"; {self.other} in worse ones"
         if self.lost:
-            told += f"; {self.lost} did not settle"
-        return told + ("" if self.usual else "; the usual one did not end there")
+            text += f"; {self.lost} did not settle"
+        return text + ("" if self.usual else "; the usual one did not end there")
 
 
 def require_starts(count: int) -> None:
-    """Refuse a number of starting points that makes no sense."""
-    if not 1 <= count <= MOST_STARTS:
+    """Raise InputError for a number of starting points outside 1 to `MAX_STARTS`."""
+    if not 1 <= count <= MAX_STARTS:
         raise InputError(
-            f"the number of starts is {count}, must lie between 1 and {MOST_STARTS} (--starts)"
+            f"the number of starts is {count}, must lie between 1 and {MAX_STARTS} (--starts)"
         )
 
 
@@ -65,6 +58,7 @@ def best_start(
     count: int,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    settings: MultistartSettings = MULTISTART_SETTINGS,
 ) -> tuple[Coordinates, MultistartSummary]:
     """Fit from `count` points at once and keep the best.
 
@@ -74,45 +68,54 @@ def best_start(
         count: Starting points, the problem's own among them.
         seed: Of the others' places.
         progress: See `BatchedLevenbergMarquardt.run`.
+        settings: Decision numbers.
 
     Returns:
-        Coordinates of the best end, and what became of all.
+        Coordinates of the best end, and the outcome of all.
+
+    Raises:
+        InputError: for a number of starting points that cannot be.
     """
     require_starts(count)
     descent = BatchedLevenbergMarquardt(problem, runs)
-    points = starting_points(descent, count, np.random.default_rng(seed))
+    points = starting_points(descent, count, np.random.default_rng(seed), settings)
     ends = descent.run(points, progress=progress)
     best = int(np.argmin(ends.loss))
     # An end that has not settled may still be the best one on its way.
-    near = ends.loss <= (1 + SAME_OPTIMUM) * ends.loss[best]
+    near = ends.loss <= (1 + settings.same_optimum) * ends.loss[best]
     other = ends.converged & ~near
-    told = MultistartSummary(
+    summary = MultistartSummary(
         count, int(near.sum()), int(other.sum()), int((~near & ~other).sum()), bool(near[0])
     )
-    return descent.coordinates(ends.points[best]), told
+    return descent.coordinates(ends.points[best]), summary
 
 
 def starting_points(
-    descent: BatchedLevenbergMarquardt, count: int, random: np.random.Generator
+    descent: BatchedLevenbergMarquardt,
+    count: int,
+    random: np.random.Generator,
+    settings: MultistartSettings = MULTISTART_SETTINGS,
 ) -> np.ndarray:
-    """The problem's own start, then others about it: a Latin hypercube over all coordinates."""
+    """Return the problem's own start and a Latin hypercube about it, shape (count, coordinates)."""
     usual = descent.start()
     points = np.tile(usual, (count, 1))
     others = count - 1
     for column, parameter in enumerate(descent.parameters):
         strata = (random.permutation(others) + random.random(others)) / max(others, 1)
-        points[1:, column] = _spread(parameter, usual[column], 2 * strata - 1)
+        points[1:, column] = _spread(parameter, usual[column], 2 * strata - 1, settings)
     return points
 
 
-def _spread(parameter: Parameter, usual: float, share: np.ndarray) -> np.ndarray:
-    """Coordinates at these shares, -1 to 1, of the way that a start may scatter."""
+def _spread(
+    parameter: Parameter, usual: float, share: np.ndarray, settings: MultistartSettings
+) -> np.ndarray:
+    """Return coordinates at these shares, -1 to 1, of the range of starts."""
     match parameter.bijector:
         case Positive():
-            return usual + FACTOR * share
+            return usual + settings.positive_range * share
         case Interval(low=low, high=high):
-            values = (low + high) / 2 + MIDDLE * share * (high - low) / 2
+            values = (low + high) / 2 + settings.bounded_range * share * (high - low) / 2
             return np.asarray(parameter.bijector.coordinate(jnp.asarray(values)))
         case Scaled():
-            return usual + CHANGES * share
+            return usual + settings.typical_changes * share
     return usual + share

@@ -1,26 +1,21 @@
 """Whitening of residuals that are correlated in time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identify.solver.abstract_noise import AbstractNoise
 
-# Beyond this the inflation is no longer an estimate but a statement that the samples are one.
+# Beyond this correlation the inflation is no estimate: all samples count as one.
 LARGEST_CORRELATION = 0.9999
 
 
-# Residuals of a run are taken for no finer than this share of what its channel is weighed by: what
-# few samples leave, or a simulation fitted to itself, is no noise.
-FINEST_RUN = 0.1
-
-
 def lag_one_correlation(residual: np.ndarray, counts: np.ndarray, intervals: np.ndarray) -> float:
-    """Correlation of a residual with its neighbour [-], over the samples that count.
+    """Return the correlation of a residual with its neighbour [-], over the samples that count.
 
     Args:
         residual, counts: Of one channel of a run, shape (samples,).
-        intervals: Usual intervals from the sample before; after a gap none is a neighbour.
+        intervals: Usual intervals from the sample before [-]; neighbours are one apart.
     """
     both = counts[1:] & counts[:-1] & (intervals[1:] == 1)
     power = np.sum(residual[counts] ** 2)
@@ -34,27 +29,30 @@ def lag_one_correlation(residual: np.ndarray, counts: np.ndarray, intervals: np.
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    r"""Turns weighted residuals into numbers that scatter independently by one.
+    r"""Linear map from weighted residuals to independent numbers of unit variance.
 
-    A residual's covariance is its own inflated variance and, in each phase of the command, an
-    unknown constant: $1 + u u^T$ with the constant's vector u. Along u that is $1 + u^T u$, across
-    it 1, and so for every power of it.
+    The covariance of scaled residuals is $1 + u u^T$ in each phase of the command: an inflated
+    variance of each, and an unknown constant of the simulation's own error with vector u. Its
+    eigenvalue is $1 + u^T u$ along u and 1 across it, which gives every power of it.
 
     Attributes:
         scale: 1 / inflated standard deviation, zero where nothing counts, shape (runs, channels,
             samples).
         unit: u, shaped likewise, in every phase.
         phase: Number of each sample's phase, shape (runs, samples).
+        finest: Smallest residual of a run, as a share of its channel's weight [-]: what few samples
+            leave, or a simulation fitted to itself, is no noise.
     """
 
     scale: np.ndarray
     unit: np.ndarray
     phase: np.ndarray
+    finest: float = 0.1
 
     def of_run(self, run: int) -> "Whitening":
-        """That of one run alone."""
+        """Return the whitening of one run."""
         here = np.s_[run : run + 1]
-        return Whitening(self.scale[here], self.unit[here], self.phase[here])
+        return replace(self, scale=self.scale[here], unit=self.unit[here], phase=self.phase[here])
 
     @classmethod
     def of(
@@ -65,8 +63,9 @@ class Whitening:
         phase: np.ndarray,
         intervals: np.ndarray,
         noise: AbstractNoise,
+        finest: float = 0.1,
     ) -> "Whitening":
-        """The whitening of these residuals.
+        """Return the whitening of residuals like these.
 
         Args:
             residual: Weighted, shape (runs, channels, samples).
@@ -75,30 +74,31 @@ class Whitening:
             phase: Number of each sample's phase, shape (runs, samples).
             intervals: Usual intervals from the sample before, likewise.
             noise: Model of the scatter.
+            finest: See `Whitening`.
         """
         number = np.maximum(counts.sum(axis=2), 1)
-        inflation = np.maximum((residual**2).sum(axis=2) / number, FINEST_RUN**2)
+        inflation = np.maximum((residual**2).sum(axis=2) / number, finest**2)
         for run, channel in np.ndindex(inflation.shape):
             here = run, channel
             inflation[here] *= noise.inflation(residual[here], counts[here], intervals[run])
         scale = counts / np.sqrt(inflation)[:, :, None]
-        return cls(scale, offset * scale, phase)
+        return cls(scale, offset * scale, phase, finest)
 
     def apply(self, weighted: np.ndarray) -> np.ndarray:
-        """Weighted residuals or derivatives, shape (runs, channels, samples, ...), whitened."""
-        return self._stretched(weighted * self._beside(weighted, self.scale), -0.5)
+        """Return weighted residuals or derivatives (runs, channels, samples, ...), whitened."""
+        return self._scale_along_unit(weighted * self._broadcast(weighted, self.scale), -0.5)
 
     def colour(self, blocks: np.ndarray) -> np.ndarray:
-        """Derivatives times the root of the noise's covariance: `apply` the other way."""
+        """Return values times the root of the noise's covariance: the inverse of `apply`."""
         spread = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
-        return self._stretched(blocks * self._beside(blocks, spread), 0.5)
+        return self._scale_along_unit(blocks * self._broadcast(blocks, spread), 0.5)
 
     @staticmethod
-    def _beside(values: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    def _broadcast(values: np.ndarray, scale: np.ndarray) -> np.ndarray:
         return scale.reshape(scale.shape + (1,) * (values.ndim - 3))
 
-    def _stretched(self, values: np.ndarray, power: float) -> np.ndarray:
-        """`values` with their part along u times (1 + u^T u) to this power, in every phase."""
+    def _scale_along_unit(self, values: np.ndarray, power: float) -> np.ndarray:
+        """Return `values` with their part along u times (1 + u^T u)^power, in every phase."""
         for run, phases in enumerate(self.phase):
             for here in (phases == number for number in np.unique(phases)):
                 unit = self.unit[run][:, here]

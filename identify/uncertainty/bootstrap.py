@@ -1,4 +1,4 @@
-r"""Bootstrap: how values and simulated channels scatter over recordings that might have been.
+r"""Bootstrap: scatter of values and simulated channels over recordings that might have been made.
 
 Parametric: noise like the residuals' own (first-order autoregressive, of each run's and channel's
 size, and a constant in every phase of the command that the simulation may be off by; what a zeta
@@ -20,14 +20,11 @@ from drftjax.common.errors import InputError
 from drftjax.common.memory import piece_bytes
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import linearize, normal_equations
-from identify.solver.whitening import FINEST_RUN
 from identify.uncertainty.covariance import regularized_inverse
 from identify.uncertainty.estimate import Estimate
 
-LEVEL = 0.90
-
-
-MOST_DRAWS = 100_000
+# Draws that a bootstrap may be asked for, at least and at most.
+MIN_DRAWS, MAX_DRAWS = 20, 100_000
 
 
 # Noise and bands of so many bytes at most are held at once.
@@ -38,24 +35,37 @@ CHUNK_BYTES = 1e8
 DRAWN_TOGETHER = 20
 
 
-# Fewer runs than this say nothing of the scatter from run to run.
-FEWEST_RUNS = 3
+@dataclass(frozen=True)
+class BootstrapSettings:
+    """Numbers of the bootstrap.
+
+    Attributes:
+        level: Level of intervals and bands [-].
+        min_runs: Runs from which on they are resampled; fewer say nothing of the scatter from run
+            to run.
+    """
+
+    level: float = 0.90
+    min_runs: int = 3
+
+
+BOOTSTRAP_SETTINGS = BootstrapSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Values drawn again and again.
+    """Draws of values, with intervals.
 
     Attributes:
         over: "noise" or "runs".
-        refit: Whether every draw was fitted all the way, or by one Gauss-Newton step.
-        labels: Which values.
+        refit: True where every draw was fitted to convergence, not by one Gauss-Newton step.
+        labels: Name of each value.
         draws: Values, shape (draws, values).
-        low, high: Ends of each value's interval.
-        error: Standard deviation of each.
+        low, high: Ends of each value's interval, shape (values,).
+        error: Standard deviation of each, shape (values,).
         level: Level of intervals and bands.
-        bands: Lowest and highest reading expected at the recorded times, by run and channel
-            [m, N, N m]; NaN where nothing was compared.
+        bands: Lower and upper end of the readings expected at the recorded times, by run and
+            channel [m, N, N m]; NaN where nothing was compared.
     """
 
     over: str
@@ -65,46 +75,61 @@ class Bootstrap:
     low: np.ndarray
     high: np.ndarray
     error: np.ndarray
-    level: float = LEVEL
+    level: float = BootstrapSettings.level
     bands: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, over: str, refit: bool, labels: tuple[str, ...], draws: np.ndarray, bands=None):
-        """Intervals and errors of these draws."""
-        tail = (1 - LEVEL) / 2
+    def of(
+        cls,
+        over: str,
+        refit: bool,
+        labels: tuple[str, ...],
+        draws: np.ndarray,
+        bands: dict | None = None,
+        level: float = BootstrapSettings.level,
+    ) -> "Bootstrap":
+        """Return intervals and errors of these draws."""
+        tail = (1 - level) / 2
         low, high = np.nanquantile(draws, (tail, 1 - tail), axis=0)
         error = np.nanstd(draws, axis=0, ddof=1)
-        return cls(over, refit, labels, draws, low, high, error, LEVEL, bands or {})
+        return cls(over, refit, labels, draws, low, high, error, level, bands or {})
 
     def sentences(self) -> list[str]:
-        """An interval for each value, and how it was found."""
+        """Return a sentence with each value's interval."""
         how = "refitted" if self.refit else "linearised"
-        told = [f"bootstrap over {self.over}, {len(self.draws)} draws, {how}:"]
-        told += [
+        lines = [f"bootstrap over {self.over}, {len(self.draws)} draws, {how}:"]
+        lines += [
             f"  {name} {low:.5g} to {high:.5g} ({100 * self.level:.0f} %)"
             for name, low, high in zip(self.labels, self.low, self.high, strict=True)
         ]
-        return told
+        return lines
 
 
 def require_draws(count: int) -> None:
-    """Refuse a number of draws that makes no interval."""
-    if not 20 <= count <= MOST_DRAWS:
+    """Raise InputError for a number of draws that makes no interval, or takes too long."""
+    if not MIN_DRAWS <= count <= MAX_DRAWS:
         raise InputError(
-            f"the number of draws is {count}, must lie between 20 and {MOST_DRAWS} (--bootstrap)"
+            f"the number of draws is {count}, must lie between {MIN_DRAWS} and {MAX_DRAWS} "
+            "(--bootstrap)"
         )
 
 
 def bootstrap(
-    estimate: Estimate, count: int, *, seed: int = 0, refit: bool = False
+    estimate: Estimate,
+    count: int,
+    *,
+    seed: int = 0,
+    refit: bool = False,
+    settings: BootstrapSettings = BOOTSTRAP_SETTINGS,
 ) -> list[Bootstrap]:
     """Draw values over the noise, and over the runs where there are enough of them.
 
     Args:
-        estimate: Where the fit ended.
-        count: Draws.
+        estimate: Of the fit.
+        count: Number of draws.
         seed: Of the draws.
-        refit: Fit every draw of the noise all the way.
+        refit: Fit every draw of the noise to convergence.
+        settings: Decision numbers.
 
     Raises:
         InputError: for too few or too many draws, or full refits of a fit with priors.
@@ -125,17 +150,20 @@ def bootstrap(
         ]
     )
     draws = estimate.values(points)
-    bands = predictive_bands(estimate, points - estimate.flat, np.random.default_rng([seed, 1]))
-    found = [Bootstrap.of("noise", refit, estimate.labels, draws, bands)]
+    bands = predictive_bands(
+        estimate, points - estimate.flat, np.random.default_rng([seed, 1]), settings
+    )
+    level = settings.level
+    found = [Bootstrap.of("noise", refit, estimate.labels, draws, bands, level)]
     active = np.flatnonzero(estimate.solution.active[: len(estimate.runs)])
-    # Between runs drawn again and a prior nothing says how the one outweighs the other.
-    if estimate.shared and len(active) >= FEWEST_RUNS and estimate.slope_rescaling is None:
+    # Nothing says how resampled runs and a prior outweigh each other.
+    if estimate.shared and len(active) >= settings.min_runs and estimate.slope_rescaling is None:
         moves = resample_runs(estimate, count, np.random.default_rng([seed, 2]))
         flat = np.tile(estimate.flat, (count, 1))
         flat[:, : estimate.shared] += moves
         values = estimate.values(flat)[:, : estimate.shared]
         labels = estimate.labels[: estimate.shared]
-        found.append(Bootstrap.of("runs", False, labels, values))
+        found.append(Bootstrap.of("runs", False, labels, values, None, level))
     return found
 
 
@@ -163,8 +191,13 @@ def noise_chunks(
 
 
 def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
-    """Noise as the fit takes it to be: autoregressive, a constant in every phase, and what a shared
-    zeta scatters by from run to run."""
+    """Draw weighted residuals of noise alone, as the fit takes it to be.
+
+    By the noise model, plus a constant in every phase, plus the scatter of a shared zeta.
+
+    Returns:
+        Shape (draws, runs, channels, samples).
+    """
     residual, whitening = estimate.noise_residual, estimate.whitening
     model = estimate.problem.noise
     counts = whitening.scale > 0
@@ -174,10 +207,10 @@ def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator)
         here = counts[run, channel]
         if not here.any():
             continue
-        spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), FINEST_RUN)
+        spread = max(float(np.sqrt(np.mean(residual[run, channel, here] ** 2))), whitening.finest)
         drawn = model.sample(random, count, residual[run, channel], here, intervals[run])
         noise[:, run, channel] = np.where(here, spread * drawn, 0)
-        # Units of the unit vectors are whitened ones; back to weighted.
+        # The unit vectors are whitened; back to weighted residuals.
         offset = np.divide(
             whitening.unit[run, channel],
             whitening.scale[run, channel],
@@ -189,20 +222,23 @@ def simulated_noise(estimate: Estimate, count: int, random: np.random.Generator)
             constant = random.standard_normal(count)
             noise[:, run, channel, inside] += constant[:, None] * offset[inside]
     for shared, variance in enumerate(estimate.run_variance):
-        apart = np.sqrt(variance) * random.standard_normal((count, len(residual)))
-        noise += apart[:, :, None, None] * estimate.solution.blocks[..., shared]
+        deviation = np.sqrt(variance) * random.standard_normal((count, len(residual)))
+        noise += deviation[:, :, None, None] * estimate.solution.blocks[..., shared]
     return noise
 
 
 def one_step_draws(
     estimate: Estimate, noise: np.ndarray, random: np.random.Generator
 ) -> np.ndarray:
-    """Coordinates after one Gauss-Newton step towards recordings with this noise.
+    """Return coordinates after one Gauss-Newton step towards recordings with this noise.
 
     Args:
-        estimate: Where the fit ended.
+        estimate: Of the fit.
         noise: Weighted residuals of noise alone, shape (draws, runs, channels, samples).
-        random: Of the noise of what was believed.
+        random: Source of draws from the priors.
+
+    Returns:
+        Shape (draws, coordinates).
     """
     solution, runs = estimate.solution, len(estimate.runs)
     blocks = solution.blocks[:runs]
@@ -215,15 +251,15 @@ def one_step_draws(
         place = estimate.shared + run * estimate.own
         along[:, place : place + estimate.own] = both[:, estimate.shared :]
     if estimate.slope_rescaling is not None:
-        believed = solution.prior_slope[:size] * random.standard_normal(along.shape)
-        told = along @ estimate.slope_rescaling[:size, :size].T
-        return estimate.flat + (told + believed) @ estimate.covariance[:size, :size]
+        from_priors = solution.prior_slope[:size] * random.standard_normal(along.shape)
+        from_runs = along @ estimate.slope_rescaling[:size, :size].T
+        return estimate.flat + (from_runs + from_priors) @ estimate.covariance[:size, :size]
     information, _ = normal_equations(blocks, estimate.shared, solution.residual)
     return estimate.flat + along @ regularized_inverse(information)
 
 
 def refit_draws(estimate: Estimate, noise: np.ndarray) -> np.ndarray:
-    """Coordinates after a whole fit to the simulation at the estimate with this noise on it."""
+    """Return coordinates after a whole fit to the simulation with this noise added."""
     descent = BatchedLevenbergMarquardt(
         estimate.problem, len(estimate.runs), None, estimate.solution.active
     )
@@ -233,10 +269,10 @@ def refit_draws(estimate: Estimate, noise: np.ndarray) -> np.ndarray:
 
 
 def resample_runs(estimate: Estimate, count: int, random: np.random.Generator) -> np.ndarray:
-    """Changes of the shared coordinates as runs are drawn with replacement, one step each.
+    """Return changes of the shared coordinates as runs are drawn with replacement, one step each.
 
-    Each run's own coordinates follow the shared ones; what is left of its information and slope
-    weighs as often as the run was drawn.
+    Each run's own coordinates are eliminated (Schur complement); the rest of its information and
+    slope counts as often as the run was drawn. Shape (draws, shared).
     """
     solution, shared = estimate.solution, estimate.shared
     active = np.flatnonzero(solution.active[: len(estimate.runs)])
@@ -259,14 +295,21 @@ def resample_runs(estimate: Estimate, count: int, random: np.random.Generator) -
 
 
 def predictive_bands(
-    estimate: Estimate, moves: np.ndarray, random: np.random.Generator
+    estimate: Estimate,
+    moves: np.ndarray,
+    random: np.random.Generator,
+    settings: BootstrapSettings = BOOTSTRAP_SETTINGS,
 ) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Where readings are expected: the simulation over the draws, with noise on it.
+    """Return the band of expected readings: the simulation over the draws, with noise added.
 
     Args:
-        estimate: Where the fit ended.
+        estimate: Of the fit.
         moves: Changes of all coordinates, shape (draws, coordinates).
-        random: Of the noise.
+        random: Source of the noise.
+        settings: Decision numbers.
+
+    Returns:
+        By run and channel, lower and upper end [m, N, N m], shape (samples,).
     """
     problem = estimate.problem
     plain = replace(problem, noise=problem.noise.for_channels(len(problem.batch.channels)))
@@ -274,7 +317,7 @@ def predictive_bands(
     weight = np.asarray(plain.batch.observed.weight)
     recorded = np.asarray(plain.batch.observed.values)
     moves = moves[np.isfinite(moves).all(axis=1)]
-    tail = (1 - LEVEL) / 2
+    tail = (1 - settings.level) / 2
     bands: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     for run, each in enumerate(estimate.runs):
         if not estimate.solution.active[run]:

@@ -1,4 +1,7 @@
-"""Where a fit ended: what profiles, bootstraps and questions about other runs go on from."""
+"""Estimate: solution of a fit with the scatter of its residuals and the covariance.
+
+Profile likelihoods, bootstraps and predictions for other runs start from it.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,21 +21,22 @@ from identify.uncertainty.covariance import between_run_variance, covariance, pe
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A solved problem, and the scatter of its residuals.
+    """Solution of a problem, the scatter of its residuals and the covariance.
 
     Attributes:
         problem: Runs and parameters, with the weights of the last solve.
-        solution: Where the solver stopped.
-        runs: The runs; the batch may hold more, which weigh nothing.
-        model_error: What the simulation may be off by [m, N, N m]; see `Estimate.of`.
-        left: What is left of the residuals where each run has its own zeta, if they share one: it
-            scatters, and the rest is noise. Shaped like the solution's residuals.
-        whitening: Of that.
-        scatter: Variance of each shared coordinate from run to run; zero where it is none of sand;
-            shape (shared,).
-        covariance: Of all coordinates: shared, then each run's own, padded runs too.
-        share: What turns the runs' slope into what they tell, shaped like `covariance`, where
-            there are priors; see `identify.uncertainty.priors`.
+        solution: End of the solve.
+        runs: The runs; the batch may hold padding beyond them, of no weight.
+        model_error: Constant error of the simulation [m, N, N m]; see `Estimate.of`.
+        noise_residual: Residuals with a zeta of each run's own where the runs share one: the rest
+            is a random effect. Shaped like the solution's residuals.
+        whitening: Of `noise_residual`.
+        run_variance: Variance of each shared coordinate from run to run; zero for all but those of
+            sand; shape (shared,).
+        covariance: Of all coordinates: shared, then each run's own, padded runs too, shape
+            (all, all).
+        slope_rescaling: Matrix that rescales the runs' slope, shaped like `covariance`, where there
+            are priors; see `identify.uncertainty.priors`.
     """
 
     problem: Problem
@@ -52,31 +56,33 @@ class Estimate:
         solution: Solution,
         runs: tuple[PreparedRun, ...],
         model_error: Mapping[str, float],
+        finest: float = 0.1,
     ) -> "Estimate":
-        """Covariance and whitening of a solved problem.
+        """Return the estimate of a solved problem.
 
         Args:
             problem, solution, runs: See `Estimate`.
             model_error: Standard deviation of a constant that the simulation may be off by over a
                 phase of the command, by channel [m, N, N m].
+            finest: See `Whitening`.
         """
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
         offset = _offset(problem, model_error)
         phases = phases_of(runs, counts)
         intervals = np.asarray(problem.batch.observed.intervals)
         shared, blocks = len(problem.shared), solution.blocks
-        # Sand is never the same twice; what is built stays as it is.
+        # Sand differs from run to run; wheel and rig do not.
         sands = [place for place, each in enumerate(problem.shared) if each.quantity.is_zeta]
-        alone = [*sands, *range(shared, blocks.shape[-1])]
-        left = solution.residual
-        moves = np.zeros((len(blocks), len(alone)))
+        moving = [*sands, *range(shared, blocks.shape[-1])]
+        residual = solution.residual
+        moves = np.zeros((len(blocks), len(moving)))
         if sands:
-            moves, left = per_run_steps(blocks, left, alone)
-        whitening = Whitening.of(left, counts, offset, phases, intervals, problem.noise)
+            moves, residual = per_run_steps(blocks, residual, moving)
+        whitening = Whitening.of(residual, counts, offset, phases, intervals, problem.noise, finest)
         scatter = np.zeros(shared)
-        scatter[sands] = between_run_variance(moves, blocks[..., alone], whitening, len(sands))
+        scatter[sands] = between_run_variance(moves, blocks[..., moving], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
-        return cls(problem, solution, runs, model_error, left, whitening, scatter, spread)
+        return cls(problem, solution, runs, model_error, residual, whitening, scatter, spread)
 
     @property
     def shared(self) -> int:
@@ -90,7 +96,7 @@ class Estimate:
 
     @property
     def coordinate_parameters(self) -> list[tuple[Parameter, int | None]]:
-        """The parameter of each coordinate, and whose run it is; padded runs left out."""
+        """Parameter and run (None where shared) of each coordinate; padded runs left out."""
         of_runs = [(p, r) for r in range(len(self.runs)) for p in self.problem.own]
         return [*((p, None) for p in self.problem.shared), *of_runs]
 
@@ -104,18 +110,18 @@ class Estimate:
 
     @property
     def flat(self) -> np.ndarray:
-        """All coordinates in one row, padded runs left out."""
+        """All coordinates in one row, padded runs left out, shape (coordinates,)."""
         shared, own = map(np.asarray, self.solution.coordinates)
         return np.r_[shared, own[: len(self.runs)].ravel()]
 
     def coordinates(self, flat: np.ndarray) -> Coordinates:
-        """Coordinates as the problem takes them, from one row."""
+        """Return coordinates as the problem takes them, from one row."""
         filled = np.array(self.solution.coordinates[1])
         filled[: len(self.runs)] = flat[self.shared :].reshape(-1, self.own)
         return self.problem.on_all_devices((jnp.asarray(flat[: self.shared]), jnp.asarray(filled)))
 
     def values(self, flat: np.ndarray) -> np.ndarray:
-        """Parameters' values at these coordinates, the last axis of any shape before it."""
+        """Return the parameters' values at coordinates of shape (..., coordinates)."""
         columns = [
             np.asarray(p.bijector.value(jnp.asarray(flat[..., k])))
             for k, (p, _) in enumerate(self.coordinate_parameters)
@@ -139,14 +145,22 @@ class Estimate:
 
 
 def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
-    """Weighted residual that the simulation's own error makes, held over a phase."""
+    """Return the weighted, whitened residual of the simulation's own error, held over a phase."""
     observed = problem.batch.observed
     error = jnp.asarray([model_error.get(channel, 0.0) for channel in problem.batch.channels])
     return np.asarray(jax.vmap(problem.whiten)(observed.weight * error[:, None], observed))
 
 
 def phases_of(runs: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:
-    """Number of the phase of the command (a straight piece of it) that each sample falls in."""
+    """Return the number of the phase (a straight piece) of the command at each sample.
+
+    Args:
+        runs: The runs.
+        counts: True for samples that are compared, shape (padded runs, channels, samples).
+
+    Returns:
+        Shape (padded runs, samples).
+    """
     phases = np.zeros((counts.shape[0], counts.shape[2]), int)
     for index, each in enumerate(runs):
         knots = np.asarray(simplify_command(each.setup.command).time)

@@ -10,7 +10,7 @@ open on one side.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from statistics import NormalDist
 
@@ -29,34 +29,39 @@ from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import regularized_inverse, rescaled_covariance
 from identify.uncertainty.estimate import Estimate
 
-# Places to either side of the fitted value, and how far out the last is in standard errors.
-PLACES = 5
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Numbers of a profile likelihood.
+
+    Attributes:
+        level: Level of the interval [-].
+        places: Places to either side of the fitted value.
+        outermost: Distance of the last place, in standard errors.
+        farthest: Distance of the last place in coordinates, at most.
+        margin: Distance from a bound, at least, as a share of the way between both bounds.
+    """
+
+    level: float = 0.90
+    places: int = 5
+    outermost: float = 2.5
+    farthest: float = 3.0
+    margin: float = 0.005
 
 
-OUTERMOST = 2.5
-
-
-LEVEL = 0.90
-
-
-# No place lies further out than this in coordinates, nor closer to a bound than this share of the
-# way between both.
-FARTHEST = 3.0
-
-
-MARGIN = 0.005
+PROFILE_SETTINGS = ProfileSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileLikelihood:
-    """The profile of one value.
+    """Profile likelihood of one value.
 
     Attributes:
-        label: Which value.
+        label: Name of the value.
         unit: Its unit.
-        value: Places, increasing; the fitted one among them.
-        rise: How far the scaled sum of squares has risen there.
-        low, high: Ends of the interval; infinite where there is none within the places.
+        value: Places in `unit`, increasing, the fitted one among them; shape (places,).
+        rise: Rise of the scaled sum of squares there [-], shape (places,).
+        low, high: Ends of the interval; infinite where they lie beyond the places.
         level: Its level.
     """
 
@@ -66,7 +71,7 @@ class ProfileLikelihood:
     rise: np.ndarray
     low: float
     high: float
-    level: float = LEVEL
+    level: float = ProfileSettings.level
 
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
@@ -75,7 +80,7 @@ class ProfileLikelihood:
         return f"{self.label}: {100 * self.level:.0f} % profile interval {low} to {high}{unit}"
 
     def table(self) -> Table:
-        """Places and rises."""
+        """Return places and rises as a table."""
         table = Table(title=escape(printable(f"profile of {self.label}")))
         table.add_column(escape(f"{self.label} [{self.unit}]"), justify="right")
         table.add_column("rise of the sum of squares", justify="right")
@@ -85,7 +90,7 @@ class ProfileLikelihood:
 
 
 def require_fitted(name: str, parameters: Sequence[Parameter], by_phase: bool = False) -> None:
-    """Refuse a profile of what is not fitted."""
+    """Raise InputError for a profile of a parameter that is not fitted."""
     if by_phase:
         parameters = [p for p in parameters if p.quantity.name != "terrain.zeta"]
     known = list(dict.fromkeys(p.quantity.label for p in parameters))
@@ -101,20 +106,24 @@ def require_fitted(name: str, parameters: Sequence[Parameter], by_phase: bool = 
 def profile_likelihoods(
     estimate: Estimate,
     name: str,
-    level: float = LEVEL,
+    level: float | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    settings: ProfileSettings = PROFILE_SETTINGS,
 ) -> list[ProfileLikelihood]:
-    """The profile of a shared value, or one for each run that has the value for itself.
+    """Return the profile of a shared value, or one for each run that has its own.
 
     Args:
-        estimate: Where the fit ended.
+        estimate: Of the fit.
         name: As users write it: "lambda", "zeta".
-        level: Of the interval.
+        level: Of the interval, if another than that of the settings.
         progress: Called with the label, the step and the number of places that still move.
+        settings: Decision numbers.
 
     Raises:
         InputError: where no such number was fitted.
     """
+    if level is not None:
+        settings = replace(settings, level=level)
     full = SHORT_NAMES.get(name, name)
     require_fitted(name, [p for p, _ in estimate.coordinate_parameters])
     numbers = [
@@ -122,29 +131,31 @@ def profile_likelihoods(
         for index, (p, run) in enumerate(estimate.coordinate_parameters)
         if p.quantity.name == full and (run is None or estimate.solution.active[run])
     ]
-    return [_profile(estimate, n, level, progress) for n in numbers]
+    return [_profile(estimate, n, settings, progress) for n in numbers]
 
 
-def _profile(estimate: Estimate, number: int, level: float, progress) -> ProfileLikelihood:
+def _profile(
+    estimate: Estimate, number: int, settings: ProfileSettings, progress
+) -> ProfileLikelihood:
     runs, active = len(estimate.runs), estimate.solution.active
     descent = BatchedLevenbergMarquardt(estimate.problem, runs, _scaled(estimate, number), active)
-    at_optimum = descent.run(estimate.flat[None])
+    fitted = descent.run(estimate.flat[None])
     parameter, _ = estimate.coordinate_parameters[number]
-    best, least = at_optimum.points[0], at_optimum.loss[0]
+    best, least = fitted.points[0], fitted.loss[0]
     size = len(best)
     covariance = estimate.covariance[:size, :size]
     error = np.sqrt(covariance[number, number])
     held = np.zeros(size, bool)
     held[number] = True
-    moves = _places(parameter, float(best[number]), float(error)) - best[number]
-    # The straight line says where the others go meanwhile.
+    moves = _places(parameter, float(best[number]), float(error), settings) - best[number]
+    # The others start where the linearisation puts them.
     points = best + moves[:, None] * covariance[number] / covariance[number, number]
     label = estimate.labels[number]
     report = None if progress is None else lambda step, left: progress(label, step, left)
     ends = descent.run(points, held=held, progress=report)
     places = np.r_[moves[moves < 0], 0.0, moves[moves > 0]]
     rise = np.insert(ends.loss - least, int((moves < 0).sum()), 0.0)
-    wanted = NormalDist().inv_cdf(0.5 + level / 2) ** 2
+    wanted = NormalDist().inv_cdf(0.5 + settings.level / 2) ** 2
     low = -_crossing(-places[places <= 0][::-1], rise[places <= 0][::-1], wanted)
     high = _crossing(places[places >= 0], rise[places >= 0], wanted)
 
@@ -155,46 +166,51 @@ def _profile(estimate: Estimate, number: int, level: float, progress) -> Profile
 
     bounds = [float(value(np.array([e]))[0]) if np.isfinite(e) else e for e in (low, high)]
     return ProfileLikelihood(
-        label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], level
+        label, parameter.quantity.unit, value(places), rise, bounds[0], bounds[1], settings.level
     )
 
 
 def _scaled(estimate: Estimate, number: int) -> Whitening:
-    """One scale for all residuals, at which the runs tell of a coordinate what they do tell."""
+    """Return one scale for all residuals that gives a coordinate its standard error by the runs."""
     solution, counts = estimate.solution, estimate.whitening.scale > 0
     alike, _ = normal_equations(solution.blocks, estimate.shared, solution.residual)
-    told, _ = rescaled_covariance(
+    information, _ = rescaled_covariance(
         solution.blocks, estimate.whitening, estimate.shared, estimate.run_variance
     )
-    share = regularized_inverse(alike)[number, number] / regularized_inverse(told)[number, number]
+    share = (
+        regularized_inverse(alike)[number, number]
+        / regularized_inverse(information)[number, number]
+    )
     even = counts * np.sqrt(share)
     return Whitening(even, np.zeros(counts.shape), estimate.whitening.phase)
 
 
-def _places(parameter: Parameter, best: float, error: float) -> np.ndarray:
-    """Coordinates evenly in the value to either side of the best, within the bounds."""
-    reach = OUTERMOST * error
+def _places(
+    parameter: Parameter, best: float, error: float, settings: ProfileSettings
+) -> np.ndarray:
+    """Return coordinates, evenly spaced in the value to either side of the best, within bounds."""
+    reach = settings.outermost * error
     bijector = parameter.bijector
     if isinstance(bijector, Interval):
-        inner = MARGIN * (bijector.high - bijector.low)
+        inner = settings.margin * (bijector.high - bijector.low)
         edges = bijector.coordinate(jnp.array([bijector.low + inner, bijector.high - inner]))
         ends = [max(best - reach, float(edges[0])), min(best + reach, float(edges[1]))]
     else:
-        reach = min(reach, FARTHEST) if isinstance(bijector, Positive) else reach
+        reach = min(reach, settings.farthest) if isinstance(bijector, Positive) else reach
         ends = [best - reach, best + reach]
     middle, *outer = map(float, bijector.value(jnp.array([best, *ends])))
     values = [
         middle + (end - middle) * share
         for end in outer
         if (end - middle) * (outer[1] - outer[0]) != 0
-        for share in np.arange(1, PLACES + 1) / PLACES
+        for share in np.arange(1, settings.places + 1) / settings.places
     ]
     sides = np.sort([v for v in values if min(outer) <= v <= max(outer)])
     return np.asarray(bijector.coordinate(jnp.asarray(sides)))
 
 
 def _crossing(distance: np.ndarray, rise: np.ndarray, wanted: float) -> float:
-    """Where the rise first exceeds `wanted`; its root is near a straight line."""
+    """Return the distance at which the rise first exceeds `wanted`, linear in its square root."""
     root = np.sign(rise) * np.sqrt(np.abs(rise))
     over = np.flatnonzero(~(rise < wanted))
     if not len(over):

@@ -1,23 +1,21 @@
-"""Values that scatter from run to run beyond their errors: a random effect."""
+"""Random effect: scatter of values from run to run beyond their standard errors."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import root_scalar
 from scipy.stats import chi2
-
-# Runs of one value scatter by chance as much as is told in one of twenty cases.
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class RandomEffect:
-    """Of some runs' values.
+    """Mean and between-run variance of some runs' values.
 
     Attributes:
-        mean: Each weighed by the inverse of its variance, scatter included.
-        variance: From run to run, beyond their errors; zero where they scatter by no more.
-        told: Whether errors alone would scatter as much in one of twenty cases only.
+        mean: Weighted by the inverse variances, between-run variance included.
+        variance: From run to run, beyond the errors; zero where they scatter by no more.
+        identified: True where errors alone would rarely scatter as much (chi-squared test).
     """
 
     mean: float
@@ -25,29 +23,35 @@ class RandomEffect:
     identified: bool
 
 
-def paule_mandel(values: np.ndarray, errors: np.ndarray) -> RandomEffect:
-    """The scatter for which the weighed squares are as many as are free.
+def paule_mandel(
+    values: Float[np.ndarray, " runs"], errors: Float[np.ndarray, " runs"], level: float = 0.95
+) -> RandomEffect:
+    r"""Return the mean of values and their between-run variance $\tau^2$.
 
-    R. C. Paule, J. Mandel: Consensus values and weighting factors, J. Res. NBS 87:377, 1982.
+    The solution of $\sum_i (y_i - \bar y)^2 / (\sigma_i^2 + \tau^2) = n - 1$ with the weighted mean
+    $\bar y$ (R. C. Paule, J. Mandel: Consensus values and weighting factors, J. Res. NBS 87:377,
+    1982).
 
     Args:
-        values: Of the runs, shape (runs,).
-        errors: Their standard errors, positive; shape (runs,).
+        values: y of each run.
+        errors: Their standard errors, positive.
+        level: Level of the test for `RandomEffect.identified`: chance passes it in one of twenty
+            cases.
     """
     free = len(values) - 1
 
-    def weighed(variance: float) -> tuple[float, float]:
+    def weighted(variance: float) -> tuple[float, float]:
         weight = 1 / (errors**2 + variance)
         mean = float(np.average(values, weights=weight))
         return mean, float(np.sum(weight * (values - mean) ** 2))
 
     if free < 1:
         return RandomEffect(float(values.sum()), 0.0, identified=False)
-    mean, squares = weighed(0.0)
+    mean, squares = weighted(0.0)
     if squares <= free:
         return RandomEffect(mean, 0.0, identified=False)
-    # The plain variance is never less.
+    # The plain variance is never smaller.
     most = float(values.var(ddof=1))
-    found = root_scalar(lambda each: weighed(each)[1] - free, bracket=(0.0, most))
-    told = bool(squares > chi2.ppf(LEVEL, free))
-    return RandomEffect(weighed(found.root)[0], float(found.root), told)
+    found = root_scalar(lambda each: weighted(each)[1] - free, bracket=(0.0, most))
+    identified = bool(squares > chi2.ppf(level, free))
+    return RandomEffect(weighted(found.root)[0], float(found.root), identified)

@@ -8,10 +8,10 @@ $$\sqrt{w}\,(u_{k-1} - 2 u_k + u_{k+1}) \sim N(0, 1),$$
 
 and each channel's residual is first-order autoregressive, with a variance and a correlation of its
 own; that of sinkage lasts no longer than knots can resolve, as the rest is for zeta to explain.
-With the simulation linearised by its exact derivative, the probability of the data given w and the noise
-(the evidence, by Laplace's approximation) is a Gaussian integral in closed form. Its largest value
-over a grid of w, with the noise found by expectation-maximisation at each, chooses w; Gauss-Newton
-steps move the linearisation until they converge.
+With the simulation linearised by its exact derivative, the probability of the data given w and the
+noise (the evidence, by Laplace's approximation) is a Gaussian integral in closed form. Its largest
+value over a grid of w, with the noise found by expectation-maximisation at each, chooses w;
+Gauss-Newton steps move the linearisation until they converge.
 """
 
 from collections.abc import Sequence

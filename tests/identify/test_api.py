@@ -18,8 +18,11 @@ from drftjax.recorded.prepared_run import prepare_runs
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured
 from drftjax.setups.terrain_setup import ZetaKnots
+from identify.fit_constant import FitSettings
 from identify.fit_constant import fit as fit_runs
+from identify.parameters.parameter import shared
 from identify.solver.levenberg_marquardt import solve
+from identify.solver.settings import BatchedSolverSettings, SolverSettings
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
 
 # Two programs of one fit sum in another order, and stop within a small part of the errors.
@@ -285,3 +288,14 @@ def test_a_run_that_cannot_be_met_leaves_the_others_as_they_are(runs, model, res
     ours, theirs = (each.values[f"zeta of {BRACKETS}"] for each in (mixed, result))
     assert abs(ours.value - theirs.value) < SAME_FIT * theirs.error
     assert mixed.runs[1].status == "converged"
+
+
+def test_a_fit_of_fewer_steps_does_not_converge(runs):
+    once = SolverSettings(max_steps=1)
+    hurried = FitSettings(
+        reweightings=1, solver=once, short_steps=BatchedSolverSettings(max_steps=1)
+    )
+    far = shared("lambda", start=20.0)
+    result = drftjax.fit(runs, parameters=["zeta", far], settings=hurried)
+    assert result.status == "out of steps"
+    assert result.steps == 1

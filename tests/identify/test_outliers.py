@@ -13,9 +13,9 @@ from drftjax.runlog.record import Measured, RecordedSetup
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
 from drftjax.simulation.statics import sinkage_under_load
-from identify.fit_constant import FARTHEST, _in_short_steps, _problem, fit
+from identify.fit_constant import FIT_SETTINGS, _in_short_steps, _problem, fit
 from identify.parameters.parameter import parameter
-from identify.results.outliers import LEAST, STANDS_OUT, outlier_times
+from identify.results.outliers import OUTLIER_SETTINGS, outlier_times
 from identify.solver.initial_zeta import zeta_from_mean_sinkage
 from identify.solver.levenberg_marquardt import solve
 from tests.helpers.synthetic_runs import BELIEVED_ZETA, NOISE, SLOW, coarse, recorded, setup_of
@@ -58,7 +58,9 @@ def test_noise_does_not_stand_out():
     assert outlier_times(result.runs[0]) == {}
     assert not any("stand out" in each for each in result.findings)
     # What is told is far beyond what the noise makes.
-    assert STANDS_OUT * LEAST["z"] > 10 * white_noise(result.runs[0].residuals["z"])
+    assert OUTLIER_SETTINGS.noises * OUTLIER_SETTINGS.smallest_noise["z"] > 10 * white_noise(
+        result.runs[0].residuals["z"]
+    )
 
 
 def in_motion():
@@ -118,11 +120,11 @@ def test_a_number_that_is_thrown_to_its_bound_is_looked_for_without_it_first():
     problem, _, _ = _problem(candidates, (*own_zeta(), parameter("lambda", shared=True)))
     start = zeta_from_mean_sinkage(problem, problem.start())
     shared, own = start
-    far = (shared - 2 * FARTHEST, own)
+    far = (shared - 2 * FIT_SETTINGS.farthest, own)
     thrown = dataclasses.replace(without, coordinates=far, residual=np.full((2, 1, 1), np.inf))
     end = _in_short_steps(problem, 2, start, thrown, [True, False], lambda *_: None)
     assert end.loss <= without.loss * STOPPED
-    assert abs(float((end.coordinates[0] - shared)[0])) < FARTHEST
+    assert abs(float((end.coordinates[0] - shared)[0])) < FIT_SETTINGS.farthest
 
 
 def test_a_copy_of_a_run_is_no_repeat():

@@ -17,7 +17,13 @@ from diagnose.model.augmented_model import (
 )
 from diagnose.model.shared_programs import MIN_KNOT_COUNT, in_modes, program_of
 from drftjax.common.arrays import as_real
-from drftjax.effects.correction import STAGES, correction_class, fields, correction_variables, with_values
+from drftjax.effects.correction import (
+    STAGES,
+    correction_class,
+    correction_variables,
+    fields,
+    with_values,
+)
 from drftjax.effects.sensor import TravelGain
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
@@ -111,7 +117,9 @@ def test_modes_are_the_curve_that_they_add_up_to():
 
 def test_the_derivative_is_by_the_effects_own_coordinates():
     kind = in_modes(
-        correction_class("zeta", "travel", PLACES["travel"]), np.array([[1.0], [0.5], [0.0], [-1.0]]), 0.2
+        correction_class("zeta", "travel", PLACES["travel"]),
+        np.array([[1.0], [0.5], [0.0], [-1.0]]),
+        0.2,
     )
     # The gain of a reading beside it stays a number of its own.
     model = AugmentedModel((TravelGain, kind))

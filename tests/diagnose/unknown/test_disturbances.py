@@ -31,7 +31,7 @@ from drftjax.effects.base import (
     strength,
 )
 from drftjax.effects.catalogue import field_metadata
-from drftjax.effects.correction import correction_class, fields, correction_variables
+from drftjax.effects.correction import correction_class, correction_variables, fields
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
@@ -133,7 +133,9 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert found[0].evidence > found[1].evidence + DEFAULT_UNKNOWN_EFFECT.tied_evidence
     assert found[0].explained > 0.95  # of the gap: noise is under a per mille of it
     ranked = [
-        (v, s) for v, s in rank_dependence(dataset(), found[0]) if v in correction_variables("speed")
+        (v, s)
+        for v, s in rank_dependence(dataset(), found[0])
+        if v in correction_variables("speed")
     ]
     assert ranked[0][0] == "angular velocity"
     assert ranked[0][1] > NEARLY_ALL
