@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drftjax.recorded.observation import ROUNDING, intervals_of
+from drftjax.recorded.observation import ROUNDING, sampling_intervals
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def is_recorded(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     inside = (wanted >= time[0] - ROUNDING) & (wanted <= time[-1] + ROUNDING)
     after = np.clip(np.searchsorted(time, wanted - ROUNDING), 0, len(time) - 1)
     at_sample = np.abs(time[after] - wanted) <= ROUNDING
-    return inside & (at_sample | (intervals_of(time)[after] <= 1))
+    return inside & (at_sample | (sampling_intervals(time)[after] <= 1))
 
 
 def interpolation_loss(time: np.ndarray, wanted: np.ndarray) -> float:
