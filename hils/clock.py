@@ -30,10 +30,10 @@ class MonotonicClock(AbstractClock):
 
 
 class ClockFollower(Protocol):
-    """Something that lives by a virtual clock."""
+    """Something that is advanced by a virtual clock."""
 
     def advance(self, now: float) -> None:
-        """Live up to this time [s]."""
+        """Advance to this time [s]."""
 
 
 class VirtualClock(AbstractClock):
@@ -41,17 +41,17 @@ class VirtualClock(AbstractClock):
 
     Args:
         start: First reading [s].
-        grain: Longest stretch in which its peers are advanced [s].
+        grain: Longest step in which its followers are advanced [s].
     """
 
     def __init__(self, start: float = 0.0, grain: float = 1e-3):
         self._now = start
         self._grain = grain
-        self._peers: list[ClockFollower] = []
+        self._followers: list[ClockFollower] = []
 
-    def attach(self, peer: ClockFollower) -> None:
-        """Let a peer live by this clock."""
-        self._peers.append(peer)
+    def attach(self, follower: ClockFollower) -> None:
+        """Let this clock advance a follower."""
+        self._followers.append(follower)
 
     def now(self) -> float:
         return self._now
@@ -62,6 +62,6 @@ class VirtualClock(AbstractClock):
         stretches = math.ceil((deadline - start) / self._grain - 1e-6)
         for number in range(1, stretches + 1):
             self._now = deadline if number == stretches else start + number * self._grain
-            for peer in self._peers:
-                peer.advance(self._now)
+            for follower in self._followers:
+                follower.advance(self._now)
         self._now = max(self._now, deadline)

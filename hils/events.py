@@ -1,4 +1,4 @@
-"""What the numbers in a run log's /events and in the flags of its /online stand for.
+"""Codes in a run log's /events and bits in the flags of its /online.
 
 A code, once given, keeps its meaning: run logs outlive the program that wrote them. Both tables
 stand in each file, as `flag_values` and `flag_masks` beside `flag_meanings`.
@@ -11,7 +11,7 @@ from typing import Final
 
 
 class Event(IntEnum):
-    """What happened beside the ticks. `arg` is the number that goes with it, 0 where none does."""
+    """Events beside the ticks. `arg` is the number that goes with one, 0 where none does."""
 
     # The procedure.
     CONNECTED = 1  # arg: the rig's boot_id
@@ -82,7 +82,7 @@ FLAG_MEANINGS: Final[Mapping[int, str]] = {int(each): str(each.name).lower() for
 
 
 class Phase(enum.Enum):
-    """Where a run is."""
+    """Phase of a run."""
 
     CHECKING = "checking"
     SETTLING = "settling on the sand"

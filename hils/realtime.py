@@ -1,4 +1,4 @@
-"""What a program may ask of the system so that ticks come on time. Nothing here is required."""
+"""Requests to the operating system so that ticks come on time. None of them is required."""
 
 import ctypes
 import gc
@@ -47,7 +47,7 @@ def answer_at_once() -> None:
 
 @contextmanager
 def timely(fifo: bool = True, one_core: bool = True) -> Iterator[list[str]]:
-    """Within this, the process runs as timely as it is allowed to.
+    """Context in which the process runs as timely as it is allowed to.
 
     No garbage is collected, memory stays in place, and where the system allows it the process goes
     before every ordinary one (SCHED_FIFO). Then its threads share one core: only one of them holds

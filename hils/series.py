@@ -32,21 +32,19 @@ ENDED_EARLY = 1
 INTERRUPTED = 128 + 2
 
 
-# What the command between runs has started may take so long to end when it is told to [s].
-LONGEST_CLEARING = 10.0
-
-
 class Series(NamedTuple):
-    """Where runs are made and kept.
+    """Plan of a series of runs: the port, the files, and the preparation between them.
 
     Attributes:
         port: The rig's port.
         baud: Its baud rate.
         files: A run log for each run.
         between: Shell command that prepares the sand; None to ask the operator.
-        fifo: Whether to ask the system for SCHED_FIFO.
-        view: Whether to show the live view.
-        plot: Whether to draw each run beside its run log.
+        fifo: True to ask the system for SCHED_FIFO.
+        view: True to show the live view.
+        plot: True to draw each run beside its run log.
+        clearing_time: Time that the command between runs, and all that it has started, may take
+            to end when it is interrupted [s].
     """
 
     port: str
@@ -56,6 +54,7 @@ class Series(NamedTuple):
     fifo: bool
     view: bool = False
     plot: bool = False
+    clearing_time: float = 10.0
 
 
 def file_names(output: Path, runs: int) -> list[Path]:
@@ -100,28 +99,28 @@ def make_series(procedure: Procedure, series: Series, prompts: AbstractPrompts) 
                 report = make_run(procedure, series, path, prompts, stop, under_way)
                 for line in outcome_lines(report, path):
                     prompts.say(line)
-                if series.plot and _is_there(path):
-                    prompts.say(_drawn(path))
+                if series.plot and _is_run_log(path):
+                    prompts.say(_draw_figure(path))
                 if report.unfinished:
                     raise InputError(report.unfinished)
-                wish = report.stop_reason or stop.first_reason
-                if wish is not None:
-                    return _code(wish)
+                request = report.stop_reason or stop.first_reason
+                if request is not None:
+                    return _exit_code(request)
                 if not (report.completed and report.rested):
                     return ENDED_EARLY
                 stop.uninterruptible = False
                 if stop.first_reason is not None:  # it came just before it would have been raised
-                    return _code(stop.first_reason)
+                    return _exit_code(stop.first_reason)
         except KeyboardInterrupt:
-            if stop.first_reason is None or _code(stop.first_reason) == INTERRUPTED:
+            if stop.first_reason is None or _exit_code(stop.first_reason) == INTERRUPTED:
                 raise
             prompts.say(f"Ended: {stop.reason}.")
             return ENDED_EARLY
     return 0
 
 
-def _code(wish: StopReason) -> int:
-    interrupted = wish.event is Event.INTERRUPTED and wish.arg == signal.SIGINT
+def _exit_code(request: StopReason) -> int:
+    interrupted = request.event is Event.INTERRUPTED and request.arg == signal.SIGINT
     return INTERRUPTED if interrupted else ENDED_EARLY
 
 
@@ -170,7 +169,7 @@ def _prepare(series: Series, number: int, prompts: AbstractPrompts, stop: StopRe
                 raise KeyboardInterrupt
             code = shell.wait()
         except BaseException:
-            _end(shell.pid)
+            _end_process_tree(shell.pid, series.clearing_time)
             raise
     if code:
         raise InputError(
@@ -179,23 +178,23 @@ def _prepare(series: Series, number: int, prompts: AbstractPrompts, stop: StopRe
         )
 
 
-def _end(pid: int) -> None:
+def _end_process_tree(pid: int, clearing_time: float) -> None:
     """End a process and all that it has started: what prepares the sand may be moving."""
     with suppress(psutil.NoSuchProcess):
-        every = _suspended(psutil.Process(pid))
+        every = _suspend_all(psutil.Process(pid))
         for each in every:
             with suppress(psutil.NoSuchProcess):
                 each.terminate()
                 each.resume()
         try:
-            psutil.wait_procs(every, timeout=LONGEST_CLEARING)
+            psutil.wait_procs(every, timeout=clearing_time)
         finally:
             for each in every:
                 with suppress(psutil.NoSuchProcess):
                     each.kill()
 
 
-def _suspended(first: psutil.Process) -> list[psutil.Process]:
+def _suspend_all(first: psutil.Process) -> list[psutil.Process]:
     """A process and all that it has started, suspended, so that none of them starts another."""
     held: list[psutil.Process] = []
     while new := [p for p in (first, *first.children(recursive=True)) if p not in held]:
@@ -206,12 +205,12 @@ def _suspended(first: psutil.Process) -> list[psutil.Process]:
     return held
 
 
-def _is_there(path: Path) -> bool:
-    """Whether it is the run's log; beside its recording it is another file, put there meanwhile."""
+def _is_run_log(path: Path) -> bool:
+    """True where it is the run's log; beside its recording it is another file, put there since."""
     return path.exists() and not part_path(path).exists()
 
 
-def _drawn(path: Path) -> str:
+def _draw_figure(path: Path) -> str:
     """Draw the run; a sentence that says where, or why not."""
     from drftjax.common.figures import save_figure
     from hils.run_figure import plot_hils
@@ -235,28 +234,28 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
         lines.append("The rig was not seen to rest: make sure that it does.")
     loop, start = report.loop, report.start
     if loop is not None and start is not None:
-        zeta = loop.last.packed[1]
-        if len(loop.error):
-            rmse, most = np.sqrt((loop.error**2).mean()), np.abs(loop.error).max()
+        ticks, zeta = loop.statistics, loop.last.packed[1]
+        if len(ticks.error):
+            rmse, most = np.sqrt((ticks.error**2).mean()), np.abs(ticks.error).max()
             lines.append(
                 f"zeta {start.zeta:.4f} to {zeta:.4f}; sinkage, measured minus simulated: "
                 f"RMSE {rmse * 1e3:.3f} mm, at most {most * 1e3:.3f} mm."
             )
         lines.append(
-            f"{loop.ticks} ticks, {loop.overruns} deadlines missed, {loop.skipped} ticks skipped; "
-            f"{loop.fresh} fresh readings, {loop.refused} refused."
+            f"{ticks.ticks} ticks, {ticks.overruns} deadlines missed, {ticks.skipped} ticks "
+            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused."
         )
-        if loop.old:
+        if ticks.old:
             lines.append(
-                f"{loop.old} readings answered a command more than five ticks old, and zeta was "
+                f"{ticks.old} readings answered a command more than five ticks old, and zeta was "
                 "held over them: something holds the line's bytes back."
             )
-        if len(loop.busy):
-            busy, woken = loop.busy * 1e3, loop.woken * 1e3
+        if len(ticks.work_time):
+            work, delay = ticks.work_time * 1e3, ticks.wake_delay * 1e3
             lines.append(
-                f"A tick's work: median {np.median(busy):.3f} ms, 99.9 % {_high(busy):.3f} ms, "
-                f"most {busy.max():.3f} ms; woken late by {np.median(woken):.3f}, "
-                f"{_high(woken):.3f}, {woken.max():.3f} ms."
+                f"A tick's work: median {np.median(work):.3f} ms, 99.9 % {_high(work):.3f} ms, "
+                f"most {work.max():.3f} ms; woken late by {np.median(delay):.3f}, "
+                f"{_high(delay):.3f}, {delay.max():.3f} ms."
             )
     quality = report.quality
     causes = ", ".join(f"{count} {cause.value}" for cause, count in quality.drops.items())
@@ -265,9 +264,9 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
         f"{quality.dropped} dropped{f' ({causes})' if causes else ''}, "
         f"{quality.replaced} commands replaced by newer ones."
     )
-    if _is_there(path):
+    if _is_run_log(path):
         lines.append(f"Run log: {path}")
-    elif loop is not None and not loop.fresh:
+    elif loop is not None and not loop.statistics.fresh:
         lines.append("No run log: no reading came during the profile.")
     return lines
 

@@ -76,7 +76,7 @@ def paper(
     console = Console()
     with console.status("compiling") as status:
         result = run_experiment(experiment, status.update)
-        others = runs_by_tick(experiment, tell=status.update) if ticks else {}
+        others = runs_by_tick(experiment, report_progress=status.update) if ticks else {}
 
     text = markdown_report(result, others)
     document = result.document() | {

@@ -72,7 +72,7 @@ def ports(
 
 
 def _asked(name: str, baud: int, patience: float) -> str:
-    """What a port answers to HELLO.
+    """Answer of a port to HELLO, as a sentence.
 
     Raises:
         InputError: it cannot be opened, or no rig answers.

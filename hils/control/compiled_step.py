@@ -34,7 +34,7 @@ NO_READING = float("nan")
 
 
 class StepResult(NamedTuple):
-    """What a tick says, as plain numbers.
+    """Outcome of a tick, as plain numbers.
 
     Attributes:
         error: Measured minus simulated sinkage at the tick's start [m]; NaN without a reading.
@@ -63,7 +63,7 @@ class CompiledStep:
 
     Args:
         simulator: Every number of wheel, terrain and rig; its own zeta is not used.
-        tuner: How zeta is moved, and the tick [s].
+        tuner: Rule that moves zeta, and the tick [s].
         substeps: Integrator steps in a tick.
 
     Raises:
@@ -100,19 +100,19 @@ class CompiledStep:
         def first(sinkage, zeta, x, angle):
             loop = start(State.at_rest(sinkage, x, angle), zeta)
             nought = jnp.zeros_like(zeta)
-            place = loop.state.position
+            position = loop.state.position
             # No step is behind it yet; the sand bears it all the same.
-            borne = vertical_support(simulator, sinkage, zeta, angle)
-            told = [nought, zeta, place[0], place[1], nought, nought, borne, nought]
-            return pack(loop, jnp.stack(told))
+            support = vertical_support(simulator, sinkage, zeta, angle)
+            numbers = [nought, zeta, position[0], position[1], nought, nought, support, nought]
+            return pack(loop, jnp.stack(numbers))
 
         def tick(packed: Float[Array, " packed"], given: Float[Array, " given"]):
             still = jnp.zeros_like(given[1:])
             commands = Command(given[1:], still, still)
             loop, said = tuned_tick(simulator, tuner, unpack(packed), commands, given[0])
             out = said.output
-            told = [said.error, said.zeta, out.x, out.z, out.vx, out.fx, out.fz, out.slip]
-            return pack(loop, jnp.stack(told))
+            numbers = [said.error, said.zeta, out.x, out.z, out.vx, out.fx, out.fz, out.slip]
+            return pack(loop, jnp.stack(numbers))
 
         one = jax.ShapeDtypeStruct((), np.float64)
         length = NUMBERS + sum(leaf.size for leaf in leaves)
@@ -122,19 +122,19 @@ class CompiledStep:
         self._tick = jax.jit(tick).lower(packed, given).compile()
 
     def begin(self, sinkage: float, zeta: float, x: float = 0.0, angle: float = 0.0) -> Packed:
-        """The packed state of a wheel at rest.
+        """Pack the state of a wheel at rest.
 
         Args:
             sinkage: H = -z [m].
             zeta: Scaling factor at the start [-].
-            x: Place of the axle [m].
+            x: Position of the axle [m].
             angle: Wheel angle [rad].
         """
         given = (np.float64(value) for value in (sinkage, zeta, x, angle))
         return np.array(self._first(*given))
 
     def __call__(self, packed: Packed, sinkage: float, omega: NDArray[np.float64]) -> Packed:
-        """The packed state at the tick's end; the one given stays as it is.
+        """Step to the tick's end; the packed state given stays as it is.
 
         Args:
             packed: At the tick's start.
@@ -148,5 +148,5 @@ class CompiledStep:
 
     @staticmethod
     def compute(packed: Packed) -> StepResult:
-        """What the tick that ended in this state said."""
+        """Outcome of the tick that ended in this state."""
         return StepResult(*packed[:NUMBERS].tolist())

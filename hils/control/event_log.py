@@ -9,8 +9,8 @@ class EventLog:
     """Takes events before the run's start is known, and after.
 
     Args:
-        rows: Where they go once the run has begun.
-        clock: What they are timed by.
+        rows: Takes them once the run has begun.
+        clock: Of their times.
     """
 
     def __init__(self, rows: RowSink, clock: AbstractClock):
@@ -20,7 +20,7 @@ class EventLog:
         self._noted: set[tuple[int, float]] = set()
 
     def event(self, code: int, arg: float = 0.0) -> None:
-        """What has just happened, and its number."""
+        """Log an event that has just happened, and its number."""
         now = self._clock.now()
         if self._start is None:
             self._early.append((now, code, arg))
@@ -28,17 +28,17 @@ class EventLog:
             self._rows.event(max(0.0, now - self._start), code, arg)
 
     def note(self, code: int, arg: float = 0.0) -> None:
-        """What ends the run, or asks for that: once, though the rig says it again and again."""
+        """Log an event once, though the rig reports it again and again."""
         if (code, arg) not in self._noted:
             self._noted.add((code, arg))
             self.event(code, arg)
 
     def has_noted(self, code: Event, arg: float | None = None) -> bool:
-        """Whether such an event was noted, with this number where one is given."""
+        """Return True where such an event was noted, with this number where one is given."""
         return any(each == code and arg in (None, number) for each, number in self._noted)
 
     def begin(self, start: float) -> None:
-        """The run starts at this time of the clock's [s]; what came before has negative times."""
+        """Start the run at this time of the clock [s]; earlier events have negative times."""
         self._start = start
         for time, code, arg in self._early:
             self._rows.event(time - start, code, arg)

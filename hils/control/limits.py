@@ -1,11 +1,11 @@
-"""What the loop does not believe, and what it does not ask for: limits of readings and commands.
+"""Plausibility limits of measurements and saturation limits of commands, as pure functions.
 
-Pure functions of values: the loop keeps the state, and a replay of a run judges the same readings
-the same way.
+The loop keeps the state, so a replay of a run judges the same readings in the same way.
 """
 
 import enum
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -14,9 +14,21 @@ from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
 
-# A wheel that turns slower than this need not show it in its height [rad/s], nor a carriage that is
-# driven slower than this in its travel [m/s].
-TURNING, DRIVEN = 0.05, 5e-3
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Motion that must show in a sensor; without it a sensor that stands still is not stuck.
+
+    Attributes:
+        min_omega: A wheel that turns slower need not show it in its height [rad/s].
+        min_vx: A carriage that is driven slower need not show it in its travel [m/s].
+    """
+
+    min_omega: float = 0.05
+    min_vx: float = 5e-3
+
+
+DEFAULT_MOTION = MotionSettings()
 
 
 class Reading(NamedTuple):
@@ -36,7 +48,7 @@ class Reading(NamedTuple):
 
 
 class ReadingLimits(msgspec.Struct, frozen=True):
-    """What a reading must satisfy to be used.
+    """Limits within which a reading is used.
 
     Attributes:
         highest: Height over touch-down [m].
@@ -65,7 +77,7 @@ class ReadingLimits(msgspec.Struct, frozen=True):
 
 
 class Verdict(enum.Enum):
-    """What becomes of a reading; the value is how a person is told."""
+    """Judgement of a reading; the value is its wording for a person."""
 
     USED = "used"
     OUTSIDE = "outside of what the wheel can do"
@@ -74,7 +86,7 @@ class Verdict(enum.Enum):
 
 
 class ReadingMonitor(NamedTuple):
-    """What the guard remembers of the readings.
+    """Memory of the readings, from one to the next.
 
     Attributes:
         time, z: Of the last reading that was used [s], [m].
@@ -82,12 +94,12 @@ class ReadingMonitor(NamedTuple):
         seen: The last height read, whatever became of it [m].
         still_since: Since when it has not changed, or the wheel has not turned [s].
         apart_since: Since when the wheel does not turn as commanded [s]; NaN where it does.
-        stuck: Whether the sensor counts as stuck.
-        drive_off: Whether the drive counts as not following.
+        stuck: True where the sensor counts as stuck.
+        drive_off: True where the drive counts as not following.
         x: Of the last reading that was used [m]; NaN before the first.
         x_seen: The last travel read, whatever became of it [m].
         x_still_since: Since when it has not changed, or the carriage has not been driven [s].
-        x_stuck: Whether x counts as stuck: its sensor, or the carriage.
+        x_stuck: True where x counts as stuck: its sensor, or the carriage.
     """
 
     time: float
@@ -105,26 +117,38 @@ class ReadingMonitor(NamedTuple):
 
 
 def check_reading(
-    limits: ReadingLimits, watch: ReadingMonitor, reading: Reading, omega: float, vx: float = 0.0
+    limits: ReadingLimits,
+    watch: ReadingMonitor,
+    reading: Reading,
+    omega: float,
+    vx: float = 0.0,
+    motion: MotionSettings = DEFAULT_MOTION,
 ) -> tuple[ReadingMonitor, Verdict]:
-    """Whether a reading may be used, and what is remembered of it.
+    """Judge a reading: outside of the limits, a jump, or used.
+
+    A jump is a change of the height of more than slack + fastest * dt since the last reading used,
+    dt before it; of the travel likewise.
 
     Args:
-        limits: What it must satisfy.
-        watch: What is remembered.
+        limits: Of a reading.
+        watch: Memory of the readings before.
         reading: The reading, newer than any before.
         omega: Angular velocity commanded when it was made [rad/s].
         vx: Speed that the carriage was driven at then [m/s]; zero where it is free.
+        motion: Motion that must show in a sensor.
+
+    Returns:
+        The memory with this reading in it, and the judgement.
     """
     verdict = _verdict(limits, watch, reading)
     time = reading.time
-    changed = reading.z != watch.seen or abs(omega) < TURNING
+    changed = reading.z != watch.seen or abs(omega) < motion.min_omega
     still_since = time if changed else watch.still_since
-    x_changed = reading.x != watch.x_seen or abs(vx) < DRIVEN
+    x_changed = reading.x != watch.x_seen or abs(vx) < motion.min_vx
     x_still_since = time if x_changed else watch.x_still_since
-    apart = abs(reading.omega - omega) > limits.drive_error  # False where it is NaN
+    differs = abs(reading.omega - omega) > limits.drive_error  # False where it is NaN
     apart_since = math.nan
-    if apart:
+    if differs:
         apart_since = time if math.isnan(watch.apart_since) else watch.apart_since
     after = ReadingMonitor(
         time if verdict is Verdict.USED else watch.time,
@@ -134,7 +158,7 @@ def check_reading(
         still_since,
         apart_since,
         time - still_since > limits.still,
-        apart and time - apart_since > limits.drive_time,
+        differs and time - apart_since > limits.drive_time,
         reading.x if verdict is Verdict.USED else watch.x,
         reading.x,
         x_still_since,
@@ -156,7 +180,7 @@ def _verdict(limits: ReadingLimits, watch: ReadingMonitor, reading: Reading) -> 
 
 
 class RigCommand(NamedTuple):
-    """What is asked of the rig: angular velocity [rad/s] and carriage speed [m/s]."""
+    """Command to the rig: angular velocity [rad/s] and carriage speed [m/s]."""
 
     omega: float
     vx: float
@@ -166,7 +190,7 @@ REST = RigCommand(0.0, 0.0)
 
 
 class CommandLimits(msgspec.Struct, frozen=True):
-    """What the host asks for at most, beside the limits that the rig holds itself.
+    """Limits of commands, beside those that the rig holds itself.
 
     Attributes:
         omega: Angular velocity [rad/s].
@@ -184,23 +208,26 @@ class CommandLimits(msgspec.Struct, frozen=True):
 def limit_command(
     limits: CommandLimits, before: RigCommand, asked: RigCommand, duration: float
 ) -> tuple[RigCommand, bool] | None:
-    """The demand held to the slew limits and whether they held it back; None refuses it.
+    """Hold a command to the slew limits.
 
     Args:
-        limits: What may be asked.
+        limits: Of commands.
         before: The demand before it.
         asked: The demand that the simulation and the profile give.
         duration: Time from the one to the other [s].
+
+    Returns:
+        The command, and True where it was held back; None where it is refused.
     """
     if not (abs(asked.omega) <= limits.omega and abs(asked.vx) <= limits.vx):
         return None
-    omega = _slewed(before.omega, asked.omega, limits.omega_slew * duration)
-    vx = _slewed(before.vx, asked.vx, limits.vx_slew * duration)
+    omega = _slew(before.omega, asked.omega, limits.omega_slew * duration)
+    vx = _slew(before.vx, asked.vx, limits.vx_slew * duration)
     held = RigCommand(omega, vx)
     return held, held != asked
 
 
-def _slewed(before: float, asked: float, most: float) -> float:
+def _slew(before: float, asked: float, most: float) -> float:
     return asked if abs(asked - before) <= most else before + math.copysign(most, asked - before)
 
 
@@ -211,11 +238,11 @@ def require_profile(
 
     Args:
         time, omega: Knots of the profile [s], [rad/s].
-        limits: What may be asked.
+        limits: Of commands.
         who: Whose limits they are, for the sentence.
 
     Raises:
-        InputError: which knot breaks which limit, or that the profile does not start at rest.
+        InputError: a knot breaks a limit, or the profile does not start at rest.
     """
     fastest = int(np.argmax(np.abs(omega)))
     if abs(omega[fastest]) > limits.omega:

@@ -1,4 +1,4 @@
-"""All that the loop is given, as values that a run log keeps: a run can be replayed from them."""
+"""Inputs of the loop, as values that a run log keeps: a run can be replayed from them."""
 
 import math
 from functools import lru_cache
@@ -31,12 +31,12 @@ class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
     """The loop before a run.
 
     Attributes:
-        setup: What the operator believes about wheel, sand and rig, and the profile.
-        tuner: How zeta is moved.
+        setup: Wheel, sand and rig as the operator believes them to be, and the profile.
+        tuner: Rule that moves zeta.
         tick: Control period [s].
         tuning_ticks: Ticks from one step of the tuner to the next, at least.
-        readings: What a reading must satisfy.
-        commands: What is asked of the rig at most.
+        readings: Limits of the readings.
+        commands: Limits of the commands.
         ramp: Change of the angular velocity when a run is ended early [rad/s2].
     """
 
@@ -50,7 +50,7 @@ class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Start(msgspec.Struct, frozen=True):
-    """What touch-down and rest have shown.
+    """Start of the loop, as touch-down and rest have shown it.
 
     Attributes:
         sinkage: H at rest, when the loop starts [m].
@@ -76,7 +76,7 @@ class LoopRecord(msgspec.Struct, frozen=True):
         """From its JSON.
 
         Raises:
-            InputError: where it is none.
+            InputError: it is none.
         """
         try:
             return msgspec.json.decode(text, type=cls)
@@ -88,11 +88,11 @@ class LoopPhysics:
     """The loop made ready: step compiled, profile laid out.
 
     Args:
-        loop: What it is made of.
+        loop: Its numbers.
 
     Attributes:
         loop: The same.
-        simulator: What the step simulates.
+        simulator: Of the step.
         step: A tick.
         omega: Angular velocity at the end of each substep of each tick, shape (ticks, substeps)
             [rad/s].
@@ -120,7 +120,7 @@ class LoopPhysics:
         return len(self.omega)
 
     def precompile(self, start: Start, ticks: int = 20) -> None:
-        """Step a little beforehand, so that the first tick takes no longer than any other."""
+        """Make some steps beforehand, so that the first tick takes no longer than any other."""
         packed = self.begin(start)
         for number in range(ticks):
             packed = self.step(packed, start.sinkage, self.omega[min(number, self.ticks - 1)])

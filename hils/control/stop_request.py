@@ -1,4 +1,4 @@
-"""A wish to end the run: from a signal, a key or another terminal; looked at on each tick."""
+"""Request to end a run: from a signal, a key or another terminal; checked on each tick."""
 
 import signal
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ EVENT_BY_SIGNAL = {STOP_SIGNAL: Event.STOP_ASKED}
 
 
 class StopReason(NamedTuple):
-    """Why the run is to end.
+    """Reason why a run is to end.
 
     Attributes:
         reason: In words.
@@ -45,13 +45,13 @@ class StopReason(NamedTuple):
 
 
 class StopRequest:
-    """Whether the run is to end, and how.
+    """Requests to end a run, and the kind of end.
 
     Attributes:
-        wish: The first wish to ramp down; None while there is none.
-        emergency: Whether the rig is to rest at once, which a second wish asks for too.
-        uncut: Whether a signal must not cut anything short, as the rig may move, or the run that
-            it made is not told yet.
+        first_reason: First request to ramp down; None while there is none.
+        emergency: True where the rig is to rest at once, as a second request asks for too.
+        uninterruptible: True while a signal must not interrupt anything, as the rig may move, or
+            the outcome of the run is not yet shown.
     """
 
     def __init__(self):
@@ -61,20 +61,20 @@ class StopRequest:
 
     @property
     def reason(self) -> str:
-        """Why the run is to end, in words."""
+        """Reason why the run is to end, in words."""
         why = "" if self.first_reason is None else self.first_reason.reason
         if not self.emergency:
             return why
         return f"emergency stop: {why}" if why else "emergency stop"
 
-    def ask(self, wish: StopReason, emergency: bool = False) -> None:
+    def ask(self, reason: StopReason, emergency: bool = False) -> None:
         """Ask for the run's end; to ask twice is to ask for an emergency stop."""
         self.emergency = self.emergency or emergency or self.first_reason is not None
-        self.first_reason = self.first_reason or wish
+        self.first_reason = self.first_reason or reason
 
     @contextmanager
     def on_signals(self) -> Iterator[None]:
-        """Within this, the signals that would end the program ask for the run's end instead.
+        """Context in which the signals that would end the program ask for the run's end instead.
 
         While nothing moves they interrupt whatever is at work, such as a question, as well.
         """

@@ -1,6 +1,6 @@
-"""One tick of the loop as a pure function: what it is given in, what it asks of the rig out.
+"""One tick of the loop as a pure function: readings in, commands out.
 
-Nothing here knows a clock, a link or a file. What `react` is given can be read back from a run
+Nothing here knows a clock, a link or a file. All inputs of `step_tick` can be read back from a run
 log, so a replay calls this very function and gets the same zeta, bit for bit:
 
 | given | in the run log |
@@ -31,13 +31,13 @@ from hils.control.loop_config import LoopPhysics, LoopSetUp, Start, profile
 
 
 class LoopState(NamedTuple):
-    """What the next tick needs.
+    """State of the loop between two ticks.
 
     Attributes:
         number: The next tick.
         packed: Of the simulation and the tuner, at its start.
-        watch: What the guard remembers.
-        demand: What was last asked of the rig.
+        watch: Memory of the readings.
+        demand: Last command to the rig.
         tuned: Number of the tick on which the tuner last had a reading.
     """
 
@@ -49,13 +49,13 @@ class LoopState(NamedTuple):
 
 
 class TickInput(NamedTuple):
-    """What a tick is given.
+    """Input of a tick.
 
     Attributes:
         reading: A measurement not seen before, or None.
         skipped: Ticks that passed unused before this one.
-        ramping: Whether the wheel is being brought to rest, past the profile.
-        old: Whether the reading answers a command too old for zeta to follow it.
+        ramping: True where the wheel is brought to rest, past the profile.
+        old: True where the reading answers a command too old for zeta to follow it.
     """
 
     reading: Reading | None
@@ -65,18 +65,18 @@ class TickInput(NamedTuple):
 
 
 class TickOutput(NamedTuple):
-    """What a tick says.
+    """Output of a tick.
 
     Attributes:
         number: The tick.
-        held: What was asked of the rig up to it.
+        held: Command to the rig up to it.
         before: The simulation at its start.
         after: The simulation at its end; its zeta and error are those of the tick.
-        demand: What to ask of the rig; None where that may not be asked.
-        asked: What the profile and the simulation gave, before any limit.
-        limited: Whether a limit held it back.
-        verdict: What became of the reading; None without one.
-        tuned: Whether zeta changed.
+        demand: New command to the rig; None where the limits refuse it.
+        asked: Command by the profile and the simulation, before any limit.
+        limited: True where a limit held it back.
+        verdict: Judgement of the reading; None without one.
+        tuned: True where zeta changed.
     """
 
     number: int
@@ -91,7 +91,7 @@ class TickOutput(NamedTuple):
 
 
 class AbstractTick(abc.ABC):
-    """What the loop does on each tick."""
+    """Work of the loop on each tick."""
 
     @property
     @abc.abstractmethod
@@ -106,7 +106,7 @@ class AbstractTick(abc.ABC):
     @property
     @abc.abstractmethod
     def driven(self) -> bool:
-        """Whether the carriage is driven at the simulated speed; else it runs free."""
+        """True where the carriage is driven at the simulated speed; else it runs free."""
 
     @abc.abstractmethod
     def begin(self, start: Start) -> LoopState:
@@ -114,11 +114,11 @@ class AbstractTick(abc.ABC):
 
     @abc.abstractmethod
     def step(self, state: LoopState, given: TickInput) -> tuple[LoopState, TickOutput]:
-        """Judge the reading, and say what to ask of the rig.
+        """Judge the reading, and compute the command to the rig.
 
         Args:
             state: At the end of the last tick that was made.
-            given: What has come.
+            given: Input of the tick.
         """
 
 
@@ -183,7 +183,7 @@ class FreeTick(AbstractTick):
 
     def step(self, state: LoopState, given: TickInput) -> tuple[LoopState, TickOutput]:
         loop, number = self._loop, state.number + given.skipped
-        watch, verdict = _judged(loop, state, given)
+        watch, verdict = _judge(loop, state, given)
         omega = _omega(loop, self._omega, number, state.demand, given.ramping)
         asked = RigCommand(float(omega[-1]), 0.0)
         allowed = limit_command(loop.commands, state.demand, asked, loop.tick)
@@ -204,12 +204,12 @@ def begin(physics: LoopPhysics, start: Start) -> LoopState:
 def step_tick(
     physics: LoopPhysics, state: LoopState, given: TickInput
 ) -> tuple[LoopState, TickOutput]:
-    """Judge the reading, tune, simulate to the tick's end, and say what to ask of the rig.
+    """Judge the reading, tune, simulate to the tick's end, and compute the command to the rig.
 
     Args:
         physics: The loop, made ready.
         state: At the end of the last tick that was made.
-        given: What has come.
+        given: Input of the tick.
     """
     loop, step = physics.loop, physics.step
     packed, number = state.packed, state.number + given.skipped
@@ -218,7 +218,7 @@ def step_tick(
     for _ in range(given.skipped):
         packed = step(packed, NO_READING, held)
 
-    watch, verdict = _judged(loop, state, given)
+    watch, verdict = _judge(loop, state, given)
     due = number - state.tuned >= loop.tuning_ticks and not (given.ramping or given.old)
     sinkage, tuned = NO_READING, state.tuned
     if given.reading is not None and verdict is Verdict.USED and due:
@@ -231,7 +231,7 @@ def step_tick(
         loop.commands, state.demand, RigCommand(wanted[-1], state.demand.vx), loop.tick
     )
     if turning is not None and turning[1]:
-        wanted = _even(state.demand.omega, turning[0].omega, step.substeps)
+        wanted = _even_steps(state.demand.omega, turning[0].omega, step.substeps)
     packed = step(packed, sinkage, wanted)
     after = step.compute(packed)
 
@@ -250,7 +250,7 @@ def _at_rest(packed: Packed, start: Start, loop: LoopSetUp) -> LoopState:
     return LoopState(0, packed, ReadingMonitor(0.0, -start.sinkage), REST, -loop.tuning_ticks)
 
 
-def _judged(
+def _judge(
     loop: LoopSetUp, state: LoopState, given: TickInput
 ) -> tuple[ReadingMonitor, Verdict | None]:
     if given.reading is None:
@@ -266,9 +266,9 @@ def _omega(
         return table[number]
     speed = max(abs(demand.omega) - loop.ramp * loop.tick, 0.0)
     end = math.copysign(speed, demand.omega) if speed else 0.0
-    return _even(demand.omega, end, table.shape[1])
+    return _even_steps(demand.omega, end, table.shape[1])
 
 
-def _even(start: float, end: float, substeps: int) -> np.ndarray:
+def _even_steps(start: float, end: float, substeps: int) -> np.ndarray:
     """The ends of even steps from one number to another; the last is that other, exactly."""
     return np.linspace(start, end, substeps + 1)[1:]

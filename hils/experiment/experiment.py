@@ -1,10 +1,10 @@
 r"""The experiment of Fuke, Ishikawa & Ishigami 2024 again, on a virtual rig whose sand loosens.
 
-Three ways to the wheel's trajectory, each from beds prepared anew:
+The wheel's trajectory by three methods, each from beds prepared anew:
 
-- **free**: the rig's carriage runs free, nothing is simulated. This is what the others are to meet.
+- **free**: the rig's carriage runs free, nothing is simulated. It is the reference of the others.
 - **HILS-DRFT**: the loop tunes zeta by eq. 7 and drives the carriage at the simulated speed.
-- **DRFT**: the same simulation with the zeta that statics tells before the wheel turns, held.
+- **DRFT**: the same simulation with zeta held at its value by statics before the wheel turns.
 
 The rig's physics is not the loop's: finer steps, sand that loosens as the wheel turns, beds that
 differ, scales with noise and counts. Everything runs in virtual time.
@@ -42,7 +42,7 @@ PAPER_HILS, PAPER_DRFT, PAPER_RIPPLE = 5.0e-3, 8.4e-3, 1.68
 PAPER_RMSE = 1e-3
 
 
-# Shortest stretch at the top speed in which a ripple can be told [s].
+# Shortest stretch at the top speed in which a ripple can be measured [s].
 LEAST_STEADY = 2.0
 
 
@@ -74,7 +74,7 @@ def loosening_rig(loss: float = 0.3, decay: float = 2.0, scatter: float = 0.03) 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """What is to be done.
+    """Plan of the experiment.
 
     Attributes:
         loop: The loop and its profile.
@@ -149,7 +149,7 @@ class FreeRun:
 
 
 class TrajectoryDistance(NamedTuple):
-    """How far one trajectory is from another, RMS [m], in four readings of "distance".
+    """Distance of one trajectory from another, RMS [m], in four readings of the word.
 
     Attributes:
         plane: Between the two places in the x-z plane at the same time.
@@ -268,13 +268,13 @@ class ExperimentResult:
 
 
 def run_experiment(
-    experiment: Experiment, tell: ReportProgress = lambda said: None
+    experiment: Experiment, report_progress: ReportProgress = lambda said: None
 ) -> ExperimentResult:
     """Make the HILS runs and the free ones, one after the other, in virtual time.
 
     Args:
         experiment: What is to be done.
-        tell: Told what comes next.
+        report_progress: Takes a line on what comes next.
 
     Raises:
         InputError: where a run cannot be made or does not reach the end of its profile.
@@ -285,13 +285,13 @@ def run_experiment(
     omega = np.r_[0.0, physics.omega[:-1, -1]]
     steady_stretch(
         omega, experiment.loop.tick
-    )  # so that what cannot be told is said before the runs
+    )  # refuse a profile without a steady stretch before the runs
     hils, free = [], []
     for number in range(experiment.runs):
-        tell(f"HILS run {number + 1} of {experiment.runs}")
+        report_progress(f"HILS run {number + 1} of {experiment.runs}")
         hils.append(hils_run(experiment, experiment.seed + number))
     for number in range(experiment.runs):
-        tell(f"free run {number + 1} of {experiment.runs}")
+        report_progress(f"free run {number + 1} of {experiment.runs}")
         # Other beds than the HILS runs had, as in a laboratory.
         free.append(free_run(experiment, experiment.seed + experiment.runs + number))
     return ExperimentResult(experiment, time, omega, tuple(hils), tuple(free))
@@ -299,7 +299,7 @@ def run_experiment(
 
 def hils_run(experiment: Experiment, seed: int) -> HilsRun:
     """One run with the rig in the loop."""
-    start, rows = _made(experiment, seed, free=False)
+    start, rows = _run_once(experiment, seed, free=False)
     online = np.array(rows.ticks)[: shared_physics(experiment.loop).ticks]
     time, zeta, x, z = online[:, :4].T
     return HilsRun(seed, start, Trajectory(x, z), _measured(rows, time), zeta)
@@ -307,7 +307,7 @@ def hils_run(experiment: Experiment, seed: int) -> HilsRun:
 
 def free_run(experiment: Experiment, seed: int) -> FreeRun:
     """One run with a free carriage, and DRFT from its start."""
-    start, rows = _made(experiment, seed, free=True)
+    start, rows = _run_once(experiment, seed, free=True)
     predicted = predict_by_drft(experiment.loop, start)
     time = np.arange(len(predicted.x)) * experiment.loop.tick
     return FreeRun(seed, start, _measured(rows, time), predicted)
@@ -328,12 +328,12 @@ def predict_by_drft(loop: LoopSetUp, start: Start) -> Trajectory:
 def runs_by_tick(
     experiment: Experiment,
     ticks: tuple[float, ...] = TICKS,
-    tell: ReportProgress = lambda said: None,
+    report_progress: ReportProgress = lambda said: None,
 ) -> dict[float, HilsRun]:
     """One HILS run at each tick [s], on the first run's bed with its noise."""
     made = {}
     for tick in ticks:
-        tell(f"a HILS run with a tick of {tick * 1e3:g} ms")
+        report_progress(f"a HILS run with a tick of {tick * 1e3:g} ms")
         loop = msgspec.structs.replace(experiment.loop, tick=tick)
         other = Experiment(loop=loop, rig=experiment.rig, runs=1, seed=experiment.seed)
         made[tick] = hils_run(other, experiment.seed)
@@ -378,7 +378,7 @@ def mean_trajectory(paths: list[Trajectory]) -> Trajectory:
 
 
 def trajectory_distance(path: Trajectory, other: Trajectory) -> TrajectoryDistance:
-    """How far two trajectories are from each other, RMS over the run [m]."""
+    """Distance of two trajectories from each other, RMS over the run [m]."""
     dx, dz = path.x - other.x, path.z - other.z
     # Travel the way that the wheel goes farther; what is taken twice, as noise at rest has it, or a
     # wheel that comes back, belongs to the first time.
@@ -392,21 +392,21 @@ def trajectory_distance(path: Trajectory, other: Trajectory) -> TrajectoryDistan
 # Runs ---------------------------------------------------------------------------------------------
 
 
-def _made(experiment: Experiment, seed: int, free: bool) -> tuple[Start, InMemorySink]:
+def _run_once(experiment: Experiment, seed: int, free: bool) -> tuple[Start, InMemorySink]:
     soft, rows = soft_rig(experiment.rig, seed=seed), InMemorySink()
     procedure = Procedure(loop=experiment.loop, free=free)
     report = run(
         procedure, soft.link, soft.clock, rows, UnattendedPrompts(quiet=True), StopRequest()
     )
-    return _begun(report, seed), rows
+    return _start_of(report, seed), rows
 
 
-def _begun(report: RunReport, seed: int) -> Start:
+def _start_of(report: RunReport, seed: int) -> Start:
     if not report.completed or report.start is None:
         raise InputError(f"the run with seed {seed} did not reach its end: {report.reason}")
     return report.start
 
 
 def _measured(rows: InMemorySink, time: Values) -> Trajectory:
-    told, x, z = np.array(rows.readings).T
-    return Trajectory(np.interp(time, told, x), np.interp(time, told, z))
+    times, x, z = np.array(rows.readings).T
+    return Trajectory(np.interp(time, times, x), np.interp(time, times, z))

@@ -1,4 +1,4 @@
-"""What the experiment again has shown, as tables in Markdown."""
+"""Results of the experiment, as tables in Markdown."""
 
 from collections.abc import Iterable, Mapping
 
@@ -74,7 +74,7 @@ def lines_table(result: ExperimentResult) -> str:
 
 
 def ticks_table(ticks: Mapping[float, HilsRun]) -> str:
-    """How the RMSE depends on the tick."""
+    """RMSE by the tick."""
     rows = []
     for tick, each in ticks.items():
         rows.append(

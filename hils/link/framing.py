@@ -14,8 +14,8 @@ from hils.link.messages import (
     is_newer,
 )
 
-# So many of its own emergency stops an end knows when they come back.
-OWN = 16
+# Emergency stops of its own that an end knows when a line echoes them.
+ECHOES_KEPT = 16
 
 
 class FrameSplitter:
@@ -27,7 +27,7 @@ class FrameSplitter:
         self.overlong = 0
 
     def packets(self, data: bytes) -> list[bytes]:
-        """What stands complete between two delimiters, in order and never empty."""
+        """Packets that stand complete between two delimiters, in order and never empty."""
         *complete, rest = (self._rest + data).split(DELIMITER)
         if self._skipping and complete:
             complete[0] = b""
@@ -40,7 +40,7 @@ class FrameSplitter:
 
 
 class Receiver:
-    """One end's view of what the other sends.
+    """Receiving end: frames that count, and the causes of those that do not (docs/wire.md).
 
     Args:
         accepts: Message types that this end takes: `hils.link.messages.FROM_RIG` at the host.
@@ -57,33 +57,33 @@ class Receiver:
         self._splitter = FrameSplitter()
         self._session: int | None = None
         self._last: int | None = None
-        self._own: deque[Frame] = deque(maxlen=OWN)
+        self._own: deque[Frame] = deque(maxlen=ECHOES_KEPT)
         self._drops: Counter[Drop] = Counter()
         self.accepted = 0
         self.foreign_state: HelloAck | StateReport | None = None
         self.foreign_stop: EmergencyStop | None = None
 
     def expect(self, session: int) -> None:
-        """From here on only frames of this session count, starting at any sequence number."""
+        """Count only frames of this session from here on, starting at any sequence number."""
         self._session, self._last = session, None
         self.foreign_state, self.foreign_stop = None, None
 
     def note_sent(self, frame: Frame) -> None:
-        """This end has sent a frame: an emergency stop that a line echoes is not the other's."""
+        """Note a frame sent by this end: an emergency stop that a line echoes is its own."""
         if isinstance(frame.message, EmergencyStop):
             self._own.append(frame)
 
     def feed(self, data: bytes) -> list[Frame]:
         """The frames that count among what these bytes complete."""
-        frames = map(self._judged, self._splitter.packets(data))
+        frames = map(self._judge, self._splitter.packets(data))
         return [frame for frame in frames if frame is not None]
 
     @property
     def drops(self) -> dict[Drop, int]:
-        """How often something was dropped, by cause."""
+        """Count of dropped packets, by cause."""
         return dict(self._drops + Counter({Drop.OVERLONG: self._splitter.overlong}))
 
-    def _judged(self, packet: bytes) -> Frame | None:
+    def _judge(self, packet: bytes) -> Frame | None:
         found = decode(packet)
         if found in self._own:
             self._drops[Drop.DIRECTION] += 1

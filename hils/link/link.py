@@ -1,4 +1,4 @@
-"""The seam between the loop and whatever answers it: a serial rig, a virtual one, a record."""
+"""Link between the loop and a rig: serial, virtual, or a test's."""
 
 import abc
 from collections import deque
@@ -21,12 +21,12 @@ from hils.link.messages import (
 )
 from hils.link.send_queue import SendQueue
 
-# More than a rig says in a session; a rig that babbles loses its oldest words, but no emergency
+# Longer than the reports of a session; a rig that sends more loses its oldest, but no emergency
 # stop: a question to the operator may stay open for long.
 MOST_REPORTS = 256
 
 
-# How finely a soft link looks for an answer [s].
+# Step in which an in-process link looks for an answer [s].
 GRAIN = 1e-3
 
 
@@ -47,7 +47,7 @@ class Arrival(NamedTuple):
 
 
 class LinkQuality(msgspec.Struct, frozen=True):
-    """What went over a link since it was made. The difference of two gives rates.
+    """Traffic of a link since it was made. The difference of two gives rates.
 
     Attributes:
         time: On the link's clock [s].
@@ -84,7 +84,7 @@ class AbstractLink(abc.ABC):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What a person calls it: the port's name."""
+        """Name for a person: the port's."""
 
     @abc.abstractmethod
     def begin(self, session: int) -> None:
@@ -106,7 +106,7 @@ class AbstractLink(abc.ABC):
 
     @abc.abstractmethod
     def sent_at(self, seq: int) -> float | None:
-        """When a command of this session was handed over [s]; None where that is not known."""
+        """Time at which a command of this session was handed over [s]; None where not known."""
 
     @abc.abstractmethod
     def newest(self) -> Arrival | None:
@@ -124,12 +124,12 @@ class AbstractLink(abc.ABC):
             deadline: Latest return [s], on the link's clock.
 
         Returns:
-            Whether anything came.
+            True where anything came.
         """
 
     @abc.abstractmethod
     def quality(self) -> LinkQuality:
-        """What went over the link so far."""
+        """Traffic of the link so far."""
 
     @abc.abstractmethod
     def close(self) -> None:
@@ -137,7 +137,7 @@ class AbstractLink(abc.ABC):
 
 
 class Inbox:
-    """What came over a link and was not yet taken.
+    """Frames that came over a link and were not yet taken.
 
     Attributes:
         bytes_received: All bytes, whatever they were.
@@ -186,7 +186,7 @@ class Inbox:
         return taken
 
     def take_news(self) -> bool:
-        """Whether anything came since this or the other two were last called."""
+        """Return True where anything came since this or the other two were last called."""
         news, self._news = self._news, False
         return news
 
@@ -199,7 +199,7 @@ class Inbox:
 
 
 def quality_of(time: float, inbox: Inbox, outbox: SendQueue) -> LinkQuality:
-    """The counts of a link's two ends."""
+    """Collect the counts of a link's two ends."""
     receiver = inbox.receiver
     return LinkQuality(
         time,
@@ -215,9 +215,9 @@ def quality_of(time: float, inbox: Inbox, outbox: SendQueue) -> LinkQuality:
 
 
 class SteppedRig(Protocol):
-    """A rig, or rig and line, that lives in whatever time it is told.
+    """A rig, or rig and line, that is advanced in time by its caller.
 
-    Times never go back, and the same time may be told again.
+    Times never go back, and the same time may be given again.
     """
 
     def advance(self, now: float, data: bytes) -> bytes:
@@ -233,10 +233,10 @@ class InProcessLink(AbstractLink):
     """A link without threads, in the caller's time: what is sent arrives at once.
 
     Args:
-        rig: What is at the other end.
+        rig: At the other end.
         clock: A `VirtualClock` advances the rig whenever someone sleeps; by any other clock the
             rig lives in the calls of this link.
-        name: What errors call it.
+        name: Used in errors.
     """
 
     def __init__(self, rig: SteppedRig, clock: AbstractClock, name: str = "the virtual rig"):

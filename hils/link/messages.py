@@ -49,7 +49,7 @@ VIRTUAL_RIG = 0x56495254
 
 
 class RigState(enum.IntEnum):
-    """What the rig is ready for; SAFE is latched."""
+    """State of the rig; SAFE is latched (docs/wire.md)."""
 
     IDLE = 0
     ARMED = 1
@@ -65,7 +65,7 @@ READY = (RigState.ARMED, RigState.RUNNING)
 
 
 class Drop(enum.Enum):
-    """Why something received does not count; the value is how a person is told."""
+    """Cause for which something received does not count; the value is its wording for a person."""
 
     OVERLONG = "longer than any frame"
     COBS = "no COBS"
@@ -327,7 +327,7 @@ def decode(packet: bytes) -> Frame | Drop:
 
 
 def is_newer(new: int, last: int) -> bool:
-    """Whether a sequence number comes after another, over the wrap at 2^32."""
+    """Return True where a sequence number comes after another, over the wrap at 2^32."""
     return 0 < (new - last) & U32 < 1 << 31
 
 
@@ -341,7 +341,7 @@ EMERGENCY, NOT_RESTED = 1, 2
 
 
 class Reason(enum.IntEnum):
-    """Why a rig of this project's changed its state; other rigs have numbers of their own."""
+    """Reasons for a change of state of this project's rigs; other rigs have their own numbers."""
 
     NONE = 0
     WATCHDOG = 1

@@ -25,7 +25,7 @@ BACKLOG = 64
 
 
 # URLs of pyserial's that open a device of this computer.
-OF_A_DEVICE = ("hwgrep://", "spy://", "alt://")
+DEVICE_URLS = ("hwgrep://", "spy://", "alt://")
 
 
 # How often a full driver, or a port without a descriptor, is looked at again [s].
@@ -54,11 +54,11 @@ class AbstractPort(abc.ABC):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What a person calls it."""
+        """Name for a person."""
 
     @abc.abstractmethod
     def read(self, limit: int) -> bytes:
-        """What has come, at most so many bytes; nothing where nothing has."""
+        """Read at most so many bytes; nothing where nothing has come."""
 
     @abc.abstractmethod
     def write(self, data: bytes) -> int:
@@ -121,7 +121,7 @@ def _poll(descriptor: int, waker: Waker, readable: bool, writable: bool, deadlin
 
 
 @contextmanager
-def _one_error(name: str) -> Iterator[None]:
+def _as_link_lost(name: str) -> Iterator[None]:
     """Whatever a port raises, as one `LinkLost`."""
     try:
         yield
@@ -145,7 +145,7 @@ class SerialPort(AbstractPort):
         self._device, self._name = device, name
         self._descriptor = device.fileno()
         self._full = False
-        with _one_error(name):
+        with _as_link_lost(name):
             attributes = termios.tcgetattr(self._descriptor)
             # pyserial leaves these two: a break must not become a zero byte or a signal, and with
             # VMIN of 1 a read of nothing means a hang-up and never an empty buffer.
@@ -161,7 +161,7 @@ class SerialPort(AbstractPort):
         return self._name
 
     def read(self, limit: int) -> bytes:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             try:
                 data = os.read(self._descriptor, limit)
             except BlockingIOError:
@@ -171,7 +171,7 @@ class SerialPort(AbstractPort):
         return data
 
     def write(self, data: bytes) -> int:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             queued = self._queued()
             self._full = queued > 0 and queued + len(data) > BACKLOG
             if self._full:
@@ -185,7 +185,7 @@ class SerialPort(AbstractPort):
         if writable and self._full:
             # The driver would take more, so it cannot tell when its queue is short again.
             writable, deadline = False, min(deadline, time.monotonic() + GLANCE)
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             _poll(self._descriptor, self._waker, readable, writable, deadline)
 
     def wake(self) -> None:
@@ -215,7 +215,7 @@ class SocketPort(AbstractPort):
 
     def __init__(self, connected: socket.socket, name: str = "the socket"):
         self._socket, self._name = connected, name
-        with _one_error(name):
+        with _as_link_lost(name):
             connected.setblocking(False)
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             if connected.family in (socket.AF_INET, socket.AF_INET6):
@@ -227,7 +227,7 @@ class SocketPort(AbstractPort):
         return self._name
 
     def read(self, limit: int) -> bytes:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             try:
                 data = self._socket.recv(limit)
             except BlockingIOError:
@@ -237,14 +237,14 @@ class SocketPort(AbstractPort):
         return data
 
     def write(self, data: bytes) -> int:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             try:
                 return self._socket.send(data)
             except BlockingIOError:
                 return 0
 
     def wait(self, readable: bool, writable: bool, deadline: float) -> None:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             _poll(self._socket.fileno(), self._waker, readable, writable, deadline)
 
     def wake(self) -> None:
@@ -268,15 +268,15 @@ class UrlPort(AbstractPort):
         return self._name
 
     def read(self, limit: int) -> bytes:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             return self._device.read(max(1, min(limit, self._device.in_waiting)))
 
     def write(self, data: bytes) -> int:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             return self._device.write(data)
 
     def wait(self, readable: bool, writable: bool, deadline: float) -> None:
-        with _one_error(self._name):
+        with _as_link_lost(self._name):
             while not (writable or (readable and self._device.in_waiting)):
                 left = deadline - time.monotonic()
                 if left <= 0.0 or self._woken.wait(min(left, GLANCE)):
@@ -292,7 +292,11 @@ class UrlPort(AbstractPort):
 
 
 def require_baud_rate(baud: int) -> None:
-    """Refuse a rate [bit/s] that no line has."""
+    """Refuse a rate [bit/s] that no line has.
+
+    Raises:
+        InputError: it is out of range.
+    """
     if not 1 <= baud <= LARGEST_BAUD:
         raise InputError(f"baud rate is {baud}, must lie between 1 and {LARGEST_BAUD}")
 
@@ -316,7 +320,7 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
 
     # A write must have a deadline; without waiting at all, pyserial loses what does not fit.
     options: dict[str, Any] = {"timeout": 0.0, "write_timeout": WRITE_TIMEOUT}
-    if "://" not in name or name.lower().startswith(OF_A_DEVICE):
+    if "://" not in name or name.lower().startswith(DEVICE_URLS):
         options["exclusive"] = exclusive
     try:
         device = serial.serial_for_url(name, baudrate=baud, **options)
@@ -379,12 +383,12 @@ def list_ports() -> list[ListedPort]:
     """The serial ports of this machine, by name."""
     from serial.tools.list_ports import comports
 
-    found = [ListedPort(each.device, _described(each)) for each in comports()]
+    found = [ListedPort(each.device, _description(each)) for each in comports()]
     return sorted(found)
 
 
 def latency_timer(name: str) -> int | None:
-    """How long an FTDI adapter keeps what it received [ms]; None for any other port."""
+    """Latency timer of an FTDI adapter [ms]; None for any other port."""
     setting = Path("/sys/bus/usb-serial/devices") / Path(name).resolve().name / "latency_timer"
     try:
         return int(setting.read_text())
@@ -392,6 +396,6 @@ def latency_timer(name: str) -> int | None:
         return None
 
 
-def _described(port: Any) -> str:
+def _description(port: Any) -> str:
     known = [text for text in (port.description, port.manufacturer) if text and text != "n/a"]
     return ", ".join(dict.fromkeys(known)) or "nothing known of it"

@@ -1,4 +1,4 @@
-"""What a link still has to send: commands yield to newer ones, the rest goes in order."""
+"""Queue of frames to send: commands yield to newer ones, the rest goes in order."""
 
 import math
 from collections import deque
@@ -7,8 +7,8 @@ from typing import NamedTuple
 from drftjax.common.errors import InputError
 from hils.link.messages import U32, Drive, EmergencyStop, Frame, Message, clock_us, encode
 
-# The times of the commands among so many of the last messages are known.
-KEPT = 4096
+# Last messages among which the times of the commands are known.
+TIMES_KEPT = 4096
 
 
 class _Waiting(NamedTuple):
@@ -52,13 +52,13 @@ class SendQueue:
         self._next = (frame.seq + 1) & U32
         if isinstance(message, Drive):
             self._commands[frame.seq] = now
-            self._commands.pop((frame.seq - KEPT) & U32, None)
-        self._yield_to(message)
+            self._commands.pop((frame.seq - TIMES_KEPT) & U32, None)
+        self._drop_superseded_by(message)
         self._waiting.append(_Waiting(message, data))
         return frame
 
     def sent_at(self, seq: int) -> float | None:
-        """When a command of this number was put [s]; None of one that is not known any more."""
+        """Time at which a command of this number was put [s]; None where no longer known."""
         return self._commands.get(seq)
 
     def take(self) -> bytes:
@@ -73,15 +73,15 @@ class SendQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def _yield_to(self, message: Message) -> None:
+    def _drop_superseded_by(self, message: Message) -> None:
         """Drop what need not be sent any more once this message is."""
         if isinstance(message, EmergencyStop):
-            gone: tuple[type, ...] = (object,)
+            superseded: tuple[type, ...] = (object,)
         elif isinstance(message, Drive):
-            gone = (Drive,)
+            superseded = (Drive,)
         else:
             return
-        kept = [each for each in self._waiting if not isinstance(each.message, gone)]
+        kept = [each for each in self._waiting if not isinstance(each.message, superseded)]
         self.replaced += len(self._waiting) - len(kept)
         self._waiting = deque(kept)
 

@@ -1,4 +1,4 @@
-"""What the control period asks of the line and of the rig's watchdog."""
+"""Watchdog time and minimum baud rate for a given control period (docs/wire.md)."""
 
 from drftjax.common.errors import InputError
 from hils.link.messages import BITS_PER_BYTE, Drive, Measurement, wire_bytes
@@ -31,6 +31,9 @@ def require_baud(baud: int, tick: float) -> None:
     """Refuse a control period [s] in which the line cannot carry a measurement and a command.
 
     The two directions do not share the line, so the longer of both frames decides.
+
+    Raises:
+        InputError: the line is too slow, or either number cannot be.
     """
     if not 1e-6 <= tick <= LONGEST_TICK:
         raise InputError(f"tick is {tick:.4g} s, must lie between 1e-06 and {LONGEST_TICK:g} s")

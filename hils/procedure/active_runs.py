@@ -1,4 +1,4 @@
-"""Runs under way on this computer, so that `drft hils stop` finds them."""
+"""Registry of the runs under way on this computer, so that `drft hils stop` finds them."""
 
 import os
 import signal
@@ -13,15 +13,15 @@ import msgspec
 from drftjax.common.errors import InputError
 
 # The same for every terminal of this user's, whatever its environment says.
-BASE = Path("/tmp")
+REGISTRY_PARENT = Path("/tmp")
 
 
 class ActiveRun(msgspec.Struct, frozen=True):
-    """A program that runs a rig.
+    """Process that runs a rig.
 
     Attributes:
         pid: Its process.
-        born: When that process started, as the system counts; another one that was given the same
+        born: Start of that process, as the system counts; another one that was given the same
             number later was born later.
         port: The rig's port.
         output: Its run log, or the first and the last of several.
@@ -35,7 +35,11 @@ class ActiveRun(msgspec.Struct, frozen=True):
 
 @contextmanager
 def registered(port: str, outputs: Sequence[Path]) -> Iterator[ActiveRun]:
-    """Within this, the runs of these logs can be found and stopped from another terminal."""
+    """Context in which the runs of these logs can be found and stopped from another terminal.
+
+    Raises:
+        InputError: the registry's folder is not this user's own.
+    """
     pid = os.getpid()
     entry = _folder() / f"{pid}.json"
     ends = dict.fromkeys([outputs[0], outputs[-1]])
@@ -48,7 +52,7 @@ def registered(port: str, outputs: Sequence[Path]) -> Iterator[ActiveRun]:
 
 
 def runs_under_way() -> list[ActiveRun]:
-    """Every run of this user's that is alive; what dead ones left behind is removed."""
+    """All living runs of this user; the entries of dead ones are removed."""
     found = []
     for entry in sorted(_folder().glob("*.json")):
         with suppress(OSError, msgspec.DecodeError):
@@ -61,7 +65,7 @@ def runs_under_way() -> list[ActiveRun]:
 
 
 def is_alive(run: ActiveRun) -> bool:
-    """Whether that very process still lives."""
+    """Return True where that very process still lives."""
     with suppress(OSError):
         os.kill(run.pid, 0)
         return _born(run.pid) == run.born
@@ -69,14 +73,14 @@ def is_alive(run: ActiveRun) -> bool:
 
 
 def send_signal(run: ActiveRun, kind: signal.Signals) -> None:
-    """Send it a signal, unless it has ended."""
+    """Send a signal to a run, unless it has ended."""
     if is_alive(run):
         with suppress(ProcessLookupError):
             os.kill(run.pid, kind)
 
 
 def wait_until_ended(run: ActiveRun, within: float) -> bool:
-    """Whether it ends within this time [s]."""
+    """Wait for a run to end, for this time at most [s]; True where it has ended."""
     deadline = time.monotonic() + within
     while is_alive(run):
         if time.monotonic() > deadline:
@@ -86,7 +90,7 @@ def wait_until_ended(run: ActiveRun, within: float) -> bool:
 
 
 def _folder() -> Path:
-    folder = BASE / f"drft-hils-{os.getuid()}"
+    folder = REGISTRY_PARENT / f"drft-hils-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     # A folder that someone else made, or may write to, could name any process of ours.

@@ -1,7 +1,8 @@
-"""What a run begins from: a loop within the rig's limits, the wheel at rest, the run log's head."""
+"""Start of a run: the loop within the rig's limits, sinkage and zeta(0), the run log's head."""
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from uuid import uuid4
@@ -24,23 +25,38 @@ from hils.events import EVENT_MEANINGS, FLAG_MEANINGS
 from hils.link.messages import VIRTUAL_RIG, HelloAck
 from hils.procedure.settling import SettledWheel
 
-# zeta(0) outside of this says that something was measured or typed wrongly.
-LEAST_ZETA, MOST_ZETA = 0.05, 10.0
+
+@dataclass(frozen=True)
+class StartLimits:
+    """Values at the start that can be believed.
+
+    Attributes:
+        min_zeta, max_zeta: zeta(0) outside of these says that something was measured or typed
+            wrongly [-].
+        min_sinkage: A wheel that stands less deep was not let down, or was zeroed too low [m].
+        max_height: Height over touch-down up to which a rig that cannot measure touch-down may be
+            run with zeta(0) given [m].
+    """
+
+    min_zeta: float = 0.05
+    max_zeta: float = 10.0
+    min_sinkage: float = 5e-4
+    max_height: float = 0.02
 
 
-# A wheel that stands less deep was not let down, or was zeroed too low [m].
-LEAST_SINKAGE = 5e-4
-
-
-# With zeta(0) given, a rig may be run that cannot tell touch-down, up to so far over it [m].
-MOST_OVER = 0.02
+DEFAULT_START_LIMITS = StartLimits()
 
 
 def apply_rig_limits(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
-    """The loop within the rig's own limits.
+    """Narrow the limits of a loop to the rig's own.
+
+    Args:
+        loop: As it was asked for.
+        ack: Answer of the rig to HELLO.
+        free: True where the carriage runs free.
 
     Raises:
-        InputError: what of the rig or of the profile does not fit.
+        InputError: the profile does not fit the rig.
     """
     command = loop.setup.command.build()
     rig = msgspec.structs.replace(loop.commands, omega=ack.omega_max, vx=ack.vx_max)
@@ -66,12 +82,18 @@ def apply_rig_limits(loop: LoopSetUp, ack: HelloAck, free: bool) -> LoopSetUp:
 
 @lru_cache(maxsize=16)
 def zeta_by_sinkage(setup: bytes) -> Callable[[float], float]:
-    """zeta by the sinkage at rest, compiled: after ARM nothing may take longer than a tick."""
+    """Compile zeta [-] as a function of the sinkage at rest [m], by static equilibrium.
+
+    It is compiled beforehand: after ARM nothing may take longer than a tick.
+
+    Args:
+        setup: A `drftjax.setups.setup.SetUp` as JSON.
+    """
     made = msgspec.json.decode(setup, type=SetUp)
     simulator, angle = made.trial().simulator, made.start.angle
-    told = jax.jit(lambda sinkage: zeta_from_sinkage(simulator, sinkage, angle=angle))
-    told = told.lower(jnp.asarray(0.01)).compile()
-    return lambda sinkage: float(told(jnp.asarray(sinkage)))
+    zeta = jax.jit(lambda sinkage: zeta_from_sinkage(simulator, sinkage, angle=angle))
+    compiled = zeta.lower(jnp.asarray(0.01)).compile()
+    return lambda sinkage: float(compiled(jnp.asarray(sinkage)))
 
 
 def starting_point(
@@ -80,21 +102,23 @@ def starting_point(
     zeta: float | None,
     free: bool,
     statics: Callable[[float], float],
+    limits: StartLimits = DEFAULT_START_LIMITS,
 ) -> Start:
-    """What the simulation starts from.
+    """Sinkage and zeta at the start of the simulation.
 
     Args:
         loop: Within the rig's limits.
         settled: The wheel at rest.
-        zeta: zeta(0) [-]; None to tell it from the sinkage.
-        free: Whether nothing is simulated, so that the wheel may hang in the air.
-        statics: Tells zeta [-] by the sinkage [m].
+        zeta: zeta(0) [-]; None to compute it from the sinkage.
+        free: True where nothing is simulated, so that the wheel may hang in the air.
+        statics: zeta [-] by the sinkage [m].
+        limits: Values that can be believed.
 
     Raises:
-        InputError: the wheel cannot rest so deep, or zeta(0) cannot be what it tells.
+        InputError: the sinkage or the zeta(0) that follows from it cannot be believed.
     """
     deepest = -loop.readings.lowest
-    least = LEAST_SINKAGE if zeta is None else -MOST_OVER
+    least = limits.min_sinkage if zeta is None else -limits.max_height
     if free:
         least = -loop.readings.highest
     if not least <= settled.sinkage <= deepest:
@@ -106,19 +130,20 @@ def starting_point(
         )
     if zeta is not None:
         return Start(settled.sinkage, zeta)
-    if settled.sinkage < LEAST_SINKAGE:  # in the air, where statics tells nothing
+    if settled.sinkage < limits.min_sinkage:  # in the air, where statics has no answer
         return Start(settled.sinkage, math.nan)
     zeta = statics(settled.sinkage)
-    if not LEAST_ZETA <= zeta <= MOST_ZETA:
+    if not limits.min_zeta <= zeta <= limits.max_zeta:
         raise InputError(
             f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
-            f"lie between {LEAST_ZETA:g} and {MOST_ZETA:g}: check touch-down, mass and wheel"
+            f"lie between {limits.min_zeta:g} and {limits.max_zeta:g}: check touch-down, mass and "
+            "wheel"
         )
     return Start(settled.sinkage, zeta)
 
 
 def run_log_head(loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free: bool) -> Head:
-    """What the run log says of the run before its first row."""
+    """Head of the run log: all that is known of the run before its first row."""
     numbers = loop.tuner.build(loop.tick)
     online = OnlineHead(
         tick=loop.tick,

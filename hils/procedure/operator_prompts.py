@@ -1,11 +1,10 @@
-"""Whom the procedure talks to: a person at the terminal, or nobody."""
+"""Prompts of the procedure: to a person at the terminal, or to nobody."""
 
 import abc
 import math
 import os
 import select
 import sys
-import termios
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -13,16 +12,16 @@ from pathlib import Path
 from drftjax.common.errors import InputError
 from hils.events import Phase
 
-# Between two looks at the rig while a question is open [s]: it says ESTOP five times, 50 ms apart.
-LOOK = 0.05
+# From one look at the rig to the next while a question is open [s].
+POLL_INTERVAL = 0.05
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     pass
 
 
 class AbstractPrompts(abc.ABC):
-    """Tells what happens and asks for what only hands can do."""
+    """Messages about a run, and requests for manual steps."""
 
     @abc.abstractmethod
     def say(self, text: str) -> None:
@@ -30,30 +29,35 @@ class AbstractPrompts(abc.ABC):
 
     @abc.abstractmethod
     def say_if_free(self, text: str) -> None:
-        """Say a sentence that may be lost: the rig waits for commands, and nothing for a screen."""
+        """Say a sentence unless that would have to wait: the rig waits for commands."""
 
     @abc.abstractmethod
-    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
-        """Ask for something to be done, and return when it is.
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _do_nothing) -> None:
+        """Ask for a manual step, and return when it is done.
 
         Args:
-            text: What is to be done.
+            text: The step.
             meanwhile: Called again and again while the question is open; it may raise.
 
         Raises:
-            InputError: where nobody can answer.
+            InputError: nobody can answer.
         """
 
     @abc.abstractmethod
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
-        """The run comes to this phase, which lasts so long where that is known [s]."""
+        """Announce a phase of the run.
+
+        Args:
+            phase: It begins now.
+            lasts: Its length [s]; NaN where that is not known.
+        """
 
     @abc.abstractmethod
     def show_sinkage(self, sinkage: float) -> None:
-        """The wheel that stands is measured so deep [m]; called often, and must not wait."""
+        """Show the measured sinkage of a standing wheel [m]; called often, and must not wait."""
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     """Print it; a reader who has gone (`| head`), or a terminal that has, ends no run."""
     try:
         print(text, flush=True)
@@ -63,38 +67,48 @@ def _say(text: str) -> None:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-def _say_if_at_once(text: str) -> None:
+def _print_if_free(text: str) -> None:
     """Print it where that need not wait: a terminal may be halted (Ctrl-S), a pipe be full."""
     with suppress(OSError, ValueError):
         if not select.select([], [sys.stdout], [], 0.0)[1]:
             return
-    _say(text)
+    _print(text)
 
 
 class TerminalPrompts(AbstractPrompts):
-    """A person at the terminal, who presses Enter."""
+    """Prompts to a person at the terminal, who presses Enter.
+
+    Args:
+        poll_interval: From one look at the rig to the next while a question is open [s]: a rig
+            sends ESTOP five times, 50 ms apart (docs/wire.md).
+    """
+
+    def __init__(self, poll_interval: float = POLL_INTERVAL):
+        self._poll_interval = poll_interval
 
     def say(self, text: str) -> None:
-        _say(text)
+        _print(text)
 
     def say_if_free(self, text: str) -> None:
-        _say_if_at_once(text)
+        _print_if_free(text)
 
-    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _do_nothing) -> None:
         question = f"{text}, then press Enter (Ctrl-C to leave) "
         try:
             if not sys.stdin.isatty():
                 input(question)
                 return
+            import termios
+
             # An Enter typed before the question was read answers nothing.
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
             print(question, end="", flush=True)
-            while not select.select([sys.stdin], [], [], LOOK)[0]:
+            while not select.select([sys.stdin], [], [], self._poll_interval)[0]:
                 meanwhile()
             if not sys.stdin.readline():
                 raise EOFError
         except BaseException as error:
-            _say("")  # the question has left the line open
+            _print("")  # the question has left the line open
             if not isinstance(error, EOFError | OSError):
                 raise
             raise InputError(
@@ -109,20 +123,24 @@ class TerminalPrompts(AbstractPrompts):
 
 
 class UnattendedPrompts(AbstractPrompts):
-    """Nobody is asked: a virtual rig, or one that prepares itself."""
+    """Prompts without a person: a virtual rig, or one that prepares itself.
+
+    Args:
+        quiet: True to say nothing either.
+    """
 
     def __init__(self, quiet: bool = False):
         self._quiet = quiet
 
     def say(self, text: str) -> None:
         if not self._quiet:
-            _say(text)
+            _print(text)
 
     def say_if_free(self, text: str) -> None:
         if not self._quiet:
-            _say_if_at_once(text)
+            _print_if_free(text)
 
-    def confirm(self, text: str, meanwhile: Callable[[], None] = _nothing) -> None:
+    def confirm(self, text: str, meanwhile: Callable[[], None] = _do_nothing) -> None:
         self.say(f"{text}: taken as done")
 
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:

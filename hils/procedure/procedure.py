@@ -1,4 +1,4 @@
-"""One run from the first word to the rig until the file is closed.
+"""Procedure of one run, from HELLO until the file is closed.
 
     connect -> checks -> touch-down and zero -> ARM -> release, settle -> H_static, zeta(0)
     -> countdown -> the loop -> ramp-down -> STOP -> BYE -> file closed
@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
 
@@ -19,61 +20,103 @@ from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
 from hils.control.event_log import EventLog
-from hils.control.loop import LoopReport, Overruns, TickLoop
+from hils.control.loop import Overruns, TickLoop
 from hils.control.loop_config import LoopSetUp, Start, shared_physics
+from hils.control.loop_report import LoopReport
+from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings, TouchdownZero
+from hils.control.run_end import DEFAULT_RAMP, RampSettings
 from hils.control.stop_request import StopReason, StopRequest
 from hils.control.tick import AbstractTick, FreeTick, TunedTick
 from hils.events import Event, Phase
 from hils.link.link import AbstractLink, LinkLost, LinkQuality
-from hils.link.messages import Hello, RigState
+from hils.link.messages import Drive, Hello, HelloAck, RigState
 from hils.link.timing import watchdog_ms
 from hils.procedure.initial_state import (
-    LEAST_SINKAGE,
-    LEAST_ZETA,
-    MOST_ZETA,
+    DEFAULT_START_LIMITS,
+    StartLimits,
     apply_rig_limits,
     run_log_head,
     starting_point,
     zeta_by_sinkage,
 )
 from hils.procedure.operator_prompts import AbstractPrompts
-from hils.procedure.session import STOPPED, RigStopped, Session
-from hils.procedure.settling import RunAborted, SettledWheel, StandingWheel, touch_down
-from hils.procedure.shutdown import Shutdown
-from hils.recording.recorder import CLOSE_LIMIT
+from hils.procedure.session import (
+    DEFAULT_SESSION,
+    STOPPED,
+    RigStopped,
+    Session,
+    SessionSettings,
+)
+from hils.procedure.settling import (
+    DEFAULT_SETTLING,
+    DEFAULT_TOUCHDOWN,
+    RunAborted,
+    SettledWheel,
+    SettlingSettings,
+    StandingWheel,
+    TouchdownSettings,
+    touch_down,
+)
+from hils.procedure.shutdown import DEFAULT_SHUTDOWN, Shutdown, ShutdownSettings
+from hils.recording.recorder import DEFAULT_RECORDER
 from hils.recording.sinks import RowSink
-
-# A rig may restart when its port is opened [s].
-PATIENCE = 3.0
-
 
 LONGEST_COUNTDOWN = 60.0  # [s]
 
 
-# The operator is told of a recording that takes so long to close [s].
-SLOW_CLOSE = 3.0
-
-
 class ZeroAt(enum.Enum):
-    """Where the height counts from."""
+    """Origin of the height."""
 
     HELD = "held"  # the wheel is held where it touches the sand, and zeroed there
     POWER_UP = "power-up"  # the rig's own zero is touch-down already
 
 
 @dataclass(frozen=True, kw_only=True)
-class Procedure:
-    """What a run is to be.
+class ProcedureSettings:
+    """Deadlines and thresholds of a run, step by step.
 
     Attributes:
-        loop: The loop's numbers, the profile among them.
-        free: Whether the carriage runs free and nothing is simulated: the paper's experiment
+        session: Messages and their answers.
+        touchdown: Zeroing of the wheel.
+        settling: Rest on the sand.
+        start: Sinkage and zeta(0) that are believed.
+        response: Patience with a silent rig.
+        ramp: End of the ramp to rest.
+        shutdown: Rig at rest.
+        connect_time: Time over which HELLO is tried again [s]: a rig may restart when its port is
+            opened.
+        close_notice_time: Time after which the operator hears of a recording that takes long to
+            close [s].
+    """
+
+    session: SessionSettings = DEFAULT_SESSION
+    touchdown: TouchdownSettings = DEFAULT_TOUCHDOWN
+    settling: SettlingSettings = DEFAULT_SETTLING
+    start: StartLimits = DEFAULT_START_LIMITS
+    response: ResponseSettings = DEFAULT_RESPONSE
+    ramp: RampSettings = DEFAULT_RAMP
+    shutdown: ShutdownSettings = DEFAULT_SHUTDOWN
+    connect_time: float = 3.0
+    close_notice_time: float = 3.0
+
+
+DEFAULT_PROCEDURE = ProcedureSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Procedure:
+    """Plan of a run.
+
+    Attributes:
+        loop: Numbers of the loop, the profile among them.
+        free: True where the carriage runs free and nothing is simulated: the paper's experiment
             driving.
-        zero: Where the height counts from.
-        zeta: zeta(0) [-]; None to tell it from the sinkage at rest.
-        overruns: What follows a missed deadline.
+        zero: Origin of the height.
+        zeta: zeta(0) [-]; None to compute it from the sinkage at rest.
+        overruns: Policy for a missed deadline.
         countdown: From the wheel's rest to the start [s].
         title: Of the run log.
+        settings: Deadlines and thresholds.
 
     Raises:
         InputError: zeta or countdown is a number that cannot be.
@@ -86,27 +129,31 @@ class Procedure:
     overruns: Overruns = Overruns.SKIP
     countdown: float = 3.0
     title: str = ""
+    settings: ProcedureSettings = DEFAULT_PROCEDURE
 
     def __post_init__(self):
         require_between("countdown", self.countdown, 0.0, LONGEST_COUNTDOWN, " s")
         if self.zeta is not None:
-            require_between("zeta0", self.zeta, LEAST_ZETA, MOST_ZETA)
+            limits = self.settings.start
+            require_between("zeta0", self.zeta, limits.min_zeta, limits.max_zeta)
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """How a run went.
+    """Outcome of a run.
 
     Attributes:
-        reason: Why it ended; "completed" where the profile was run to its end.
-        completed: Whether that is so.
-        rested: Whether the rig was seen to rest at the end.
+        reason: Reason of its end; "completed" where the profile was run to its end.
+        completed: True where the profile was run to its end.
+        rested: True where the rig was seen to rest at the end.
         settled: The wheel at rest before the run; None where it did not get so far.
         start: Sinkage at the start and zeta(0); None likewise.
-        loop: How the loop went; None where it was not started.
-        quality: What went over the link, from beginning to end.
-        wish: Who asked for an end meanwhile, be it too late for the profile; None where nobody did.
-        unfinished: Why the file could not be finished, and where its rows are; empty where it was.
+        loop: Outcome of the loop; None where it was not started.
+        quality: Traffic of the link, from beginning to end.
+        stop_reason: Request for an end that came meanwhile, be it too late for the profile; None
+            where there was none.
+        unfinished: Reason why the file could not be finished, and the place of its rows; empty
+            where it was finished.
     """
 
     reason: str
@@ -129,24 +176,24 @@ def run(
     stop: StopRequest,
     before_motion: Callable[[], None] = lambda: None,
 ) -> RunReport:
-    """Make one run. The rows are closed and the rig is at rest, or was told to, when it returns.
+    """Make one run. The rows are closed and the rig is at rest, or was asked to, when it returns.
 
     Args:
-        procedure: What the run is to be.
+        procedure: Plan of the run.
         link, clock: The rig.
         rows: Takes what is recorded; not begun yet.
-        prompts: Whom to talk to.
-        stop: Asks for the run's end; looked at from ARM on. From then on signals leave nothing
-            but their wish; whoever has told of the run lets them interrupt again.
+        prompts: To the operator.
+        stop: Requests for the run's end, checked from ARM on. From then on signals leave nothing
+            but their request, until the caller lets them interrupt again.
         before_motion: Called once when all is ready, before ARM.
 
     Raises:
-        InputError: the run could not be begun; nothing moved, or the rig was told to rest. A file
+        InputError: the run could not be begun; nothing moved, or the rig was asked to rest. A file
             that could not be finished is in the report.
     """
     reason, report = "not begun", None
     try:
-        report = _run(procedure, link, clock, rows, prompts, stop, before_motion)
+        report = _Run(procedure, link, clock, rows, prompts, stop).make(before_motion)
         reason = report.reason
     except InputError as error:
         reason = str(error)
@@ -158,24 +205,25 @@ def run(
         reason = f"failed: {type(error).__name__}"
         raise
     finally:
-        unfinished = _close(rows, reason, prompts)
+        unfinished = _close(rows, reason, prompts, procedure.settings.close_notice_time)
         if unfinished and report is None and unfinished != reason:
             prompts.say(unfinished)
     assert report is not None  # or else it was raised
-    wish = stop.first_reason
-    if wish is not None and wish.event is Event.EMERGENCY_STOP:
-        wish = wish._replace(reason=stop.reason)
-    return replace(report, stop_reason=wish, unfinished=unfinished)
+    request = stop.first_reason
+    if request is not None and request.event is Event.EMERGENCY_STOP:
+        request = request._replace(reason=stop.reason)
+    return replace(report, stop_reason=request, unfinished=unfinished)
 
 
-def _close(rows: RowSink, reason: str, prompts: AbstractPrompts) -> str:
-    """End the recording; why it could not be finished, empty where it was."""
+def _close(rows: RowSink, reason: str, prompts: AbstractPrompts, notice_time: float) -> str:
+    """End the recording; the reason why it could not be finished, empty where it was."""
 
-    def tell() -> None:
+    def say() -> None:
         with suppress(OSError):  # the terminal may be gone
-            prompts.say(f"The recording is being closed, for {CLOSE_LIMIT:.0f} s at most.")
+            limit = DEFAULT_RECORDER.close_time
+            prompts.say(f"The recording is being closed, for {limit:.0f} s at most.")
 
-    notice = threading.Timer(SLOW_CLOSE, tell)
+    notice = threading.Timer(notice_time, say)
     notice.start()
     try:
         rows.close(reason)
@@ -187,115 +235,202 @@ def _close(rows: RowSink, reason: str, prompts: AbstractPrompts) -> str:
     return ""
 
 
-def _run(
-    procedure: Procedure,
-    link: AbstractLink,
-    clock: AbstractClock,
-    rows: RowSink,
-    prompts: AbstractPrompts,
-    stop: StopRequest,
-    before_motion: Callable[[], None],
-) -> RunReport:
-    log, session = EventLog(rows, clock), Session(link, clock)
-    tick_us = round(procedure.loop.tick * 1e6)
-    ack = session.connect(Hello(tick_us, watchdog_ms(tick_us)), PATIENCE)
-    log.event(Event.CONNECTED, ack.boot_id)
-    try:
+class _Ready(NamedTuple):
+    """A run that is ready for ARM.
+
+    Attributes:
+        ack: Answer of the rig to HELLO.
+        loop: Within the rig's limits.
+        tick: Work of a tick, compiled.
+        statics: zeta [-] by the sinkage at rest [m].
+        zero: Counts at touch-down.
+    """
+
+    ack: HelloAck
+    loop: LoopSetUp
+    tick: AbstractTick
+    statics: Callable[[float], float]
+    zero: TouchdownZero
+
+
+class _Run:
+    """One run, and how far it has come."""
+
+    def __init__(
+        self,
+        procedure: Procedure,
+        link: AbstractLink,
+        clock: AbstractClock,
+        rows: RowSink,
+        prompts: AbstractPrompts,
+        stop: StopRequest,
+    ):
+        self._procedure, self._settings = procedure, procedure.settings
+        self._link, self._clock, self._rows = link, clock, rows
+        self._prompts, self._stop = prompts, stop
+        self._log = EventLog(rows, clock)
+        self._session = Session(link, clock, settings=self._settings.session)
+        self._tick_us = round(procedure.loop.tick * 1e6)
+        self._settled: SettledWheel | None = None
+        self._start: Start | None = None
+        self._looped: LoopReport | None = None
+
+    def make(self, before_motion: Callable[[], None]) -> RunReport:
+        """Make the run."""
+        hello = Hello(self._tick_us, watchdog_ms(self._tick_us))
+        ack = self._session.connect(hello, self._settings.connect_time)
+        self._log.event(Event.CONNECTED, ack.boot_id)
+        try:
+            ready = self._prepare(ack)
+            before_motion()
+        except BaseException:
+            with suppress(LinkLost):
+                self._session.bye()
+            raise
+        standing, shutdown = self._standing_wheel(ready), self._shutdown(ready)
+        reason, rested = "failed", False
+        try:
+            self._stop.uninterruptible = True
+            reason = self._drive(ready, standing)
+        except (RunAborted, RigStopped) as ended:
+            reason = str(ended)
+        except LinkLost as lost:
+            reason = f"link lost: {lost}"
+        finally:
+            rested = self._bring_to_rest(shutdown)
+        return RunReport(
+            reason,
+            self._looped is not None and self._looped.completed,
+            rested,
+            self._settled,
+            self._start,
+            self._looped,
+            self._link.quality(),
+        )
+
+    # Before ARM ---------------------------------------------------------------------------------
+
+    def _prepare(self, ack: HelloAck) -> _Ready:
+        """Check everything, compile what is needed later, and zero the wheel at touch-down."""
+        procedure, prompts, session = self._procedure, self._prompts, self._session
         if ack.state in STOPPED:
             prompts.say(_stopped_before(ack.state))
-        title = procedure.title or procedure.loop.setup.title
         loop = apply_rig_limits(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
-        head = run_log_head(loop, expected, ack, title, procedure.free)
-        rows.require_room(head)
+        head = run_log_head(loop, expected, ack, self._title, procedure.free)
+        self._rows.require_room(head)
         statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
-        conduct = _conduct(loop, procedure.free)
-        if isinstance(conduct, TunedTick):
-            conduct.precompile(expected)
+        tick = _compiled_tick(loop, procedure.free, expected)
         if procedure.zero is ZeroAt.HELD:
             prompts.confirm(
                 "Hold the wheel where its rim just touches the undisturbed sand",
                 session.require_no_rig_stop,
             )
-        zero = touch_down(session, link, clock, ack)
+        zero = touch_down(session, self._link, self._clock, ack, self._settings.touchdown)
         if procedure.zero is ZeroAt.POWER_UP:
             zero = zero._replace(z=0.0)
-        log.event(Event.TOUCHED_DOWN, zero.z)
+        self._log.event(Event.TOUCHED_DOWN, zero.z)
         prompts.confirm(
             "Let the wheel down, so that it rests on the sand by its own weight",
             session.require_no_rig_stop,
         )
         session.require_no_rig_stop()
-        rows.require_room(head)  # again: a question may stay open for long
-        before_motion()
-    except BaseException:
-        with suppress(LinkLost):
-            session.bye()
-        raise
-    valid_ms = watchdog_ms(tick_us)
-    driven = not procedure.free
-    standing = StandingWheel(
-        session, link, clock, stop, loop.tick, driven, valid_ms, prompts.show_sinkage
-    )
-    ramp = loop.commands.omega / loop.ramp
-    rest = Shutdown(session, link, clock, ack, stop, log, standing.hold_command, loop.tick, ramp)
-    settled, start, looped, reason = None, None, None, "failed"
-    rested = False
-    try:
-        stop.uninterruptible = True
+        self._rows.require_room(head)  # again: a question may stay open for long
+        return _Ready(ack, loop, tick, statics, zero)
+
+    @property
+    def _title(self) -> str:
+        return self._procedure.title or self._procedure.loop.setup.title
+
+    def _standing_wheel(self, ready: _Ready) -> StandingWheel:
+        return StandingWheel(
+            self._session,
+            self._link,
+            self._clock,
+            self._stop,
+            ready.loop.tick,
+            not self._procedure.free,
+            watchdog_ms(self._tick_us),
+            self._prompts.show_sinkage,
+            self._settings.settling,
+            self._settings.response,
+        )
+
+    def _shutdown(self, ready: _Ready) -> Shutdown:
+        rest = Drive(0.0, 0.0, not self._procedure.free, watchdog_ms(self._tick_us))
+        return Shutdown(
+            self._session,
+            self._link,
+            self._clock,
+            ready.ack,
+            self._stop,
+            self._log,
+            rest,
+            ready.loop.tick,
+            ready.loop.commands.omega / ready.loop.ramp,
+            self._settings.shutdown,
+            self._settings.response,
+        )
+
+    # From ARM on --------------------------------------------------------------------------------
+
+    def _drive(self, ready: _Ready, standing: StandingWheel) -> str:
+        """Arm, settle, count down and run the loop; the reason of its end."""
+        procedure, prompts, loop, clock = self._procedure, self._prompts, ready.loop, self._clock
         prompts.enter_phase(Phase.SETTLING)
-        session.arm(standing.hold_command)
-        log.event(Event.ARMED)
+        self._session.arm(standing.hold_command)
+        self._log.event(Event.ARMED)
         prompts.say_if_free("Armed. The wheel settles.")
-        settled = standing.settle(zero)
-        log.event(Event.SETTLED, settled.sinkage)
-        start = starting_point(loop, settled, procedure.zeta, procedure.free, statics)
+        settled = self._settled = standing.settle(ready.zero)
+        self._log.event(Event.SETTLED, settled.sinkage)
+        limits = self._settings.start
+        start = self._start = starting_point(
+            loop, settled, procedure.zeta, procedure.free, ready.statics, limits
+        )
         prompts.say_if_free(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
         prompts.enter_phase(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
-        start = Start(standing.hold(began - loop.tick / 2, zero, settled), start.zeta)
-        state = conduct.begin(start)
-        rows.begin(run_log_head(loop, start, ack, title, procedure.free))
-        log.begin(began)
-        ticks = TickLoop(
-            conduct, link, clock, rows, log, stop, zero, ack, procedure.overruns, valid_ms
+        sinkage = standing.hold(began - loop.tick / 2, ready.zero, settled)
+        start = self._start = Start(sinkage, start.zeta)
+        state = ready.tick.begin(start)
+        self._rows.begin(run_log_head(loop, start, ready.ack, self._title, procedure.free))
+        self._log.begin(began)
+        self._looped = self._tick_loop(ready).run(state, began)
+        return self._looped.reason
+
+    def _tick_loop(self, ready: _Ready) -> TickLoop:
+        return TickLoop(
+            ready.tick,
+            self._link,
+            self._clock,
+            self._rows,
+            self._log,
+            self._stop,
+            ready.zero,
+            ready.ack,
+            self._procedure.overruns,
+            watchdog_ms(self._tick_us),
+            self._settings.response,
+            self._settings.ramp,
         )
-        looped = ticks.run(state, began)
-        reason = looped.reason
-    except (RunAborted, RigStopped) as ended:
-        reason = str(ended)
-    except LinkLost as lost:
-        reason = f"link lost: {lost}"
-    finally:
-        rested = _to_rest(session, rest, log, prompts)
-    return RunReport(
-        reason,
-        looped is not None and looped.completed,
-        rested,
-        settled,
-        start,
-        looped,
-        link.quality(),
-    )
 
-
-def _to_rest(session: Session, rest: Shutdown, log: EventLog, prompts: AbstractPrompts) -> bool:
-    """Bring the rig to rest and end the session; nothing that is told meanwhile can prevent it."""
-    try:
+    def _bring_to_rest(self, shutdown: Shutdown) -> bool:
+        """Bring the rig to rest and end the session; no message meanwhile can prevent it."""
         try:
-            session.stop()
-            log.event(Event.STOP_SENT)
-            prompts.enter_phase(Phase.STOPPING)
-        finally:
-            rested = rest.bring_to_rest()
-    except LinkLost:
-        log.note(Event.LINK_LOST)
-        prompts.say("The rig cannot be reached: its own watchdog brings it to rest.")
-        return False
-    log.event(Event.DISCONNECTED)
-    if not rested:
-        prompts.say("The rig has not confirmed that it rests: use its emergency stop.")
-    return rested
+            try:
+                self._session.stop()
+                self._log.event(Event.STOP_SENT)
+                self._prompts.enter_phase(Phase.STOPPING)
+            finally:
+                rested = shutdown.bring_to_rest()
+        except LinkLost:
+            self._log.note(Event.LINK_LOST)
+            self._prompts.say("The rig cannot be reached: its own watchdog brings it to rest.")
+            return False
+        self._log.event(Event.DISCONNECTED)
+        if not rested:
+            self._prompts.say("The rig has not confirmed that it rests: use its emergency stop.")
+        return rested
 
 
 def _stopped_before(state: RigState) -> str:
@@ -304,12 +439,16 @@ def _stopped_before(state: RigState) -> str:
     return "The rig was SAFE before this run; ARM lets it move again."
 
 
-def _conduct(loop: LoopSetUp, free: bool) -> AbstractTick:
-    return FreeTick(loop) if free else TunedTick(shared_physics(loop))
+def _compiled_tick(loop: LoopSetUp, free: bool, expected: Start) -> AbstractTick:
+    if free:
+        return FreeTick(loop)
+    tick = TunedTick(shared_physics(loop))
+    tick.precompile(expected)
+    return tick
 
 
 def _at_rest(procedure: Procedure, start: Start) -> str:
-    if procedure.free and start.sinkage < LEAST_SINKAGE:
+    if procedure.free and start.sinkage < procedure.settings.start.min_sinkage:
         return "At rest in the air"
     depth = f"At rest {start.sinkage * 1e3:.2f} mm deep"
     return depth if procedure.free else f"{depth}, zeta(0) {start.zeta:.4f}"

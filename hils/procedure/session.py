@@ -3,6 +3,7 @@
 import math
 import secrets
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
@@ -25,24 +26,34 @@ from hils.link.messages import (
 )
 from hils.link.timing import watchdog_us
 
-TRIES = 5
-
-
-GAP = 0.05  # from one try to the next [s]
-
-
-LARGEST_SCALE = 1.0  # metres a count
-
-
 STOPPED = (RigState.SAFE, RigState.FAULT)
 
 
+@dataclass(frozen=True)
+class SessionSettings:
+    """Deadlines of a session, and the rigs that it takes.
+
+    Attributes:
+        tries: Times that a message is sent before its answer counts as missing; five by
+            docs/wire.md.
+        interval: From one try to the next [s]; 50 ms by docs/wire.md.
+        max_scale: Metres a count over which a rig's scale cannot be right.
+    """
+
+    tries: int = 5
+    interval: float = 0.05
+    max_scale: float = 1.0
+
+
+DEFAULT_SESSION = SessionSettings()
+
+
 class RigStopped(InputError):
-    """The rig ended the run by itself; the message says how it told so."""
+    """The rig ended the run by itself; the message says in which words."""
 
 
 def draw_session_number() -> int:
-    """A session number at random, never zero: a rig that knows no session may send zero."""
+    """Draw a session number at random, never zero: a rig that knows no session may send zero."""
     return 1 + secrets.randbelow(0xFFFF)
 
 
@@ -51,8 +62,9 @@ class Session:
 
     Args:
         link: To the rig.
-        clock: What deadlines are held by.
+        clock: Of the deadlines.
         number: Draws a session number for each HELLO.
+        settings: Deadlines, and the rigs that are taken.
     """
 
     def __init__(
@@ -60,27 +72,31 @@ class Session:
         link: AbstractLink,
         clock: AbstractClock,
         number: Callable[[], int] = draw_session_number,
+        settings: SessionSettings = DEFAULT_SESSION,
     ):
-        self._link, self._clock, self._number = link, clock, number
+        self._link, self._clock, self._number, self._settings = link, clock, number, settings
         self._hello: Hello | None = None
         self._ack: HelloAck | None = None
         self._armed_by: Arrival | None = None
-        self._said: StateReport | None = None
-        self._halted: EmergencyStop | None = None
+        self._last_state: StateReport | None = None
+        self._rig_stop: EmergencyStop | None = None
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
-        """Open a session: HELLO up to five times, 50 ms apart.
+        """Open a session: HELLO up to five times, 50 ms apart (docs/wire.md).
 
         Args:
-            hello: What to say.
+            hello: The first message of the session.
             patience: Time [s] over which the five tries are made again, for a rig that restarts
                 when its port is opened.
+
+        Returns:
+            Identity, scales and limits of the rig.
 
         Raises:
             InputError: nothing answers, or what answers cannot be driven safely.
             LinkLost: the line broke.
         """
-        self._halted = None
+        self._rig_stop = None
         until = self._clock.now() + patience
         before = self._link.quality()
         while True:
@@ -90,10 +106,10 @@ class Session:
             if answer is not None:
                 break
             if self._clock.now() >= until:
-                raise InputError(_silence(self._link.name, before, self._link.quality()))
+                raise InputError(self._no_answer(before))
         assert isinstance(answer.frame.message, HelloAck)
         self._hello, self._ack = hello, answer.frame.message
-        _require_usable(self._link.name, hello, self._ack)
+        _require_usable(self._link.name, hello, self._ack, self._settings.max_scale)
         return self._ack
 
     def arm(self, hold: Drive) -> None:
@@ -101,7 +117,7 @@ class Session:
 
         A rig may count its watchdog from ARM on, so `hold` is sent each tick while its answer is
         on the way; the caller goes on sending commands as soon as this returns. A rig that is
-        SAFE, which by then it may be for want of commands, is greeted anew once.
+        SAFE, which by then it may be for want of commands, gets one more HELLO.
 
         Args:
             hold: The command at rest.
@@ -111,25 +127,25 @@ class Session:
             LinkLost: the line broke.
         """
         hello, ack = self._require_open()
-        for greeting in (False, True):
+        for again in (False, True):
             self.require_no_rig_stop()
-            if greeting:
-                self._greet_anew(hello, ack)
-            self._said = None
-            self._armed_by = self._ask(Arm(), _says_ready, hold, hello.tick_us * 1e-6)
+            if again:
+                self._reconnect(hello, ack)
+            self._last_state = None
+            self._armed_by = self._ask(Arm(), _is_ready, hold, hello.tick_us * 1e-6)
             self.require_no_rig_stop()
             if self._armed_by is not None:
                 return
-            if self._said is None or self._said.state is RigState.FAULT:
+            if self._last_state is None or self._last_state.state is RigState.FAULT:
                 break
         self._require_same_boot(ack)
-        raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+        raise InputError(self._not_armed(ack))
 
     def require_no_rig_stop(self) -> None:
         """Refuse to go on with a rig that made an emergency stop of its own since HELLO.
 
-        It is answered by one of the same reason. A HELLO would let the rig move again, so whoever
-        makes a new session must ask this before.
+        It is answered by one of the same reason. A HELLO would let the rig move again, so this is
+        to be called before a new session.
 
         Raises:
             InputError: the rig made one.
@@ -137,12 +153,12 @@ class Session:
         """
         _, ack = self._require_open()
         self._reports()
-        if self._halted is None:
+        if self._rig_stop is None:
             return
-        halted, self._armed_by = self._halted, None
+        halted, self._armed_by = self._rig_stop, None
         self.emergency_stop(halted.reason)
-        if self._said is not None and self._said.state is RigState.FAULT:
-            raise InputError(_unready(self._link.name, self._said, ack.rig_id))
+        if self._last_state is not None and self._last_state.state is RigState.FAULT:
+            raise InputError(self._not_armed(ack))
         raise InputError(
             f"the rig on {self._link.name} made an emergency stop, "
             f"{reason_in_words(ack.rig_id, halted.reason)}: release it and start again"
@@ -151,10 +167,10 @@ class Session:
     @property
     def rig_stop(self) -> EmergencyStop | None:
         """The last emergency stop that came while this waited for an answer, since HELLO."""
-        return self._halted
+        return self._rig_stop
 
     def check(self) -> list[Arrival]:
-        """What the rig reported since the last call; once armed, refuse if it is no longer.
+        """Take the reports of the rig since the last call; once armed, refuse if it is no longer.
 
         An emergency stop of the rig's own is answered by one of the same reason.
 
@@ -164,10 +180,10 @@ class Session:
         """
         _, ack = self._require_open()
         reports = self._link.reports()
-        stranger = self._link.quality().foreign_state
+        foreign = self._link.quality().foreign_state
         heard = [each.frame.message for each in reports]
-        if stranger is not None:
-            heard.append(stranger)
+        if foreign is not None:
+            heard.append(foreign)
         for message in heard:
             if isinstance(message, HelloAck | StateReport) and message.boot_id != ack.boot_id:
                 raise RigStopped(f"the rig on {self._link.name} was reset during the run")
@@ -191,14 +207,14 @@ class Session:
         """Ask the rig to rest at once, up to five times, 50 ms apart.
 
         Returns:
-            Whether the rig said that it is SAFE; where it did not, its watchdog has to make it so.
+            True where the rig answered that it is SAFE; else its watchdog has to make it so.
         """
-        return self._ask(EmergencyStop(reason), _says_stopped) is not None
+        return self._ask(EmergencyStop(reason), _is_stopped) is not None
 
     def require_not_reset(self) -> None:
-        """Where a rig before ARM sends nothing any more: refuse one that was reset since HELLO.
+        """Refuse a rig that was reset since HELLO, where it sends nothing any more before ARM.
 
-        It is taken leave of, which a rig that knows no session answers with its boot number.
+        It is sent BYE, which a rig that knows no session answers with its boot number.
 
         Raises:
             InputError: it was reset.
@@ -212,19 +228,23 @@ class Session:
         """End the session, and give the rig a moment to take it in."""
         now = self._clock.now()
         self._link.send(Bye())
-        self._await(lambda each: isinstance(each.frame.message, StateReport), now, now + GAP)
+        self._wait_for_answer(
+            lambda each: isinstance(each.frame.message, StateReport),
+            now,
+            now + self._settings.interval,
+        )
         self._armed_by = None
 
-    def _greet_anew(self, hello: Hello, ack: HelloAck) -> None:
+    def _reconnect(self, hello: Hello, ack: HelloAck) -> None:
         if self.connect(hello).boot_id != ack.boot_id:
             raise RigStopped(f"the rig on {self._link.name} was reset before it was armed")
-        # What it said before it heard this HELLO has come before its answer.
-        self._halted = self._halted or self._link.quality().foreign_stop
+        # Its words from before this HELLO have come before its answer.
+        self._rig_stop = self._rig_stop or self._link.quality().foreign_stop
         self.require_no_rig_stop()
 
     def _require_same_boot(self, ack: HelloAck) -> None:
-        stranger = self._link.quality().foreign_state
-        if stranger is not None and stranger.boot_id != ack.boot_id:
+        foreign = self._link.quality().foreign_state
+        if foreign is not None and foreign.boot_id != ack.boot_id:
             raise InputError(
                 f"the rig on {self._link.name} was reset before it was armed: start again"
             )
@@ -255,25 +275,25 @@ class Session:
         hold: Drive | None = None,
         tick: float = math.inf,
     ) -> Arrival | None:
-        """Say it until something answers it, or all tries are over.
+        """Send a message until something answers it, or all tries are over.
 
-        What had come before it was said is no answer; a measurement of that very instant neither.
+        Nothing that came before the first try is an answer, nor a measurement of that instant.
         """
         start = self._clock.now()
-        for number in range(1, TRIES + 1):
+        for number in range(1, self._settings.tries + 1):
             self._link.send(message)
-            deadline = start + number * GAP
+            deadline = start + number * self._settings.interval
             while (now := self._clock.now()) < deadline:
                 if hold is not None:
                     self._link.send(hold)
                 until = min(deadline, now + tick)
-                if (answer := self._await(answers, start, until)) is not None:
+                if (answer := self._wait_for_answer(answers, start, until)) is not None:
                     return answer
-                if self._halted is not None and isinstance(message, Arm):
+                if self._rig_stop is not None and isinstance(message, Arm):
                     return None
         return None
 
-    def _await(
+    def _wait_for_answer(
         self, answers: Callable[[Arrival], bool], since: float, deadline: float
     ) -> Arrival | None:
         while True:
@@ -287,31 +307,57 @@ class Session:
                 return None
 
     def _reports(self) -> list[Arrival]:
-        """What the rig reported since the last call, all of it noted."""
+        """Take the reports of the rig since the last call, and keep its state and its stops."""
         reports = self._link.reports()
         for each in reports:
             message = each.frame.message
             if isinstance(message, StateReport):
-                self._said = message
+                self._last_state = message
             if isinstance(message, EmergencyStop):
-                self._halted = message
+                self._rig_stop = message
         return reports
+
+    def _no_answer(self, before: LinkQuality) -> str:
+        """Sentence for a port at which no rig answers, by the traffic since `before`."""
+        tries, interval = self._settings.tries, self._settings.interval * 1e3
+        name, after = self._link.name, self._link.quality()
+        asked = f"no rig on {name} answers HELLO ({tries} tries, {interval:.0f} ms apart)"
+        got = after.bytes_received - before.bytes_received
+        if got == 0:
+            return (
+                f"{asked}, not a byte came back: is the rig on, and is this its port? One that "
+                "counts on over sessions drops a host whose clock was set back: switch it off and "
+                "on"
+            )
+        new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
+        causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
+        listed = f" ({causes})" if causes else ""
+        return f"{asked}, though {got} bytes came{listed}: is the baud rate the rig's, is it a rig?"
+
+    def _not_armed(self, ack: HelloAck) -> str:
+        """Sentence for a rig that did not get ready after ARM."""
+        name, state = self._link.name, self._last_state
+        if state is None:
+            tries, interval = self._settings.tries, self._settings.interval * 1e3
+            return f"the rig on {name} does not answer ARM ({tries} tries, {interval:.0f} ms apart)"
+        reason = reason_in_words(ack.rig_id, state.reason)
+        return f"the rig on {name} is not armed: it says {state.state.name}, {reason}"
 
 
 def _state(arrival: Arrival) -> RigState | None:
     return getattr(arrival.frame.message, "state", None)
 
 
-def _says_ready(arrival: Arrival) -> bool:
+def _is_ready(arrival: Arrival) -> bool:
     """STATE answers ARM; so does a measurement that already says that the rig is ready."""
     return not isinstance(arrival.frame.message, HelloAck) and _state(arrival) in READY
 
 
-def _says_stopped(arrival: Arrival) -> bool:
+def _is_stopped(arrival: Arrival) -> bool:
     return isinstance(arrival.frame.message, EmergencyStop) or _state(arrival) in STOPPED
 
 
-def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
+def _require_usable(name: str, hello: Hello, ack: HelloAck, max_scale: float) -> None:
     due_us = watchdog_us(hello.tick_us)
     scales = [ack.z_scale, ack.x_scale]
     limits = [ack.omega_max, ack.vx_max]
@@ -319,12 +365,12 @@ def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
         raise InputError(
             f"the rig on {name} speaks schema 0x{ack.schema:08x}, must be 0x{SCHEMA:08x}"
         )
-    if not all(math.isfinite(each) and abs(each) < LARGEST_SCALE for each in scales) or (
+    if not all(math.isfinite(each) and abs(each) < max_scale for each in scales) or (
         ack.z_scale == 0.0
     ):
         raise InputError(
             f"the rig on {name} says z_scale {ack.z_scale:.4g} and x_scale {ack.x_scale:.4g} m a "
-            f"count, must be finite, below {LARGEST_SCALE:g} m, and that of z not zero"
+            f"count, must be finite, below {max_scale:g} m, and that of z not zero"
         )
     if not all(math.isfinite(each) and each >= 0.0 for each in limits) or ack.omega_max == 0.0:
         raise InputError(
@@ -337,24 +383,3 @@ def _require_usable(name: str, hello: Hello, ack: HelloAck) -> None:
             f"the rig on {name} has a watchdog of {ack.watchdog_ms} ms, must be max(20 ms, "
             f"5 ticks) = {due_us / 1000:g} ms, or up to twice that"
         )
-
-
-def _silence(name: str, before: LinkQuality, after: LinkQuality) -> str:
-    asked = f"no rig on {name} answers HELLO ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
-    got = after.bytes_received - before.bytes_received
-    if got == 0:
-        return (
-            f"{asked}, not a byte came back: is the rig on, and is this its port? One that counts "
-            "on over sessions drops a host whose clock was set back: switch it off and on"
-        )
-    new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
-    causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
-    told = f" ({causes})" if causes else ""
-    return f"{asked}, though {got} bytes came{told}: is the baud rate the rig's, is it a rig?"
-
-
-def _unready(name: str, said: StateReport | None, rig_id: int) -> str:
-    if said is None:
-        return f"the rig on {name} does not answer ARM ({TRIES} tries, {GAP * 1e3:.0f} ms apart)"
-    reason = reason_in_words(rig_id, said.reason)
-    return f"the rig on {name} is not armed: it says {said.state.name}, {reason}"

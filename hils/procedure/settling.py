@@ -5,38 +5,69 @@ From ARM on a command to stand goes out on each tick, because the rig's watchdog
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
-from hils.control.measurements import TouchdownZero, longest_silence
+from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings, TouchdownZero
 from hils.control.stop_request import StopRequest
 from hils.link.link import AbstractLink, Arrival
 from hils.link.messages import Drive, HelloAck, Measurement
 from hils.procedure.session import Session
 
-# Touch-down is averaged over this time [s]. Where fewer readings came than it needs, as to a host
-# that was busy elsewhere, it goes on until they have, for so long at most.
-TOUCH_DOWN_TIME, LONGEST_TOUCH_DOWN, TOUCH_DOWN_READINGS = 0.5, 2.0, 8
+
+@dataclass(frozen=True)
+class TouchdownSettings:
+    """Zeroing of a wheel that is held where it touches the sand.
+
+    Attributes:
+        averaging_time: Time over which the counts are averaged [s].
+        min_readings: Readings that the average needs; where fewer came, as to a host that was busy
+            elsewhere, it goes on until they have.
+        longest_time: Time after which it gives up [s].
+        max_noise: Standard deviation of the height under which the wheel counts as held still [m].
+    """
+
+    averaging_time: float = 0.5
+    min_readings: int = 8
+    longest_time: float = 2.0
+    max_noise: float = 3e-4
+
+    def duration(self, readings: int) -> float:
+        """Time for which the wheel is watched [s], by the readings that have come."""
+        return self.averaging_time if readings >= self.min_readings else self.longest_time
 
 
-# Standard deviation of the height under which the wheel counts as held still [m].
-HELD_STILL = 3e-4
+DEFAULT_TOUCHDOWN = TouchdownSettings()
 
 
-# The wheel is left alone at least so long [s]. It has settled where the mean height changes by less
-# from one window to the next [m]. Sand goes on creeping, so what it stands on at the start is told
-# again from the last of these windows.
-LEAST_SETTLING, SETTLING_WINDOW, SETTLED = 2.0, 0.3, 1e-4
+@dataclass(frozen=True)
+class SettlingSettings:
+    """Settling of the wheel on the sand, and its creep until the start.
+
+    Attributes:
+        min_time: Time for which the wheel is left alone, at least [s].
+        window: Length of the two windows, one after the other, whose median heights are compared
+            [s]. Sand goes on creeping, so the sinkage at the start is measured again over the last
+            window before it.
+        max_change: Change of the height from one window to the next under which the wheel has
+            settled [m].
+        longest_time: Time after which it gives up [s].
+        max_creep: Change of the height between rest and start that is believed [m].
+    """
+
+    min_time: float = 2.0
+    window: float = 0.3
+    max_change: float = 1e-4
+    longest_time: float = 20.0
+    max_creep: float = 2e-3
 
 
-LONGEST_SETTLING = 20.0
-
-
-# Between rest and start the wheel creeps by no more than this [m].
-MOST_CREPT = 2e-3
+DEFAULT_SETTLING = SettlingSettings()
 
 
 class RunAborted(Exception):
@@ -49,7 +80,7 @@ class SettledWheel(NamedTuple):
     Attributes:
         sinkage: H_static [m].
         noise: Standard deviation of a reading [m].
-        creep: How fast it still sank [m/s].
+        creep: Speed at which it still sank [m/s].
     """
 
     sinkage: float
@@ -58,17 +89,22 @@ class SettledWheel(NamedTuple):
 
 
 def touch_down(
-    session: Session, link: AbstractLink, clock: AbstractClock, ack: HelloAck
+    session: Session,
+    link: AbstractLink,
+    clock: AbstractClock,
+    ack: HelloAck,
+    settings: TouchdownSettings = DEFAULT_TOUCHDOWN,
 ) -> TouchdownZero:
-    """The counts of a wheel that is held where it just touches the sand.
+    """Average the counts of a wheel that is held where it just touches the sand.
 
     Raises:
-        InputError: where the rig does not measure or has stopped, or the wheel is not held still.
+        InputError: the rig does not measure or has stopped, or the wheel is not held still.
+        LinkLost: the line broke.
     """
-    heights, places = [], []
+    heights, travels = [], []
     begun = clock.now()
     last = _time_of(link.newest())
-    while (deadline := begun + _lasts(len(heights))) > clock.now():
+    while (deadline := begun + settings.duration(len(heights))) > clock.now():
         link.wait(deadline)
         session.require_no_rig_stop()
         arrival = link.newest()
@@ -80,26 +116,21 @@ def touch_down(
         if measurement.fault:
             raise InputError(f"{link.name}: the rig reports fault {measurement.fault}")
         heights.append(measurement.z)
-        places.append(measurement.x)
-    if len(heights) < TOUCH_DOWN_READINGS:
+        travels.append(measurement.x)
+    if len(heights) < settings.min_readings:
         session.require_not_reset()
         raise InputError(
-            f"{link.name}: {len(heights)} measurements came in {LONGEST_TOUCH_DOWN:g} s while the "
-            f"wheel was held at touch-down, needs {TOUCH_DOWN_READINGS}; a rig at rest sends one "
-            "each 20 ms"
+            f"{link.name}: {len(heights)} measurements came in {settings.longest_time:g} s while "
+            f"the wheel was held at touch-down, needs {settings.min_readings}; a rig at rest sends "
+            "one each 20 ms"
         )
-    spread = float(np.std(heights)) * abs(ack.z_scale)
-    if spread > HELD_STILL:
+    noise = float(np.std(heights)) * abs(ack.z_scale)
+    if noise > settings.max_noise:
         raise InputError(
-            f"the height varies by {spread * 1e3:.2f} mm (standard deviation) while the wheel is "
-            f"held at touch-down, must be under {HELD_STILL * 1e3:g} mm: hold it still"
+            f"the height varies by {noise * 1e3:.2f} mm (standard deviation) while the wheel is "
+            f"held at touch-down, must be under {settings.max_noise * 1e3:g} mm: hold it still"
         )
-    return TouchdownZero(float(np.mean(places)), float(np.mean(heights)), ack.x_scale, ack.z_scale)
-
-
-def _lasts(readings: int) -> float:
-    """How long touch-down is watched, with so many readings [s]."""
-    return TOUCH_DOWN_TIME if readings >= TOUCH_DOWN_READINGS else LONGEST_TOUCH_DOWN
+    return TouchdownZero(float(np.mean(travels)), float(np.mean(heights)), ack.x_scale, ack.z_scale)
 
 
 class StandingWheel:
@@ -108,14 +139,16 @@ class StandingWheel:
     Args:
         session: Once it is armed.
         link, clock: The rig.
-        stop: Looked at on each tick.
+        stop: Requests to end the run, checked on each tick.
         tick: Time from one command to the next [s].
-        driven: Whether the carriage is held; else it is free.
-        valid_ms: How long the rig may hold a command [ms].
+        driven: True where the carriage is held; else it is free.
+        valid_ms: Time for which the rig may hold a command [ms].
         show: Takes each sinkage measured [m], without waiting.
+        settings: Settling and creep.
+        response: Patience with a silent rig.
 
     Attributes:
-        rest: The command to stand.
+        hold_command: The command to stand.
     """
 
     def __init__(
@@ -128,44 +161,58 @@ class StandingWheel:
         driven: bool,
         valid_ms: int,
         show: Callable[[float], None],
+        settings: SettlingSettings = DEFAULT_SETTLING,
+        response: ResponseSettings = DEFAULT_RESPONSE,
     ):
         self._link, self._clock, self._stop = link, clock, stop
         self._session, self._tick, self._show = session, tick, show
+        self._settings, self._longest_silence = settings, response.longest_silence(tick)
         self.hold_command = Drive(0.0, 0.0, driven, valid_ms)
-        self._due = self._heard = clock.now()
 
     def settle(self, zero: TouchdownZero) -> SettledWheel:
         """Wait until the wheel rests on the sand.
 
         Raises:
             InputError: it does not come to rest.
+            RunAborted: the run is asked to end, or the rig is silent or at fault.
+            RigStopped: the rig no longer follows.
+            LinkLost: the line broke.
         """
-        began = self._clock.now()
+        settings, began = self._settings, self._clock.now()
         times: list[float] = []
         heights: list[float] = []
         creep = math.nan
-        for arrival in self._beats(began + LONGEST_SETTLING):
+        for arrival in self._command_each_tick(began + settings.longest_time):
             if arrival is None:
                 continue
             times.append(arrival.time)
             heights.append(self._height(arrival, zero))
-            if arrival.time - began < LEAST_SETTLING:
+            if arrival.time - began < settings.min_time:
                 continue
-            time, height = np.array(times), np.array(heights)
-            late = time > arrival.time - SETTLING_WINDOW
-            before = (time > arrival.time - 2 * SETTLING_WINDOW) & ~late
-            if before.sum() < 3 or late.sum() < 3:
+            windows = self._last_windows(np.array(times), np.array(heights))
+            if windows is None:
                 continue
+            before, late = windows
             # Medians: an absurd reading or two say nothing.
-            sunk = float(np.median(height[before]) - np.median(height[late]))
-            creep = sunk / SETTLING_WINDOW
-            noise = float(height[late].std())
-            if abs(sunk) < SETTLED:
-                return SettledWheel(-float(np.median(height[late])), noise, creep)
+            sunk = float(np.median(before) - np.median(late))
+            creep = sunk / settings.window
+            if abs(sunk) < settings.max_change:
+                return SettledWheel(-float(np.median(late)), float(late.std()), creep)
         raise InputError(
-            f"the wheel has not come to rest in {LONGEST_SETTLING:g} s: it still sinks by "
+            f"the wheel has not come to rest in {settings.longest_time:g} s: it still sinks by "
             f"{creep * 1e3:.2g} mm/s"
         )
+
+    def _last_windows(
+        self, time: NDArray[np.float64], height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Heights in the last window but one and in the last, where each holds three or more."""
+        window = self._settings.window
+        late = time > time[-1] - window
+        before = (time > time[-1] - 2 * window) & ~late
+        if before.sum() < 3 or late.sum() < 3:
+            return None
+        return height[before], height[late]
 
     def hold(self, until: float, zero: TouchdownZero, settled: SettledWheel) -> float:
         """Stand until this time [s].
@@ -174,49 +221,50 @@ class StandingWheel:
             Median sinkage over the last of it [m].
 
         Raises:
-            Ended: the wheel has not stayed where it had settled.
+            RunAborted: the wheel has not stayed where it had settled, or as `settle`.
+            RigStopped: the rig no longer follows.
+            LinkLost: the line broke.
         """
         heights = []
-        for arrival in self._beats(until):
+        for arrival in self._command_each_tick(until):
             if arrival is None:
                 continue
             height = self._height(arrival, zero)
-            if arrival.time > until - SETTLING_WINDOW:
+            if arrival.time > until - self._settings.window:
                 heights.append(height)
         sinkage = -float(np.median(heights)) if heights else settled.sinkage
-        sunk = sinkage - settled.sinkage
-        if not abs(sunk) <= MOST_CREPT:
+        sunk, most = sinkage - settled.sinkage, self._settings.max_creep
+        if not abs(sunk) <= most:
             raise RunAborted(
                 f"the height has changed by {-sunk * 1e3:.4g} mm between rest and start, "
-                f"{MOST_CREPT * 1e3:g} mm at most are believed"
+                f"{most * 1e3:g} mm at most are believed"
             )
         return sinkage
 
-    def _beats(self, until: float) -> Iterator[Arrival | None]:
-        """A command to stand on each tick; what the rig has newly measured, or None.
+    def _command_each_tick(self, until: float) -> Iterator[Arrival | None]:
+        """Command to stand on each tick; the rig's new measurement, or None.
 
         Raises:
-            Ended: the run is asked to end, or the rig is silent or at fault.
+            RunAborted: the run is asked to end, or the rig is silent or at fault.
             RigStopped: the rig no longer follows.
         """
         seen = _time_of(self._link.newest())
-        self._due = self._heard = self._clock.now()
+        due = heard = self._clock.now()
         while self._clock.now() < until:
             if self._stop.first_reason is not None:
                 raise RunAborted(self._stop.reason)
             self._link.send(self.hold_command)
-            self._due += self._tick
-            if self._due < self._clock.now():  # late: no burst of commands to catch up
-                self._due = self._clock.now()
-            self._clock.sleep_until(self._due)
+            # Where it is late: no burst of commands to catch up.
+            due = max(due + self._tick, self._clock.now())
+            self._clock.sleep_until(due)
             self._session.check()
             arrival = self._link.newest()
             fresh = arrival is not None and arrival.time != seen
             if arrival is not None and fresh:
-                seen = self._heard = arrival.time
-                self._look_at(arrival)
-            silent = self._clock.now() - self._heard
-            if silent > longest_silence(self._tick):
+                seen = heard = arrival.time
+                _require_no_fault(arrival)
+            silent = self._clock.now() - heard
+            if silent > self._longest_silence:
                 raise RunAborted(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 
@@ -227,11 +275,12 @@ class StandingWheel:
         self._show(-height)
         return height
 
-    def _look_at(self, arrival: Arrival) -> None:
-        measurement = arrival.frame.message
-        assert isinstance(measurement, Measurement)
-        if measurement.fault:
-            raise RunAborted(f"the rig reports fault {measurement.fault}")
+
+def _require_no_fault(arrival: Arrival) -> None:
+    measurement = arrival.frame.message
+    assert isinstance(measurement, Measurement)
+    if measurement.fault:
+        raise RunAborted(f"the rig reports fault {measurement.fault}")
 
 
 def _time_of(arrival: Arrival | None) -> float:

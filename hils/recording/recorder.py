@@ -8,15 +8,14 @@ rig to rest. Rows go on into a pipe that has room, for a recorder that comes to 
 are dropped.
 """
 
-import fcntl
 import os
 import selectors
 import signal
 import subprocess
 import sys
-import termios
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 from typing import Final
@@ -29,42 +28,32 @@ from drftjax.runlog.header import Head
 from drftjax.runlog.recording_lock import part_path, require_free, require_place
 from hils.recording.row_stream import Kind, OnlineRow, pack_end, pack_head, row_packer
 
-PIPE_BYTES: Final = 2**20
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """Pipe to the recorder, and patience with it.
+
+    Attributes:
+        pipe_bytes: Size of the pipe, where the system allows it; 1 MiB holds 6 s of a run at 1 kHz.
+        head_reserve: Bytes of the pipe that are kept for the first rows, and for numbers of the
+            head that may become longer in the end.
+        check_interval: From one look at the pipe to the next [s].
+        max_idle_checks: Looks in a row at which the recorder had taken nothing, after which it is
+            lost. Looks are counted, not seconds: a computer that was asleep is no recorder that
+            hangs. Nor is a slow disk: the recorder syncs in a thread, and reads meanwhile.
+        start_time: Time in which the recorder must have made its file [s].
+        close_time: Time in which the recorder must have closed it [s].
+    """
+
+    pipe_bytes: int = 2**20
+    head_reserve: int = 2**12
+    check_interval: float = 0.25
+    max_idle_checks: int = 16
+    start_time: float = 30.0
+    close_time: float = 120.0
 
 
-"""What the pipe holds, where the system allows it: 6 s of a run at 1 kHz."""
-
-
-LOOK_EVERY: Final = 0.25
-
-
-"""From one look at what the pipe holds to the next [s]."""
-
-
-MOST_LOOKS: Final = 16
-
-
-"""A recorder that took nothing from one look to the next, so many times in a row, counts as lost.
-Looks are counted, not seconds: a computer that was asleep is no recorder that hangs. Nor is a slow
-disk: the recorder syncs in a thread, and reads meanwhile."""
-
-
-HEAD_RESERVE: Final = 2**12
-
-
-"""Of the pipe, for what the head's numbers may be longer in the end, and the first rows [bytes]."""
-
-
-START_LIMIT: Final = 30.0
-
-
-"""Time in which the recorder must have made its file [s]."""
-
-
-CLOSE_LIMIT: Final = 120.0
-
-
-"""Time in which the recorder must have closed it [s]."""
+DEFAULT_RECORDER = RecorderSettings()
 
 
 _START: Final = program("hils.recording.recorder_process", "main")
@@ -75,6 +64,9 @@ _UNASKED: Final = "ended unasked"
 
 def _waiting(pipe: int) -> int:
     """Bytes that nobody has taken from the pipe yet; 0 where the system does not tell."""
+    import fcntl
+    import termios
+
     with suppress(OSError):
         return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
     return 0
@@ -87,21 +79,30 @@ class Recorder:
     run's start, increasing within each kind of row.
     """
 
-    def __init__(self, path: str | Path, head: Head | None = None):
+    def __init__(
+        self,
+        path: str | Path,
+        head: Head | None = None,
+        settings: RecorderSettings = DEFAULT_RECORDER,
+    ):
         """Start the recorder and wait until it is there, some tenths of a second.
 
         Args:
             path: The run log's final name, ending in .h5; nothing may stand there.
             head: All that is known before the first row; None where `begin` brings it.
+            settings: Pipe and patience.
 
         Raises:
             InputError: The file cannot be made there.
         """
+        import fcntl
+
+        self._settings = settings
         self.path = Path(path)
         self._lost: str | None = None
         self._begun = self._full = self._hangs = self._closed = False
-        self._written = self._taken = self._looks = 0
-        self._look_at = 0.0
+        self._written = self._taken = self._idle_checks = 0
+        self._check_at = 0.0
         self._answers = b""
         self._command: Struct
         self._measured: Struct
@@ -112,7 +113,7 @@ class Recorder:
         try:
             os.set_blocking(self._pipe, False)
             with suppress(OSError, AttributeError):  # not every system lets its pipes grow
-                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, settings.pipe_bytes)
             self._process = subprocess.Popen(
                 [sys.executable, "-I", "-c", _START, str(self.path.absolute())],
                 stdin=taken,
@@ -126,25 +127,27 @@ class Recorder:
         finally:
             os.close(taken)
         try:
-            self._await("ready", START_LIMIT)
+            self._await("ready", settings.start_time)
             if head is not None:
                 self.begin(head)
-                self._await("begun", START_LIMIT)
+                self._await("begun", settings.start_time)
         except BaseException:
             self._closed = True
-            self._let_go()
+            self._release()
             raise
 
     def require_room(self, head: Head) -> None:
         """Refuse a head that the pipe cannot take at once, before anything moves.
 
         Raises:
-            InputError: how large it is, and how large it may be. Or the recorder has ended, its
+            InputError: it is larger than the pipe takes. Or the recorder has ended, its
                 file was moved or removed, or the disk has filled since it started.
         """
+        import fcntl
+
         self._require_at_work()
         try:
-            most = fcntl.fcntl(self._pipe, fcntl.F_GETPIPE_SZ) - HEAD_RESERVE
+            most = fcntl.fcntl(self._pipe, fcntl.F_GETPIPE_SZ) - self._settings.head_reserve
         except (OSError, AttributeError):  # not every system tells
             return
         size = len(pack_head(head))
@@ -178,12 +181,12 @@ class Recorder:
 
     @property
     def alive(self) -> bool:
-        """Whether every row so far has been handed over."""
+        """True while every row so far has been handed over."""
         return self._lost is None
 
     @property
     def reason(self) -> str | None:
-        """Why the recorder is lost, in a sentence without its subject; None while it lives."""
+        """Reason why the recorder is lost, a sentence without its subject; None while it lives."""
         return self._lost
 
     @property
@@ -192,22 +195,22 @@ class Recorder:
         return self._process.pid
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
-        """What was asked of the rig [s, rad/s, m/s]; vx where the head says driven."""
+        """Record a command [s, rad/s, m/s]; vx where the carriage is driven."""
         if vx is None:
             self._put(self._command.pack(Kind.COMMAND, time, omega))
         else:
             self._put(self._command.pack(Kind.COMMAND, time, omega, vx))
 
     def measured(self, time: float, *values: float) -> None:
-        """A reading: its time [s] and the head's channels in their order, x and z as a rule [m]."""
+        """Record a reading: its time [s] and the head's channels in order, usually x and z [m]."""
         self._put(self._measured.pack(Kind.MEASURED, time, *values))
 
     def online(self, row: OnlineRow) -> None:
-        """One tick."""
+        """Record a tick."""
         self._put(self._online.pack(Kind.ONLINE, *row))
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
-        """Something beside the ticks: a `hils.events.Event` and the number that goes with it."""
+        """Record an event beside the ticks: a `hils.events.Event` and its number."""
         self._put(self._event.pack(Kind.EVENTS, time, code, arg))
 
     def close(self, end_reason: str) -> Path | None:
@@ -226,17 +229,17 @@ class Recorder:
         if self._closed:
             return self.path if self.path.exists() else None
         self._closed = True
-        deadline = time.monotonic() + CLOSE_LIMIT
+        deadline = time.monotonic() + self._settings.close_time
         try:
             # An end before the head would be taken for the head's length.
             if self._begun and (self._lost is None or self._full or self._hangs):
                 self._deliver(pack_end(end_reason), deadline)
-            self._let_go_of_pipe()
+            self._close_pipe()
             self._await("closed", max(0.0, deadline - time.monotonic()))
             if self._lost is not None:
                 raise self._failure(self._lost)
         finally:
-            self._let_go()
+            self._release()
         return self.path if self.path.exists() else None
 
     def _put(self, row: bytes) -> None:
@@ -247,28 +250,31 @@ class Recorder:
             self._written += written
             if written < len(row):  # only a head is longer than PIPE_BUF
                 self._lost = f"was given a head of {len(row)} bytes, more than its pipe could take"
-            elif self._lost is None and (now := time.monotonic()) >= self._look_at:
-                self._look_at = now + LOOK_EVERY
-                self._look()
+            elif self._lost is None and (now := time.monotonic()) >= self._check_at:
+                self._check_at = now + self._settings.check_interval
+                self._check_progress()
         except BlockingIOError:
             self._full = True
             self._lost = self._lost or "took no rows for so long that the pipe to it is full"
         except OSError:
             self._hangs = False
             self._lost = _UNASKED
-            while (said := self._answer(0.0)) is not None:  # what it has said already
-                if said[0] == "failed":
-                    self._fail(said[1])
+            while (answer := self._answer(0.0)) is not None:  # what it has sent already
+                if answer[0] == "failed":
+                    self._fail(answer[1])
 
-    def _look(self) -> None:
-        """Whether the recorder still takes what it is given."""
+    def _check_progress(self) -> None:
+        """Count a look at the pipe; a recorder that takes nothing is lost."""
         waiting = _waiting(self._pipe)
         taken = self._written - waiting
-        self._looks = self._looks + 1 if waiting and taken == self._taken else 0
+        self._idle_checks = self._idle_checks + 1 if waiting and taken == self._taken else 0
         self._taken = taken
-        if self._looks >= MOST_LOOKS:
+        settings = self._settings
+        if self._idle_checks >= settings.max_idle_checks:
             self._hangs = True
-            self._lost = f"took no rows for {MOST_LOOKS * LOOK_EVERY:g} s"
+            self._lost = (
+                f"took no rows for {settings.max_idle_checks * settings.check_interval:g} s"
+            )
 
     def _fail(self, reason: str) -> None:
         known = self._lost not in (None, _UNASKED)
@@ -289,14 +295,14 @@ class Recorder:
     def _await(self, word: str, limit: float) -> None:
         """Wait for the recorder to say the word; others that it says before are passed over."""
         deadline = time.monotonic() + limit
-        while (said := self._answer(deadline)) is not None:
-            if said[0] == "failed":
-                # Until it has ended, and with it what it can still write.
-                while said is not None:
-                    self._fail(said[1])
-                    said = self._answer(deadline)
+        while (answer := self._answer(deadline)) is not None:
+            if answer[0] == "failed":
+                # It may still write until it has ended.
+                while answer is not None:
+                    self._fail(answer[1])
+                    answer = self._answer(deadline)
                 raise self._failure(self._lost or _UNASKED)
-            if said[0] == word:
+            if answer[0] == word:
                 return
         if self._lost in (None, _UNASKED):
             raise self._failure(self._ending() or f"did not answer in {limit:.0f} s")
@@ -318,7 +324,7 @@ class Recorder:
         return msgspec.json.decode(line, type=tuple[str, str])
 
     def _ending(self) -> str | None:
-        """How the process ended; None where it has not."""
+        """Outcome of the process; None where it has not ended."""
         with suppress(subprocess.TimeoutExpired):
             code = self._process.wait(timeout=1.0)
             return f"was ended by {signal.Signals(-code).name}" if code < 0 else _UNASKED
@@ -335,14 +341,14 @@ class Recorder:
             kept = f"; the rows until then are in {self.path}"
         return InputError(f"{self.path}: the recorder {reason}{kept}")
 
-    def _let_go_of_pipe(self) -> None:
+    def _close_pipe(self) -> None:
         if self._pipe >= 0:
             os.close(self._pipe)
             self._pipe = -1
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         """A recorder that is still at work ends by itself once the pipe is closed."""
-        self._let_go_of_pipe()
+        self._close_pipe()
         if self._process.stdout is not None:
             self._process.stdout.close()
         with suppress(subprocess.TimeoutExpired):

@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,45 +22,51 @@ from drftjax.runlog.recording_lock import claim_file, part_path, release_claim, 
 from hils.recording.row_stream import Kind, RowStream
 from hils.recording.sanitize import Rows, RowSanitizer
 
-PAUSE: Final = 0.02
-
-
-"""From one look into the pipe to the next [s]."""
-
-
-COMMIT_EVERY: Final = 0.25
-
-
-"""[s]"""
-
-
-SYNC_EVERY: Final = 1.0
-
-
-"""[s]"""
-
-
 HOST_GONE: Final = "the control program ended without closing the recording"
 
 
 _BLOCK: Final = 2**20
 
 
+@dataclass(frozen=True)
+class WriterSettings:
+    """Rhythm of the writing.
+
+    Attributes:
+        poll_interval: From one look into the pipe to the next [s].
+        commit_interval: From one commit of the rows to the next [s]; so much may be lost with a
+            kill of both processes.
+        sync_interval: From one sync of the disk to the next [s]; so much may be lost with the
+            power.
+    """
+
+    poll_interval: float = 0.02
+    commit_interval: float = 0.25
+    sync_interval: float = 1.0
+
+
+DEFAULT_WRITER = WriterSettings()
+
+
 class RecorderProcess:
     """Writes one run log."""
 
-    def __init__(self, path: Path, rows: int, answers: int):
+    def __init__(
+        self, path: Path, rows: int, answers: int, settings: WriterSettings = DEFAULT_WRITER
+    ):
         """Write nothing yet.
 
         Args:
             path: The run log's final name.
             rows: Descriptor of the pipe's reading end.
             answers: Descriptor that takes the answers.
+            settings: Rhythm of the writing.
         """
+        self._settings = settings
         self._path = path
         self._rows, self._answers = rows, answers
         self._stream = RowStream()
-        self._sound = RowSanitizer()
+        self._sanitizer = RowSanitizer()
         self._claimed: int | None = None
         self._recording: Recording | None = None
         self._host = os.getppid()
@@ -71,49 +78,49 @@ class RecorderProcess:
         except Exception as error:
             # The host learns it from its next row, while the file is being finished.
             reason = f"stopped: {_sentence(error)}"
-            self._say("failed", reason)
+            self._answer("failed", reason)
             os.close(self._rows)
             try:
                 self._finish(reason)
             except Exception as after:
                 if _sentence(after) not in reason:
-                    self._say("failed", f"could not finish: {_sentence(after)}")
+                    self._answer("failed", f"could not finish: {_sentence(after)}")
             return
         try:
             kept = self._finish(reason)
         except Exception as error:
-            self._say("failed", f"could not finish: {_sentence(error)}")
+            self._answer("failed", f"could not finish: {_sentence(error)}")
         else:
-            self._say("closed", "" if kept else "empty")
+            self._answer("closed", "" if kept else "empty")
 
     def _record(self) -> str:
-        """Write rows until the stream ends; the reason why it did."""
+        """Write rows until the stream ends; the reason of its end."""
         os.set_blocking(self._rows, False)
         require_place(self._path)
         self._claimed = claim_file(self._path)
-        self._say("ready", "")
+        self._answer("ready", "")
         commit_at = sync_at = time.monotonic()
         sync: Future[None] | None = None
         with ThreadPoolExecutor(1) as syncing:
             while True:
-                going = self._take()
+                going = self._write_rows()
                 now = time.monotonic()
                 if self._recording is not None and (now >= commit_at or not going):
                     self._recording.commit()
-                    commit_at = now + COMMIT_EVERY
+                    commit_at = now + self._settings.commit_interval
                     # In a thread, because a slow disk may take seconds.
                     if now >= sync_at and (sync is None or sync.done()):
                         _require_synced(sync)
                         sync = syncing.submit(self._recording.sync)
-                        sync_at = now + SYNC_EVERY
+                        sync_at = now + self._settings.sync_interval
                 if not going:
                     break
-                time.sleep(PAUSE)
+                time.sleep(self._settings.poll_interval)
         _require_synced(sync)
         return HOST_GONE if self._stream.end_reason is None else self._stream.end_reason
 
-    def _take(self) -> bool:
-        """Take what is in the pipe; false when nothing will follow."""
+    def _write_rows(self) -> bool:
+        """Write what is in the pipe; False when nothing will follow."""
         host_is_there = os.getppid() == self._host
         while True:
             try:
@@ -129,7 +136,7 @@ class RecorderProcess:
                 assert self._claimed is not None
                 part = part_path(self._path)
                 self._recording = Recording(part, self._claimed, self._stream.head)
-                self._say("begun", "")
+                self._answer("begun", "")
             for kind, rows in found.items():
                 self._append(kind, rows)
             if self._stream.end_reason is not None:
@@ -137,7 +144,7 @@ class RecorderProcess:
 
     def _append(self, kind: Kind, rows: Rows) -> None:
         assert self._recording is not None
-        sound, events = self._sound.sanitize(kind, rows)
+        sound, events = self._sanitizer.sanitize(kind, rows)
         title = kind.name.lower()
         if title in self._recording.rows and len(sound):
             self._recording.append(title, sound)
@@ -145,7 +152,7 @@ class RecorderProcess:
             self._append(Kind.EVENTS, events)
 
     def _finish(self, reason: str) -> bool:
-        """Close the file; false where there is nothing to keep."""
+        """Close the file; False where there is nothing to keep."""
         recording = self._recording
         if recording is None:
             if self._claimed is not None:
@@ -157,7 +164,7 @@ class RecorderProcess:
         recording.finish(self._path, reason)
         return True
 
-    def _say(self, word: str, reason: str) -> None:
+    def _answer(self, word: str, reason: str) -> None:
         with contextlib.suppress(OSError):  # the host may be gone
             os.write(self._answers, json.dumps([word, reason]).encode() + b"\n")
 

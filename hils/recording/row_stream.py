@@ -36,7 +36,7 @@ _END: Final = struct.Struct("<BH")
 
 
 class Kind(IntEnum):
-    """What a row is: the group that it goes to."""
+    """Kind of a row: the group of the run log that it goes to."""
 
     COMMAND = 1
     MEASURED = 2

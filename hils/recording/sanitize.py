@@ -29,10 +29,10 @@ class RowSanitizer:
         self._last = dict.fromkeys(Kind, -np.inf)
 
     def sanitize(self, kind: Kind, rows: Rows) -> tuple[Rows, Rows]:
-        """Rows that can be kept, and events that tell of those that cannot.
+        """Make rows fit to be kept, and events of those that cannot.
 
         Args:
-            kind: What they are.
+            kind: Kind of the rows.
             rows: As they came, shape (rows, columns), time first.
 
         Returns:
@@ -53,7 +53,7 @@ class RowSanitizer:
             low, size = limits.min, limits.max - limits.min + 1
             kept[:, column] = np.mod(np.round(kept[:, column]) - low, size) + low
         self._put_in_order(kind, kept)
-        return kept, self._told(kind, rows[bad])
+        return kept, self._events_of(kind, rows[bad])
 
     def _put_in_order(self, kind: Kind, rows: Rows) -> None:
         time = rows[:, 0]
@@ -64,7 +64,7 @@ class RowSanitizer:
                 time[row] = last if repeats else np.nextafter(last, np.inf)
             self._last[kind] = time[row]
 
-    def _told(self, kind: Kind, bad: Rows) -> Rows:
+    def _events_of(self, kind: Kind, bad: Rows) -> Rows:
         last = self._last[Kind.EVENTS]
         when = np.where(np.isfinite(bad[:, 0]), bad[:, 0], last if np.isfinite(last) else 0.0)
         codes = np.full(len(bad), float(Event.ROW_NOT_FINITE))

@@ -1,4 +1,4 @@
-"""Where the loop's rows go: the recorder's process, or memory for tests and studies."""
+"""Sinks of the loop's rows: the recorder's process, or memory for tests and studies."""
 
 from typing import Protocol
 
@@ -19,12 +19,12 @@ class RowSink(Protocol):
 
     @property
     def alive(self) -> bool:
-        """Whether every row so far has been handed over."""
+        """True while every row so far has been handed over."""
         ...
 
     @property
     def reason(self) -> str | None:
-        """Why it is lost, in a sentence without its subject."""
+        """Reason why it is lost, as a sentence without its subject."""
         ...
 
     def require_room(self, head: Head) -> None:
@@ -33,32 +33,32 @@ class RowSink(Protocol):
         Nothing has moved yet.
 
         Raises:
-            InputError: where it could not.
+            InputError: it could not be taken.
         """
         ...
 
     def begin(self, head: Head) -> None:
-        """What is known of the run before its first row; called once, before any row."""
+        """Take the head of the run log; called once, before any row."""
         ...
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
-        """What was asked of the rig."""
+        """Take a command: time [s], angular velocity [rad/s], carriage speed [m/s] if driven."""
         ...
 
     def measured(self, time: float, *values: float) -> None:
-        """A reading."""
+        """Take a reading: time [s] and the head's channels."""
         ...
 
     def online(self, row: OnlineRow) -> None:
-        """One tick."""
+        """Take a tick."""
         ...
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
-        """Something beside the ticks."""
+        """Take an event: time [s], `hils.events.Event` and its number."""
         ...
 
     def close(self, end_reason: str) -> object:
-        """The run is over."""
+        """End the run log, with the reason of the run's end."""
         ...
 
 
@@ -66,7 +66,7 @@ class InMemorySink:
     """Keeps a run's rows in memory.
 
     Attributes:
-        head: What is known of the run, once it has begun.
+        head: Head of the run log, once it has begun.
         end_reason: Once it is closed.
     """
 
@@ -111,7 +111,7 @@ class InMemorySink:
         """The run as a run log.
 
         Raises:
-            InputError: where nothing was commanded or measured.
+            InputError: nothing was commanded or measured.
         """
         head = self.head
         if head is None or not self.commands or not self.readings:

@@ -1,4 +1,4 @@
-"""What a virtual rig is made of, as a TOML file says it.
+"""Set-up of a virtual rig, as a TOML file holds it.
 
 The tables of a set-up that `drft simulate` reads ([wheel], [terrain], [rig], [[effect]]) describe
 the true sand and the true rig. [start], [command] and [integrator] are the loop's business: they

@@ -5,7 +5,6 @@ import contextlib
 import os
 import select
 import socket
-import tty
 from pathlib import Path
 
 from drftjax.common.errors import InputError
@@ -14,16 +13,16 @@ MOST_BYTES = 4096
 
 
 class AbstractEnd(abc.ABC):
-    """Where a host may plug in. Nothing here waits but `wait`."""
+    """End of a line at which a host may plug in. Nothing here waits but `wait`."""
 
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """What a host opens: a device, or a pyserial URL."""
+        """Name that a host opens: a device, or a pyserial URL."""
 
     @abc.abstractmethod
     def read(self) -> bytes:
-        """What has come from the host."""
+        """Bytes that have come from the host."""
 
     @abc.abstractmethod
     def write(self, data: bytes) -> None:
@@ -99,6 +98,8 @@ class PtyEnd(AbstractEnd):
                 f"{self._link}: leads to {self._leads_to()}, which is in use, perhaps by another "
                 "rig; give another name, or remove the link"
             )
+        import tty
+
         ours, theirs = os.openpty()
         # Held open, so that a host finds it raw whenever it comes, and may come and go.
         tty.setraw(theirs)

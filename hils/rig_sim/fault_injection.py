@@ -51,16 +51,16 @@ class FaultInjector:
 
     @property
     def occasions(self) -> dict[str, float]:
-        """When each occasion came first [s]."""
+        """Time of each occasion, when it came first [s]."""
         return dict(self._occasions)
 
     def next_edge(self, now: float) -> float:
-        """When a fault next begins or ends [s]; infinite where none will."""
+        """Time at which a fault next begins or ends [s]; infinite where none will."""
         self._holding(now)
         return self._held_until
 
     def packets(self, frames: list[bytes], towards: End, now: float) -> list[DelayedPacket]:
-        """What comes of frames that set out now towards one end."""
+        """Packets that come of frames that set out now towards one end."""
         packets = [DelayedPacket(now, frame) for frame in frames]
         for number, fault in self._holding(now):
             what = fault.what
@@ -70,7 +70,7 @@ class FaultInjector:
         return packets
 
     def counts(self, counts: Counts, now: float) -> Counts:
-        """What the scales say instead."""
+        """Counts that the scales give instead."""
         for number, fault in self._holding(now):
             if isinstance(fault.what, StuckScale | ScaleJump):
                 begun = self._begun.setdefault(number, counts)
@@ -78,7 +78,7 @@ class FaultInjector:
         return counts
 
     def demand(self, demand: MotorDemand, now: float) -> MotorDemand:
-        """What the drive gives instead."""
+        """Demand that the drive follows instead."""
         for _, fault in self._holding(now):
             if isinstance(fault.what, SaturatedDrive):
                 demand = fault.what.drive(demand)
@@ -90,11 +90,11 @@ class FaultInjector:
         return codes[0] if codes else 0
 
     def is_unplugged(self, now: float) -> bool:
-        """Whether the plug is out."""
+        """Return True while the plug is out."""
         return any(isinstance(fault.what, Disconnect) for _, fault in self._holding(now))
 
     def is_powerless(self, now: float) -> bool:
-        """Whether the firmware is down for a reset."""
+        """Return True while the firmware is down for a reset."""
         return any(isinstance(fault.what, Reset) for _, fault in self._holding(now))
 
     def _holding(self, now: float) -> list[tuple[int, Fault]]:

@@ -256,7 +256,7 @@ KINDS = tuple(msgspec.inspect.type_info(each).tag for each in get_args(FaultKind
 
 
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a fault acts, in seconds of the host's clock.
+    """Time window in which a fault acts, in seconds of the host's clock.
 
     Attributes:
         after: Occasion that the start counts from, at its first time: the rig's power-up, the first
@@ -270,7 +270,7 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     duration: float = math.inf
 
     def edges(self, occasions: Mapping[str, float]) -> tuple[float, float]:
-        """When it begins and ends [s]; never, while its occasion has not come."""
+        """Begin and end of the window [s]; infinite while its occasion has not come."""
         begun = occasions.get(self.after, math.inf) + self.start
         return begun, begun + self.duration
 

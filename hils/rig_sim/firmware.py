@@ -47,7 +47,7 @@ REPEATS, REPEAT_AFTER = 5, 0.05  # of an emergency stop, until the host answers 
 
 
 class RigIdentity(msgspec.Struct, frozen=True):
-    """What a rig says of itself, and how fast its demand may change.
+    """Identity, scales and limits of a rig, as HELLO_ACK tells them, and the slew of its demand.
 
     Attributes:
         boot_id: Another one after each reset.
@@ -70,7 +70,7 @@ class RigIdentity(msgspec.Struct, frozen=True):
 
 
 class MotorDemand(NamedTuple):
-    """What the motors are asked for: angular velocity [rad/s], carriage speed [m/s] if driven."""
+    """Set-point of the motors: angular velocity [rad/s], carriage speed [m/s] if driven."""
 
     omega: float
     vx: float
@@ -123,12 +123,12 @@ class RigProtocol:
 
     @property
     def drops(self) -> dict[Drop, int]:
-        """What was received and did not count, by cause."""
+        """Count of dropped packets, by cause."""
         overlong = Counter({Drop.OVERLONG: self._splitter.overlong})
         return dict(self._drops + overlong)
 
     def measure(self, z: int, x: int, omega: float) -> None:
-        """What the sensors read now: height and position [counts], angular velocity [rad/s]."""
+        """Take the sensors' readings: height and position [counts], angular velocity [rad/s]."""
         self._z, self._x, self._omega = _counts(z), _counts(x), omega
 
     def emergency_stop(self, reason: int, now: float) -> bytes:

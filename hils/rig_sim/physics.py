@@ -40,7 +40,7 @@ LOWERING_TIME = 1.5
 
 
 class RigMotion(NamedTuple):
-    """What the rig's instruments could read, with no noise: seconds, metres, radians, newtons."""
+    """Readings of perfect instruments: seconds, metres, radians, newtons."""
 
     time: float
     x: float
@@ -102,7 +102,7 @@ class Damper(MemorylessLoad):
 
 
 class Bed(AbstractZetaFactor):
-    """How firmly the sand was prepared.
+    """Firmness of the sand, as it was prepared.
 
     Attributes:
         firmness: Factor on zeta [-].
@@ -162,7 +162,7 @@ class RigPhysics:
         return self._held
 
     def motion(self, packed: Float[Array, " packed"]) -> RigMotion:
-        """What could be read of a state."""
+        """Read a state without noise."""
         return RigMotion(*np.asarray(packed)[: len(CHANNELS)].tolist())
 
     def advance(

@@ -107,7 +107,7 @@ class VirtualRig:
 
     @property
     def state(self) -> RigState | None:
-        """What the firmware is ready for; None while it has no power."""
+        """State of the firmware; None while it has no power."""
         return self._protocol.state if self._protocol else None
 
     @property
@@ -117,17 +117,17 @@ class VirtualRig:
 
     @property
     def is_held(self) -> bool:
-        """Whether the wheel still hangs at touch-down."""
+        """True while the wheel still hangs at touch-down."""
         return self._released is None
 
     @property
     def is_plugged(self) -> bool:
-        """Whether bytes can pass."""
+        """True while bytes can pass."""
         return not self._faults.is_unplugged(self._now)
 
     @property
     def occasions(self) -> dict[str, float]:
-        """When power, hello, arm, motion and stop came first, by the host's clock [s]."""
+        """Times at which power, hello, arm, motion and stop came first, by the host's clock [s]."""
         return self._faults.occasions
 
     def advance(self, now: float, data: bytes) -> bytes:
@@ -150,11 +150,11 @@ class VirtualRig:
         return self._outward.take(self._now)
 
     def next_event(self) -> float:
-        """When something will next happen or come out by itself [s]."""
+        """Time at which something will next happen or come out by itself [s]."""
         return min(self._next_own(), self._outward.next_event())
 
     def _next_own(self) -> float:
-        """When something next happens in the rig, past the present [s]."""
+        """Time at which something next happens in the rig, past the present [s]."""
         times = [self._inward.next_event(), self._faults.next_edge(self._now), self._now + LOOK]
         return max(min(times), math.nextafter(self._now, math.inf))
 
@@ -207,7 +207,7 @@ class VirtualRig:
             self._outward.send(self._faults.packets(frames, "host", now))
 
     def _note(self, protocol: RigProtocol, before: RigState, now: float) -> None:
-        """What the firmware's state has come to, and what follows for the wheel."""
+        """Follow a change of the firmware's state: occasions of faults, release of the wheel."""
         if protocol.demand.omega != 0:
             self._faults.mark("motion", now)
         if protocol.state is before:
@@ -294,7 +294,7 @@ class VirtualRig:
         protocol.measure(*self._faults.counts(counts, now))
 
     def _own_faults(self, protocol: RigProtocol, now: float) -> bytes:
-        """What the rig says where it finds a fault of its own."""
+        """Bytes that the rig sends where it finds a fault of its own."""
         if protocol.state is RigState.FAULT:
             return b""
         motion, code = self.motion, self._faults.drive_fault(now)

@@ -1,4 +1,4 @@
-"""What the virtual rig's instruments make of the truth: noisy counts, and a clock of its own."""
+"""Instruments of the virtual rig: noisy counts of the truth, and a clock of its own."""
 
 import enum
 import math

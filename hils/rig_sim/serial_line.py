@@ -92,7 +92,7 @@ class SerialLine:
         return bytes(out)
 
     def next_event(self) -> float:
-        """When `take` may next do something [s]; infinite where nothing is on its way."""
+        """Time at which `take` may next do something [s]; infinite where nothing is on its way."""
         times = [] if self._rings_at is None else [self._rings_at]
         if self._moving:
             start, data = self._moving[0]

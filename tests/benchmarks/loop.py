@@ -171,14 +171,14 @@ def one(number: int, given: argparse.Namespace, setup, trajectory: Path, folder:
     online = read_run(path).online
     assert online is not None
     fresh = float((online.age[5:] <= given.tick).mean())
-    loop = report.loop
+    loop = report.loop.statistics
     print(
         f"{number:4d}  {loop.overruns:6d}  {loop.skipped:7d}  "
-        f"{_figures(loop.busy)}  {_figures(loop.woken)}  {fresh:.2%}  {report.reason}",
+        f"{_figures(loop.work_time)}  {_figures(loop.wake_delay)}  {fresh:.2%}  {report.reason}",
         flush=True,
     )
     if given.bare:
-        bare(given, float(np.median(loop.busy)))
+        bare(given, float(np.median(loop.work_time)))
 
 
 def bare(given: argparse.Namespace, work: float) -> None:

@@ -25,7 +25,7 @@ from drftjax.runlog.record import RecordedSetup, RunLog
 from drftjax.runlog.recording_lock import is_held, part_path
 from drftjax.runlog.repair import repair
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS, Event, TickFlag
-from hils.recording.recorder import Recorder
+from hils.recording.recorder import DEFAULT_RECORDER, Recorder, RecorderSettings
 from hils.recording.row_stream import OnlineRow
 
 DEADLINE = 60.0
@@ -77,9 +77,11 @@ def hand_over(recorder: Recorder, number: int) -> None:
     )
 
 
-def recorded(path: Path, ticks: int, **changes) -> Recorder:
+def recorded(
+    path: Path, ticks: int, settings: RecorderSettings = DEFAULT_RECORDER, **changes
+) -> Recorder:
     """A recorder that has been handed so many ticks."""
-    recorder = Recorder(path, example_head(**changes))
+    recorder = Recorder(path, example_head(**changes), settings)
     for number in range(ticks):
         hand_over(recorder, number)
     return recorder

@@ -16,11 +16,12 @@ import pytest
 
 from drftjax.common.errors import InputError
 from hils import series as series_module
+from hils.control.loop_report import LoopStatistics
 from hils.control.stop_request import STOP_SIGNAL, StopReason, StopRequest
 from hils.events import Event
 from hils.procedure.active_runs import runs_under_way
 from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts
-from hils.procedure.procedure import Procedure, RunReport, run
+from hils.procedure.procedure import Procedure, ProcedureSettings, RunReport, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
 from hils.series import ENDED_EARLY, INTERRUPTED, Series, file_names, make_series, outcome_lines
@@ -64,7 +65,7 @@ def test_a_run_without_a_reading_is_told_to_leave_no_file(tmp_path):
     assert report is not None
     loop = report.loop
     assert loop is not None
-    blind = dataclasses.replace(report, loop=loop._replace(fresh=0))
+    blind = dataclasses.replace(report, loop=loop._replace(statistics=LoopStatistics(room=0)))
     assert outcome_lines(blind, tmp_path / "run.h5")[-1].startswith("No run log: no reading came")
     assert outcome_lines(report, tmp_path / "run.h5")[-1].startswith("Link: ")
 
@@ -91,7 +92,7 @@ def test_file_that_cannot_be_finished_does_not_hide_how_the_run_went():
 @pytest.fixture
 def runs(monkeypatch, tmp_path):
     """Makes a series of three whose runs end as they are told to; how many were made."""
-    monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
+    monkeypatch.setattr("hils.procedure.active_runs.REGISTRY_PARENT", tmp_path)
     whole = make().report
     assert whole is not None
 
@@ -184,7 +185,7 @@ def test_ctrl_c_between_runs_interrupts_the_program(runs):
         runs(between=lambda *_: signal.raise_signal(signal.SIGINT))
 
 
-def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
+def test_operator_is_told_of_a_recording_that_takes_long_to_close():
     told, said = threading.Event(), []
 
     class Slow(InMemorySink):
@@ -198,9 +199,9 @@ def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
             if "closed" in text:
                 told.set()
 
-    monkeypatch.setattr("hils.procedure.procedure.SLOW_CLOSE", 0.01)
     rows, soft = Slow(), soft_rig()
-    given = Procedure(loop=loop_setup(), countdown=0.3)
+    soon = ProcedureSettings(close_notice_time=0.01)
+    given = Procedure(loop=loop_setup(), countdown=0.3, settings=soon)
     report = run(given, soft.link, soft.clock, rows, Listener(quiet=True), StopRequest())
     assert report.completed
     assert rows.end_reason == "completed"
@@ -208,7 +209,7 @@ def test_operator_is_told_of_a_recording_that_takes_long_to_close(monkeypatch):
 
 
 def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_path):
-    monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
+    monkeypatch.setattr("hils.procedure.active_runs.REGISTRY_PARENT", tmp_path)
 
     class Heard(UnattendedPrompts):
         lines: ClassVar[list[str]] = []
@@ -232,6 +233,7 @@ def test_a_stop_that_comes_while_a_run_is_told_lets_it_be_told(monkeypatch, tmp_
 
 LEAVER = """
 import signal, sys
+from hils.control.loop_report import LoopStatistics
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
 with StopRequest().on_signals():
     pass
@@ -247,7 +249,7 @@ def test_a_stop_that_finds_the_program_leaving_does_not_spoil_its_exit_code():
 
 def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp_path):
     """A leveller that a script drives must not go on moving."""
-    monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
+    monkeypatch.setattr("hils.procedure.active_runs.REGISTRY_PARENT", tmp_path)
     monkeypatch.setattr(series_module, "make_run", lambda *_: make().report)
     told = tmp_path / "leveller"
     between = f"sleep 600 & echo $! > {told}; kill -USR2 {os.getpid()}; wait; echo never"
@@ -262,7 +264,7 @@ def test_what_the_command_between_runs_has_started_ends_with_it(monkeypatch, tmp
 
 
 def test_a_stop_while_the_command_between_runs_starts_ends_it(monkeypatch, tmp_path):
-    monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
+    monkeypatch.setattr("hils.procedure.active_runs.REGISTRY_PARENT", tmp_path)
     monkeypatch.setattr(series_module, "make_run", lambda *_: make().report)
     started = []
 

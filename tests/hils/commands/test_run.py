@@ -21,7 +21,7 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run, survey_run
 from drftjax.runlog.record import RunLog
-from hils.commands import stop
+from hils.commands.stop import stop_runs
 from hils.procedure.active_runs import ActiveRun, is_alive, registered, runs_under_way
 from tests.helpers.recording_host import committed
 
@@ -291,7 +291,7 @@ def test_run_log_that_is_already_there_is_not_written_over(drft, tmp_path):
 @pytest.fixture
 def base(monkeypatch, tmp_path) -> Path:
     """Where nobody else announces runs."""
-    monkeypatch.setattr("hils.procedure.active_runs.BASE", tmp_path)
+    monkeypatch.setattr("hils.procedure.active_runs.REGISTRY_PARENT", tmp_path)
     return tmp_path
 
 
@@ -309,19 +309,15 @@ def test_stop_names_no_file_where_none_was_made(drft, base, monkeypatch):
 
 
 def test_stop_speaks_of_the_emergency_stop_while_the_file_is_closed_and_waits_on(
-    drft, base, monkeypatch
+    base, monkeypatch, capsys
 ):
     monkeypatch.setattr("hils.procedure.active_runs.send_signal", lambda run, kind: None)
-    # `hils.commands.stop` is the command itself, not its module.
-    monkeypatch.setattr(sys.modules[stop.__module__], "LONGEST_RAMP", 0.1)
-    monkeypatch.setattr("hils.recording.recorder.CLOSE_LIMIT", 0.3)
-    with registered("/dev/ttyUSB0", [base / "run.h5"]):
-        answer = drft("hils", "stop")
-    first, second = answer.err.splitlines()
+    with registered("/dev/ttyUSB0", [base / "run.h5"]), pytest.raises(InputError) as refused:
+        stop_runs(None, now=False, longest_close=0.3, longest_ramp=0.1)
+    first, second = capsys.readouterr().err, str(refused.value)
     assert "has not ended in 0.1 s; its file may be being closed. Where the rig" in first
-    assert second.startswith("drft: the run on /dev/ttyUSB0 ")
+    assert second.startswith("the run on /dev/ttyUSB0 ")
     assert "has not ended in 0.4 s; use the rig's emergency stop" in second
-    assert answer.code == 2
 
 
 def test_runs_are_found_while_they_last_and_not_after(monkeypatch, base):

@@ -67,9 +67,9 @@ def test_run_is_completed_and_follows_the_rig(tuner):
     assert report.reason == "completed"
     assert report.completed
     assert report.rested
-    assert report.loop.ticks == TICKS
-    assert report.loop.overruns == 0
-    assert float(np.abs(report.loop.error).max()) < CLOSE
+    assert report.loop.statistics.ticks == TICKS
+    assert report.loop.statistics.overruns == 0
+    assert float(np.abs(report.loop.statistics.error).max()) < CLOSE
     assert made.rows.end_reason == "completed"
     log = made.rows.run()
     assert log.source == "virtual rig"
@@ -159,8 +159,8 @@ def test_free_carriage_is_recorded_and_nothing_is_simulated():
     assert log.measured.x[-1] == pytest.approx(0.150 * np.radians(30.0) * 2.0, rel=ROLLS)
     # Readings come as ever, but for one or two in a hundred where the clocks slip past each other;
     # there is no sinkage to compare them with.
-    assert made.report.loop.fresh > 0.98 * made.report.loop.ticks
-    assert len(made.report.loop.error) == 0
+    assert made.report.loop.statistics.fresh > 0.98 * made.report.loop.statistics.ticks
+    assert len(made.report.loop.statistics.error) == 0
     assert resting(made)
 
 
@@ -347,8 +347,8 @@ def test_rigs_own_emergency_stop_is_answered_by_one():
 def test_ticks_that_were_slept_through_are_simulated_and_counted():
     made = make(at=2.0, late=0.0345)
     assert made.report.completed
-    assert made.report.loop.skipped == 3
-    assert made.report.loop.overruns == 3
+    assert made.report.loop.statistics.skipped == 3
+    assert made.report.loop.statistics.overruns == 3
     assert made.events(Event.TICKS_SKIPPED) == [3.0]
     numbers = np.array([round(row.time / TICK) for row in made.rows.ticks])
     gaps = np.diff(numbers)
@@ -358,7 +358,7 @@ def test_ticks_that_were_slept_through_are_simulated_and_counted():
     # Late is counted from the first tick that was slept through, not from the last.
     assert int(after.flags) & TickFlag.LATE
     assert after.late == pytest.approx(0.0345 - TICK, abs=CLOCK)
-    assert made.report.loop.woken.max() == pytest.approx(0.0345, abs=CLOCK)
+    assert made.report.loop.statistics.wake_delay.max() == pytest.approx(0.0345, abs=CLOCK)
     assert made.events(Event.OVERRUN) == pytest.approx([0.0345 - TICK], abs=CLOCK)
     assert [row.late for row in made.rows.ticks if row is not after] == [0.0] * (TICKS - 4)
     check_replay(made.rows)

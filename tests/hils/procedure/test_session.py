@@ -21,7 +21,13 @@ from hils.link.messages import (
     encode,
     wire_bytes,
 )
-from hils.procedure.session import GAP, TRIES, RigStopped, draw_session_number
+from hils.procedure.session import (
+    DEFAULT_SESSION,
+    RigStopped,
+    Session,
+    SessionSettings,
+    draw_session_number,
+)
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 from tests.helpers.protocol_variants import (
     HELLO,
@@ -65,6 +71,9 @@ def test_a_rig_made_from_the_page_alone_can_be_driven(ways, pause):
     assert newest.frame.message.z == -1760
     assert table.session.emergency_stop(3)
     assert table.rig.state == 3
+
+
+TRIES, GAP = DEFAULT_SESSION.tries, DEFAULT_SESSION.interval
 
 
 def test_our_own_rig_can_be_driven():
@@ -117,6 +126,14 @@ def test_patience_tries_again_until_it_ends():
     with pytest.raises(InputError, match="no rig"):
         table.session.connect(HELLO, patience=1.1)
     assert len(silent.heard) == 5 * TRIES
+
+
+def test_tries_and_their_interval_can_be_set():
+    table = Table(silent := Silent())
+    session = Session(table.link, table.clock, settings=SessionSettings(tries=2, interval=0.2))
+    with pytest.raises(InputError, match=r"HELLO \(2 tries, 200 ms apart\)"):
+        session.connect(HELLO)
+    assert silent.heard == pytest.approx([0.0, 0.2])
 
 
 def test_what_is_no_rig_is_told_by_what_it_says():

@@ -9,7 +9,7 @@ from hils.control.event_log import EventLog
 from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.messages import Bye, Drive, EmergencyStop, RigState, Stop
-from hils.procedure.shutdown import LONGEST_STOP, Shutdown
+from hils.procedure.shutdown import DEFAULT_SHUTDOWN, Shutdown, ShutdownSettings
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 from tests.helpers.protocol_variants import HELLO, HOLD, OtherRig, Table
@@ -57,9 +57,9 @@ class Resting(Table):
         self.log = EventLog(self.rows, self.clock)
         self.log.begin(0.0)
 
-    def bring(self) -> bool:
+    def bring_to_rest(self, settings: ShutdownSettings = DEFAULT_SHUTDOWN) -> bool:
         given = self.session, self.link, self.clock, self.ack, self.stop, self.log
-        return Shutdown(*given, HOLD, 0.01, RAMP).bring_to_rest()
+        return Shutdown(*given, HOLD, 0.01, RAMP, settings).bring_to_rest()
 
     @property
     def logged(self) -> list:
@@ -90,7 +90,13 @@ def test_a_wheel_that_turns_on_is_not_believed_to_rest_though_the_rig_says_that_
     table = Resting(OtherRig(omega=0.5))
     assert not table.bring_to_rest()
     assert table.rig.state == 0  # it took ESTOP and BYE, and turns
-    assert table.clock.now() > LONGEST_STOP
+    assert table.clock.now() > DEFAULT_SHUTDOWN.longest_stop
+
+
+def test_a_wheel_rests_by_the_speed_that_is_set():
+    table = Resting(OtherRig(omega=0.5))
+    assert table.bring_to_rest(ShutdownSettings(max_omega=0.6))
+    assert table.clock.now() < DEFAULT_SHUTDOWN.longest_stop
 
 
 def test_a_rig_that_falls_silent_is_not_believed_to_rest():

@@ -11,7 +11,7 @@ from drftjax.runlog.hdf5.api import survey_run, write_run
 from hils.clock import VirtualClock
 from hils.control.stop_request import StopRequest
 from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
-from hils.procedure.operator_prompts import LOOK, UnattendedPrompts
+from hils.procedure.operator_prompts import POLL_INTERVAL, UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
@@ -157,7 +157,7 @@ class Waiting(UnattendedPrompts):
         assert meanwhile is not None
         self._rig.press(12, self._clock.now())
         for _ in range(20):
-            self._clock.sleep_until(self._clock.now() + LOOK)
+            self._clock.sleep_until(self._clock.now() + POLL_INTERVAL)
             meanwhile()
         raise AssertionError("nobody looked at the rig while the question was open")
 

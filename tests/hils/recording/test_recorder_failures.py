@@ -19,7 +19,7 @@ from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.recording_lock import part_path
 from drftjax.runlog.repair import CUT_OFF, repair
 from hils.recording import recorder as recorder_module
-from hils.recording.recorder import Recorder
+from hils.recording.recorder import Recorder, RecorderSettings
 from tests.helpers.recording_host import (
     DEADLINE,
     Host,
@@ -73,7 +73,7 @@ sys.path[:0] = sys.argv[2:]
 from tests.helpers.recording_host import example_head, hand_over
 from hils.recording import recorder as recorder_module
 from hils.recording import recorder as recorder_module
-from hils.recording.recorder import Recorder
+from hils.recording.recorder import Recorder, RecorderSettings
 recorder = Recorder(sys.argv[1], example_head())
 for number in range(50):
     hand_over(recorder, number)
@@ -142,9 +142,8 @@ def hand_over_slowly(recorder: Recorder, number: int, seconds: float) -> int:
     return number
 
 
-def test_a_recorder_that_hangs_is_noticed_though_its_pipe_has_room(path, monkeypatch):
-    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.05)
-    recorder = recorded(path, 100)
+def test_a_recorder_that_hangs_is_noticed_though_its_pipe_has_room(path):
+    recorder = recorded(path, 100, RecorderSettings(check_interval=0.05))
     await_outcome(lambda: committed(part_path(path)) == 100)
     os.kill(recorder.pid, signal.SIGSTOP)
     number = hand_over_slowly(recorder, 100, DEADLINE)
@@ -171,17 +170,15 @@ Recording.sync = lambda recording: time.sleep(3)
 def test_a_slow_disk_is_no_recorder_that_hangs(path, monkeypatch):
     start = recorder_module._START.replace("from hils", f"exec({SLOW_DISK!r}); from hils")
     monkeypatch.setattr(recorder_module, "_START", start)
-    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.1)
-    recorder = Recorder(path, example_head())
+    recorder = Recorder(path, example_head(), RecorderSettings(check_interval=0.1))
     number = hand_over_slowly(recorder, 0, 3.5)
     assert recorder.alive
     recorder.close("completed")
     assert read_run(path).online.time.size == number
 
 
-def test_a_computer_that_was_asleep_is_no_recorder_that_hangs(path, monkeypatch):
-    monkeypatch.setattr(recorder_module, "LOOK_EVERY", 0.05)
-    recorder = recorded(path, 100)
+def test_a_computer_that_was_asleep_is_no_recorder_that_hangs(path):
+    recorder = recorded(path, 100, RecorderSettings(check_interval=0.05))
     await_outcome(lambda: committed(part_path(path)) == 100)
     os.kill(recorder.pid, signal.SIGSTOP)
     for number in (100, 101):
@@ -193,9 +190,9 @@ def test_a_computer_that_was_asleep_is_no_recorder_that_hangs(path, monkeypatch)
     assert read_run(path).online.time.size == 102
 
 
-def test_a_head_longer_than_the_pipe_is_refused_beforehand_and_told_as_such(path, monkeypatch):
-    monkeypatch.setattr("hils.recording.recorder.PIPE_BYTES", 2**16)
-    recorder, head = Recorder(path), example_head(notes="a profile of many knots" * 10_000)
+def test_a_head_longer_than_the_pipe_is_refused_beforehand_and_told_as_such(path):
+    recorder = Recorder(path, settings=RecorderSettings(pipe_bytes=2**16))
+    head = example_head(notes="a profile of many knots" * 10_000)
     recorder.require_room(example_head())
     with pytest.raises(InputError, match="give a profile of fewer knots"):
         recorder.require_room(head)
