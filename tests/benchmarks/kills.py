@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.kills [--kills 200] [--seed 0]
 
-prints the table of docs/reference/runlog.md. Each kill is a SIGKILL while rows of 1 kHz are recorded, from 0
-to 1.2 s after the first of them are committed. Every row kept is compared with what was handed
-over.
+prints the table of docs/reference/runlog.md. Each kill is a SIGKILL while rows of 1 kHz are
+recorded, from 0 to 1.2 s after the first of them are committed. Every row kept is compared with the
+one that was handed over.
 """
 
 import argparse

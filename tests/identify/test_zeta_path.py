@@ -291,7 +291,7 @@ def test_noise_is_found_among_the_samples_that_are_left():
     fresh = 0.3 * np.sqrt(1 - 0.9**2) * random.standard_normal(20000)
     place = np.flatnonzero(random.random(20000) < 0.5)
     data = lfilter([1.0], [1.0, -0.9], fresh)[place]
-    products = LaggedProducts.of(data[:, None], intervals_of(0.01 * place))
+    products = LaggedProducts.of(data[:, None], sampling_intervals(0.01 * place))
     found = products.most_probable_noise(
         np.ones(1), np.zeros((0, 0)), InstrumentFloor(1e-6, 0.9999)
     )
@@ -323,7 +323,7 @@ def test_evidence_is_largest_near_the_weight_that_made_the_path():
         drawn = np.cumsum(np.cumsum(np.r_[0, 0, bends]))
         seen = np.repeat(np.eye(knots), 10, axis=0)
         data = seen @ drawn + 0.02 * random.standard_normal(len(seen))
-        products = [LaggedProducts.of(np.c_[seen, data], intervals_of(np.arange(len(data))))]
+        products = [LaggedProducts.of(np.c_[seen, data], sampling_intervals(np.arange(len(data))))]
         path = LinearizedPath(products, knots, 0.0)
         best = max(
             path.settings.weight_grid,

@@ -97,7 +97,7 @@ def test_nothing_is_commanded_before_arm_and_only_rest_before_the_start():
     first = next(n for n, (_, m) in enumerate(made.said) if isinstance(m, Drive))
     assert [type(m).__name__ for _, m in made.said[:first]] == ["Hello", "Arm"]
     moving = [time for time, m in made.said if isinstance(m, Drive) and m.omega != 0]
-    # `hils.procedure.settling.LEAST_SETTLING`, at the least.
+    # `SettlingSettings.min_time`, at the least.
     assert min(moving) - times[0] > 2.0
     # From ARM on the watchdog never wants for a command.
     assert max(np.diff(times)) < 1.5 * TICK
