@@ -1,12 +1,12 @@
-"""How much the online tuner of eq. 7 has to move zeta, without effects and with them.
+"""Activity of the online tuner of eq. 7, without effects and with them.
 
 Recorded runs are replayed through `drftjax.tuning.replay.replay_trial`. Each replay starts from the
-zeta that meets the run's mean sinkage by the model it is replayed with, so what is counted is the
-moving to and fro, not the way there. The tuner compares true sinkages: it sees no effect on a
-sensor. What it leaves of the sinkage's error is small with any model, right or wrong.
+matched zeta of the run by the model that it is replayed with, so that only later changes of zeta
+count. The tuner compares true sinkages: it sees no effect on a sensor. The error of the sinkage
+that remains is small with any model, right or wrong.
 
 A run that was made in the loop is fed to that very loop again: its tuner, tick and readings, and a
-simulated carriage that is free, as the loop's is; its zeta(0) is what the sinkage at rest tells.
+simulated carriage that is free, as the loop's is; its zeta(0) follows from the sinkage at rest.
 """
 
 import math
@@ -40,16 +40,16 @@ from hils.replay import replay_tuning
 
 @dataclass(frozen=True, eq=False)
 class TunerActivity:
-    """How one replay moved zeta while the wheel was asked to move.
+    """Changes of zeta in one replay while the wheel is commanded to move.
 
     Attributes:
         moved: Sum of |dzeta| [-].
         range: Largest less smallest zeta [-].
         sinkage: RMSE of the simulated sinkage while it is tuned [m]; NaN where it never is.
-        time: Ticks from the first on which the wheel is asked to move to the last [s], shape
+        time: Ticks from the first to the last on which the wheel is commanded to move [s], shape
             (ticks,).
         zeta: On each of them [-], shape (ticks,).
-        in_its_loop: Whether it was replayed in the loop that it was made in.
+        in_its_loop: True where it was replayed in the loop that it was made in.
     """
 
     moved: float
@@ -66,16 +66,20 @@ def tuner_activity(
     zeta: Callable[[int], tuple[float, float]],
     tuner: StepTuner,
 ) -> list[tuple[TunerActivity, TunerActivity]]:
-    """By run, the tuner's moves by the reference model and with the effects.
+    """Replay the tuner on every run, by the reference model and with effects.
 
     Args:
         case: The runs.
         effects: Of the model.
-        zeta: By run, that which meets its mean sinkage by the reference model and with the effects.
+        zeta: Function of a run's number: its matched zeta by the reference model and with the
+            effects [-].
         tuner: Of runs that were not made in the loop.
 
+    Returns:
+        For each run, the activity by the reference model and with the effects.
+
     Raises:
-        InputError: where a replay diverges, or no tick falls where a wheel moves.
+        InputError: a replay diverges, or no tick falls where a wheel moves.
     """
     effects = tuple(effects)
     longest = max(float(each.trial.time[-1]) for each in case.runs)
