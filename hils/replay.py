@@ -1,8 +1,8 @@
-"""A recorded run, made again from its readings: the same zeta, bit for bit.
+"""Replay of a recorded run in its own loop, from its readings: the same zeta, bit for bit.
 
-The run log keeps all that the loop was given, and the loop's tick is a pure function of that
-(`hils.control.tick`). So what it computed can be computed again, and compared with what was
-recorded: zeta, the simulated wheel, and what was asked of the rig.
+The run log keeps all inputs of the loop, and the loop's tick is a pure function of them
+(`hils.control.tick`). Its results can be computed again and compared with the recorded ones: zeta,
+the simulated wheel, and the commands of the rig.
 
 Another processor, or another version of JAX, may round differently in the last bit.
 """
@@ -33,13 +33,13 @@ COMPARED = ("zeta", "x_sim", "z_sim", "vx_sim", "fx_sim", "fz_sim", "tuned")
 
 
 class Difference(NamedTuple):
-    """How one channel of the replay differs from the recorded one.
+    """Difference of one channel between replay and recording.
 
     Attributes:
         name: The channel.
-        rows: How many rows differ.
-        first: The time of the first one [s].
-        largest: The largest difference, in the channel's unit.
+        rows: Number of rows that differ.
+        first: Time of the first one [s].
+        largest: Largest difference, in the channel's unit.
     """
 
     name: str
@@ -49,13 +49,13 @@ class Difference(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """A run made again.
+    """Result of a replay.
 
     Attributes:
-        ticks: How many.
-        zeta: As replayed, on each row of /online [-].
-        differences: Of the channels that do not come out bit for bit.
-        software_version: Of the program that recorded it; None where it is not known.
+        ticks: Number of ticks.
+        zeta: Replayed scaling factor on each row of /online [-], shape (ticks,).
+        differences: Channels that differ in any bit.
+        software_version: Of the program that recorded the run; None where it is not known.
     """
 
     ticks: int
@@ -65,7 +65,7 @@ class Replay(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        """Whether every number came out bit for bit."""
+        """True where every number agrees bit for bit."""
         return not self.differences
 
     def sentence(self) -> str:
@@ -84,52 +84,55 @@ class Replay(NamedTuple):
 
 
 def replay(run: RunLog) -> Replay:
-    """Feed a run's readings to its loop again.
+    """Feed a run's readings to its loop again, and compare the results with the recorded ones.
 
     Args:
         run: Recorded by the loop, with /online and the record of its loop in it.
 
     Raises:
-        InputError: The run does not hold what the loop was given.
+        InputError: The run lacks inputs of its loop.
     """
-    online, record = _made_in(run)
+    online, record = _loop_of(run)
     physics = shared_physics(record.loop)
-    said = _fed(run, online, physics, begin(physics, record.start))
+    outputs = _replay_ticks(run, online, physics, begin(physics, record.start))
     found = {
-        "zeta": [each.after.zeta for each in said],
-        "x_sim": [each.before.x for each in said],
-        "z_sim": [each.before.z for each in said],
-        "vx_sim": [each.before.vx for each in said],
-        "fx_sim": [each.before.fx for each in said],
-        "fz_sim": [each.before.fz for each in said],
-        "tuned": [float(each.tuned) for each in said],
+        "zeta": [each.after.zeta for each in outputs],
+        "x_sim": [each.before.x for each in outputs],
+        "z_sim": [each.before.z for each in outputs],
+        "vx_sim": [each.before.vx for each in outputs],
+        "fx_sim": [each.before.fx for each in outputs],
+        "fz_sim": [each.before.fz for each in outputs],
+        "tuned": [float(each.tuned) for each in outputs],
     }
     recorded = {name: getattr(online, name) for name in COMPARED}
     recorded = {name: values for name, values in recorded.items() if values is not None}
     differences = [
         *_differences(online.time, recorded, found),
-        *_command_differences(run, said, online.tick),
+        *_command_differences(run, outputs, online.tick),
     ]
     zeta = np.array(found["zeta"])
-    return Replay(len(said), zeta, tuple(differences), run.software_version)
+    return Replay(len(outputs), zeta, tuple(differences), run.software_version)
 
 
 def replay_tuning(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> ReplayedTuning:
-    """Feed a run's readings to its loop, had that known these effects and no others.
+    """Feed a run's readings to its loop, with these effects in its simulation and no others.
 
-    zeta(0) changes by as much as statics says that it must for the wheel to rest as deep as it
-    did. The rig went at the speed that the loop's own simulation gave it.
+    zeta(0) changes by the factor that statics gives for the wheel to rest at the same sinkage. The
+    rig moved at the speed that the original simulation gave it.
 
     Args:
         run: Recorded by the loop, with /online and the record of its loop in it.
-        effects: What is simulated beside the reference model.
-        x: Where the simulated wheel starts, from where the effects count [m].
+        effects: Entries of the effects beyond the reference model.
+        x: Start of the simulated wheel on the scale of the effects' places [m].
+
+    Returns:
+        zeta and error on the rows of /online.
 
     Raises:
-        InputError: The run does not hold what the loop was given, or its wheel could not rest so
-            deep with these effects.
+        InputError: The run lacks inputs of its loop, or its wheel could not rest so deep with
+            these effects.
     """
-    online, record = _made_in(run)
+    online, record = _loop_of(run)
     loop, start = record.loop, record.start
     setup = msgspec.structs.replace(loop.setup, effects=list(effects))
     physics = shared_physics(msgspec.structs.replace(loop, setup=setup))
@@ -146,16 +149,16 @@ def replay_tuning(run: RunLog, effects: Sequence[Entry], x: float = 0.0) -> Repl
         )
     packed = physics.step.begin(start.sinkage, zeta, x, setup.start.angle)
     state = begin(physics, start)._replace(packed=packed)
-    said = _fed(run, online, physics, state)
+    outputs = _replay_ticks(run, online, physics, state)
     return ReplayedTuning(
         online.time,
-        np.array([each.after.zeta for each in said]),
-        np.array([each.after.error for each in said]),
+        np.array([each.after.zeta for each in outputs]),
+        np.array([each.after.error for each in outputs]),
     )
 
 
-def _made_in(run: RunLog) -> tuple[Online, LoopRecord]:
-    """What a run keeps of the loop that it was made in."""
+def _loop_of(run: RunLog) -> tuple[Online, LoopRecord]:
+    """Rows of /online, and the record of the loop that the run was made in."""
     online = run.online
     if online is None:
         raise InputError("the run has no /online: it was not made in the loop")
@@ -169,20 +172,22 @@ def _made_in(run: RunLog) -> tuple[Online, LoopRecord]:
     return online, record
 
 
-def _fed(run: RunLog, online: Online, physics: LoopPhysics, state: LoopState) -> list[TickOutput]:
-    """What a loop says on every row, fed with what was given then."""
-    said = list[TickOutput]()
-    for number, given in _given(run, online):
+def _replay_ticks(
+    run: RunLog, online: Online, physics: LoopPhysics, state: LoopState
+) -> list[TickOutput]:
+    """Outputs of a loop on every row of /online, fed with the recorded inputs."""
+    outputs = list[TickOutput]()
+    for number, given in _recorded_inputs(run, online):
         skipped = number - state.number
         if skipped < 0:
             raise InputError(f"/online/time has two rows for the tick {number}")
-        state, reaction = step_tick(physics, state, given._replace(skipped=skipped))
-        said.append(reaction)
-    return said
+        state, output = step_tick(physics, state, given._replace(skipped=skipped))
+        outputs.append(output)
+    return outputs
 
 
-def _given(run: RunLog, online: Online) -> Iterator[tuple[int, TickInput]]:
-    """Each recorded tick's number, and what the loop was given on it but for skipped ticks."""
+def _recorded_inputs(run: RunLog, online: Online) -> Iterator[tuple[int, TickInput]]:
+    """Number and inputs of each recorded tick, but for the skipped ticks before it."""
     measured = run.measured
     if measured.z is None:
         raise InputError("the run has no /measured/z, which the loop was given")
@@ -215,9 +220,11 @@ def _differences(
             yield Difference(name, rows.size, float(time[rows[0]]), largest)
 
 
-def _command_differences(run: RunLog, said: list[TickOutput], tick: float) -> Iterator[Difference]:
+def _command_differences(
+    run: RunLog, outputs: list[TickOutput], tick: float
+) -> Iterator[Difference]:
     command = run.command
-    demands = list(_demands(said, tick))
+    demands = list(_demands(outputs, tick))
     if command.vx is None or command.time.size < len(demands):
         raise InputError("/command does not have a row of omega and vx for each tick")
     recorded = {"omega": command.omega[: len(demands)], "vx": command.vx[: len(demands)]}
@@ -225,13 +232,13 @@ def _command_differences(run: RunLog, said: list[TickOutput], tick: float) -> It
     yield from _differences(command.time, recorded, found)
 
 
-def _demands(said: list[TickOutput], tick: float) -> Iterator[RigCommand]:
-    """The rows of /command: at rest at first, and what was held where ticks were skipped."""
+def _demands(outputs: list[TickOutput], tick: float) -> Iterator[RigCommand]:
+    """Rows of /command: at rest at first, and the held command where ticks were skipped."""
     next_number = 0
     yield REST
-    for each in said:
+    for each in outputs:
         if each.number > next_number:
             yield each.held
-        # A demand that is refused ends the run, and the tick has no row.
+        # A refused command ends the run, and the tick has no row.
         yield each.demand or each.held
         next_number = each.number + 1

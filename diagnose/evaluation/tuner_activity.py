@@ -74,8 +74,11 @@ def tuner_activity(
         zeta: Matched zeta of a run, by its index, with the reference model and with the effects.
         tuner: Of runs that were not made in the loop.
 
+    Returns:
+        For each run, the activity by the reference model and with the effects.
+
     Raises:
-        InputError: where a replay diverges, or no tick falls where a wheel moves.
+        InputError: a replay diverges, or no tick falls where a wheel moves.
     """
     effects = tuple(effects)
     longest = max(float(each.trial.time[-1]) for each in dataset.runs)

@@ -1,7 +1,7 @@
-"""Runs side by side: one compiled program simulates and differentiates a whole batch.
+"""Batch of runs: one compiled program simulates and differentiates all of them.
 
 Runs differ in length and in their recorded times, so all are padded to the longest and masked:
-a padded row weighs nothing. The batch is spread over the machine's devices, a share of the runs
+a padded row has weight zero. The batch is spread over the machine's devices, a share of the runs
 on each.
 """
 
@@ -33,7 +33,7 @@ class PaddedObservations(eqx.Module):
 
     Attributes:
         row: Row of the simulation before each recorded time, shape (runs, samples).
-        share: Way from that row to the next [-], shape (runs, samples).
+        share: Place between that row and the next [-], 0 to 1, shape (runs, samples).
         intervals: Usual intervals from the sample before, more than one after a gap, shape (runs,
             samples).
         values: Recorded channels, shape (runs, channels, samples).
@@ -52,13 +52,13 @@ class PaddedObservations(eqx.Module):
 
 
 class Batch(eqx.Module):
-    """Trials and what was recorded of them, ready for one compiled program.
+    """Trials and their recordings, ready for one compiled program.
 
     Attributes:
         trials: Trials stacked along a leading axis of runs.
         observed: Their recordings.
-        channels: Names of the channels compared; one that a run lacks weighs nothing there.
-        runs: Number of true runs; the rest are padding that weighs nothing.
+        channels: Names of the channels compared; one that a run lacks has weight zero there.
+        runs: Number of true runs; the rest are padding of weight zero.
         order: Runs in the order in which the devices take them, an equal number each.
     """
 
@@ -79,12 +79,12 @@ def make_batch(
 
     Args:
         trials: One for each run, all of the same kind of wheel, law and carriage.
-        observations: What was recorded of each.
+        observations: One for each run.
         multiple: The number of runs is padded to a multiple of this.
-        size: What lengths are padded to; `roomy` where none is given.
+        size: Padded length by length; `padded_size` where none is given.
 
     Raises:
-        InputError: where the trials are not alike.
+        InputError: the trials do not share one compiled program.
     """
     for number, trial in enumerate(trials[1:], start=2):
         if not share_program(trial, trials[0]):
@@ -96,7 +96,7 @@ def make_batch(
     samples = size(max(len(o.time) for o in observations))
     padded = [pad_trial(trial, rows, knots) for trial in trials]
     recorded = [
-        _observed(o, channels, samples, trial)
+        _pad_observation(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
     ]
     padding = multiple * padded_size(math.ceil(len(trials) / multiple)) - len(trials)
@@ -115,7 +115,7 @@ def make_batch(
 
 
 def _shares(work: list[int], devices: int) -> np.ndarray:
-    """The runs in an order that gives each device as many, and about as much work."""
+    """Order of the runs that gives each device as many runs, and about as much work."""
     places = len(work) // devices
     shares: list[list[int]] = [[] for _ in range(devices)]
     for run in sorted(range(len(work)), key=lambda run: -work[run]):
@@ -135,7 +135,7 @@ def padded_size(count: int) -> int:
 
 
 def share_program(trial: Trial, other: Trial) -> bool:
-    """Whether one compiled program runs both: the same kind of wheel, terrain, rig and method."""
+    """True where one compiled program runs both: same kind of wheel, terrain, rig and method."""
 
     def kind(trial: Trial) -> tuple:
         parts = jax.tree.leaves((trial.simulator, trial.start))
@@ -145,7 +145,13 @@ def share_program(trial: Trial, other: Trial) -> bool:
 
 
 def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
-    """The trial with so many rows, and with knots of its command added up to so many."""
+    """The trial with another number of rows, and its command padded to a number of knots.
+
+    Args:
+        trial: Trial of a run.
+        rows: Rows of the output after the first.
+        knots: Knots of the command, at least the trial's; added ones hold the last value.
+    """
     missing = max(0, knots - len(trial.time))
     later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
     hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
@@ -161,9 +167,10 @@ def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
     )
 
 
-def _observed(
+def _pad_observation(
     observation: Observation, channels: tuple[str, ...], samples: int, trial: Trial
 ) -> PaddedObservations:
+    """Recording of one run, padded to a number of samples, at rows of its trial."""
     interval = trial.every * float(trial.step)
     place = np.clip(observation.time / interval, 0, None)
     row = np.clip(np.floor(place + 1e-9), 0, trial.rows - 1)
@@ -204,17 +211,17 @@ def between_rows(rows: Float[Array, "channels rows"], observed: PaddedObservatio
 
 
 def map_over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):
-    """What `one` makes of every run, a share of the runs on each device.
+    """Map a function over all runs, a share of them on each device.
 
     Args:
         batch: The runs.
         mesh: The devices.
-        one: Of a run's trial, its recording, what is shared, and what is the run's own.
-        shared: Anything, the same for every run.
-        own: Arrays with a leading axis of runs.
+        one: Function of a run's trial, its recording, `shared`, and the run's share of `own`.
+        shared: Tree of arrays that is the same for every run.
+        own: Tree of arrays with a leading axis of runs.
 
     Returns:
-        What `one` returns, its arrays with a leading axis of runs, in the batch's order.
+        Results of `one`, arrays with a leading axis of runs, in the batch's order.
     """
     spread, whole = PartitionSpec("runs"), PartitionSpec()
     trials, observed, each = jax.tree.map(

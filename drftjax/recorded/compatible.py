@@ -1,4 +1,4 @@
-"""Runs that one program simulates side by side, and those that are left out of it."""
+"""Sets of runs that one compiled program simulates, and the runs that do not fit in."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -13,10 +13,16 @@ Made = TypeVar("Made")
 def largest_compatible_set(
     candidates: Sequence[PreparedRun],
 ) -> tuple[list[PreparedRun], dict[str, str]]:
-    """The largest set of runs that one program simulates, and why the others are left out.
+    """Largest set of runs that one compiled program simulates.
+
+    Args:
+        candidates: Runs with different names.
+
+    Returns:
+        The runs of the set, and the reason why each other run is not in it, by its name.
 
     Raises:
-        InputError: where two runs have one name, or two kinds have as many runs.
+        InputError: two runs have one name, or the two largest sets are of one size.
     """
     names = [each.name for each in candidates]
     if len(set(names)) < len(names):
@@ -32,9 +38,9 @@ def largest_compatible_set(
     ranked = sorted(kinds, key=len, reverse=True)
     largest = ranked[0] if ranked else []
     if len(ranked) > 1 and len(ranked[1]) == len(largest):
-        told = "; ".join(", ".join(each.name for each in kind) for kind in ranked[:2])
+        listed = "; ".join(", ".join(each.name for each in kind) for kind in ranked[:2])
         raise InputError(
-            f"the runs are of different wheels, terrains, carriages or integrators ({told}); fit "
+            f"the runs are of different wheels, terrains, carriages or integrators ({listed}); fit "
             "each apart"
         )
     others = (each for kind in kinds if kind is not largest for each in kind)
@@ -46,24 +52,26 @@ def largest_compatible_set(
 def retry_without_failures(
     candidates: Sequence[PreparedRun], make: Callable[[list[PreparedRun]], Made]
 ) -> tuple[list[PreparedRun], Made, dict[str, str]]:
-    """What is made of all runs that can be used together.
+    """Call a function on the largest compatible set of runs, without those that fail.
+
+    Each run that raises `RunError` is dropped, and the function is called again.
 
     Args:
-        candidates: Runs; those of another kind than most are left out.
-        make: Makes something of several runs, or raises `RunError` for one that must be left out.
+        candidates: Runs with different names.
+        make: Function of several runs, which raises `RunError` for one that it cannot use.
 
     Returns:
-        The runs used, what was made of them, and why each other run was left out.
+        The runs used, the function's result, and the reason why each other run was not used.
 
     Raises:
-        InputError: where no run is left.
+        InputError: no run can be used.
     """
-    kept, left_out = largest_compatible_set(candidates)
+    kept, skipped = largest_compatible_set(candidates)
     while True:
         try:
-            return kept, make(kept), left_out
+            return kept, make(kept), skipped
         except RunError as problem:
             if len(kept) == 1:
                 raise
-            left_out[problem.run] = problem.why
+            skipped[problem.run] = problem.why
             kept = [each for each in kept if each.name != problem.run]

@@ -1,4 +1,4 @@
-"""Run logs on their way into a command: found, read in a guarded way and made ready."""
+"""Gathering of runs: run logs found, read in a child process, prepared, or skipped by a reason."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ class GatheredRuns:
     """Runs that can be simulated and compared, and those that cannot.
 
     Attributes:
-        candidates: The runs.
-        left_out: Why each other one is not among them, by its name.
+        runs: Prepared runs.
+        skipped: Reason why each other run was skipped, by its name.
     """
 
     runs: list[PreparedRun]
@@ -34,20 +34,20 @@ def gather(
     sinkage: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> GatheredRuns:
-    """Runs from files and folders; what cannot be used is left out, and says why.
+    """Read and prepare runs from files and folders; those that cannot be used are skipped.
 
     Args:
-        given: Run logs, and folders of them; a file that repeats another is left out.
-        ready: Makes a run ready, from its name and what was recorded.
-        sinkage: Whether only runs with a sinkage can be used.
-        tell: Called with a sentence for every run that is left out, unless it is the only one, and
-            for readings that are.
+        given: Run logs, and folders of them; a file that repeats another is skipped.
+        ready: Prepares a run, from its name and its run log.
+        sinkage: True where only runs with a recorded sinkage can be used.
+        tell: Called with a sentence for every run that is skipped, unless it is the only one, and
+            for readings that are not compared.
 
     Raises:
-        InputError: where none can be used.
+        InputError: no run can be used.
     """
-    files, left_out = each_once(run_files(given))
-    candidates: list[PreparedRun] = []
+    files, skipped = each_once(run_files(given))
+    prepared: list[PreparedRun] = []
     with GuardedReader() as reader:
         for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):
             try:
@@ -55,7 +55,7 @@ def gather(
                 each = ready(name, run)
                 if sinkage:
                     each.observation.sinkage()
-                candidates.append(each)
+                prepared.append(each)
                 for doubt in doubts(drop_refused(run)):
                     tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
@@ -67,11 +67,11 @@ def gather(
                     tell(f"{name}: {refused} {are} not compared")
             except InputError as problem:
                 why = str(problem).removeprefix(f"{name}: ")
-                left_out[name] = why if str(path) in why else f"{path}: {why}"
-    if not candidates and len(files) == 1:
-        raise InputError([*left_out.values()][-1])
-    for why in left_out.values():
+                skipped[name] = why if str(path) in why else f"{path}: {why}"
+    if not prepared and len(files) == 1:
+        raise InputError([*skipped.values()][-1])
+    for why in skipped.values():
         tell(f"left out: {why}")
-    if not candidates:
+    if not prepared:
         raise InputError(f"none of the {len(files)} files can be used")
-    return GatheredRuns(candidates, left_out)
+    return GatheredRuns(prepared, skipped)

@@ -26,7 +26,7 @@ def _smallest_noise() -> Mapping[str, float]:
 
 @dataclass(frozen=True)
 class ObservationSettings:
-    """Numbers that decide which samples are compared, and how noisy they are at least.
+    """Numbers that decide which samples are compared, and their smallest noise.
 
     Attributes:
         min_noise: Smallest standard deviation of an instrument's noise by channel [m, N, N m]: no
@@ -81,13 +81,13 @@ class Observation:
         return sampling_intervals(self.time)
 
     def select_channels(self, compare: Sequence[str]) -> "Observation":
-        """The same with no other channels compared than these, of those that are.
+        """The same with only these of its channels compared.
 
         Args:
             compare: Names of channels.
 
         Raises:
-            InputError: none is left.
+            InputError: the observation has none of them.
         """
         kept = [number for number, name in enumerate(self.channels) if name in compare]
         if len(kept) == len(self.channels):
@@ -245,7 +245,7 @@ def white_noise(values: np.ndarray) -> float:
 def instrument_noise(
     channel: str, values: np.ndarray, settings: ObservationSettings = DEFAULT_OBSERVATION
 ) -> float:
-    """Standard deviation of an instrument's noise, at least what any instrument of its kind has.
+    """Standard deviation of an instrument's noise, not below the smallest of its channel.
 
     Args:
         channel: Name among x, z, fx, fz, torque.

@@ -67,7 +67,7 @@ def prepare_run(
     start_settings: StartSettings = DEFAULT_START,
     settings: ObservationSettings = DEFAULT_OBSERVATION,
 ) -> PreparedRun:
-    """Make a recorded run ready: its set-up as believed, its start as recorded.
+    """Make a recorded run ready for simulation and comparison.
 
     Args:
         name: The run, as reports call it.

@@ -31,10 +31,10 @@ DEFAULT_REFUSAL = RefusalSettings()
 
 
 def refused_readings(run: RunLog, settings: RefusalSettings = DEFAULT_REFUSAL) -> NDArray[np.bool_]:
-    """Rows of /measured that the loop refused as jumps, or as no height a wheel can have.
+    """Rows of /measured that the loop refused as jumps or as impossible heights.
 
-    Each tick with a fresh reading has the next row. Where there are not as many of both, as in a
-    run that was cut off, the log does not tell which rows they are.
+    Each tick with a fresh reading has the next row. Where their numbers differ, as in a run that
+    was interrupted, the log does not show which rows they are, and none is returned.
 
     Args:
         run: Made in the loop or not.

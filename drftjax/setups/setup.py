@@ -42,7 +42,7 @@ from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp, with_law
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
 
-# Steps of a trial [-]: hours at the default step; more is a slip of units, and would fill the memory.
+# Steps of a trial: hours at the default step; more is a slip of units, and would fill the memory.
 MAX_STEPS = 2e7
 
 

@@ -35,7 +35,6 @@ from tests.helpers.effect_runs import (
 STEADY = 0.03
 # Where only rounding and the step itself lie between.
 CLOSE = 1e-9
-
 # Of a wave of 2 m a wheel feels the sand some 3 cm ahead of its axle: that much phase.
 WAVE = 0.1
 # A ripple locked to the angle loses half of its square, 1.25e-3: the wheel stays where it is slow.
@@ -493,8 +492,8 @@ def test_late_readings_trail_an_even_motion_by_their_delay(name):
 def test_a_delay_shifts_where_a_filter_smears():
     """Both trail a ramp alike; of the bend at its start, only the filter makes a slow curve."""
     plain = starting()
-    delay, lag = (ran(False, **{name: typical(name)}) for name in
-                  ("measurement_delay", "measurement_filter"))  # fmt: skip
+    names = ("measurement_delay", "measurement_filter")
+    delay, lag = (ran(False, **{name: typical(name)}) for name in names)
     shifted = np.interp(plain.time - 0.1, plain.time, plain.x)
     missed = [np.abs(each.x - shifted).max() for each in (delay, lag)]
     assert missed[0] < 0.3 * missed[1]

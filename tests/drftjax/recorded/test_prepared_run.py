@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drftjax.recorded.commanded_motion import is_commanded_to_move
-from drftjax.recorded.observation import observe, white_noise
+from drftjax.recorded.commanded_motion import MotionSettings, is_commanded_to_move
+from drftjax.recorded.observation import ObservationSettings, observe, white_noise
 from drftjax.recorded.prepared_run import prepare_run
+from drftjax.recorded.start_state import StartSettings
 from drftjax.runlog.record import Measured, RecordedCommand
 from tests.helpers.synthetic_runs import recorded, setup_of
 
@@ -111,6 +112,23 @@ def test_samples_after_the_last_stop_are_left_out_unless_kept():
     np.testing.assert_array_equal(moving.counts, moving.time <= 2)
     # Past the command's end nothing is simulated.
     np.testing.assert_array_equal(kept.counts, kept.time <= 4)
+
+
+def test_the_settings_decide_how_much_of_the_rest_is_the_start():
+    run = recorded(setup_of(([0.0, 0.4, 0.5, 2.0], [0.0, 0.0, 2.0, 2.0])))
+    start = prepare_run("run", run, start_settings=StartSettings(window=0.1)).setup.start
+    assert start.x == run.measured.x[:6].mean()
+    assert start.x != prepare_run("run", run).setup.start.x
+
+
+def test_the_settings_decide_what_stands_and_how_little_noise_there_is():
+    plain = recorded(setup_of(([0.0, 1.0, 2.0, 3.0, 5.0], [0.0, 0.5, 0.5, 0.01, 0.01])))
+    slow = ObservationSettings(min_noise={"x": 1.0, "z": 1.0, "torque": 1.0})
+    slow = dataclasses.replace(slow, motion=MotionSettings(standing_share=0.1))
+    found = observe(plain, RADIUS, settings=slow)
+    np.testing.assert_array_equal(found.noise, 1.0)
+    assert observe(plain, RADIUS).counts[found.time > 3.0].any()
+    assert not found.counts[found.time > 3.0].any()
 
 
 def test_white_noise_is_told_from_a_slow_signal():

@@ -8,7 +8,12 @@ import pytest
 
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import RecordedCommand
-from drftjax.setups.command_knots import DEFAULT_KNOTS, decimate_command, simplify_command
+from drftjax.setups.command_knots import (
+    DEFAULT_KNOTS,
+    KnotSettings,
+    decimate_command,
+    simplify_command,
+)
 from drftjax.setups.setup import CommandSetUp, SetUp
 from identify.parameters.phase_zeta import phases_of
 from identify.uncertainty.estimate import phases_of as phase_numbers
@@ -58,6 +63,12 @@ def test_what_a_measured_speed_scatters_by_is_no_phase(omega):
     found = phases_of(SetUp(command))
     assert [name for *_, name in found] == ["stand", "accelerate", "steady", "decelerate", "rest"]
     np.testing.assert_allclose([end for _, end, _ in found], TIME[1:], rtol=0, atol=ROWS * INTERVAL)
+
+
+def test_the_settings_decide_what_is_scatter():
+    bent = CommandSetUp([0.0, 1.0, 2.0], [0.0, 1.1, 2.0])
+    assert simplify_command(bent).time == bent.time
+    assert simplify_command(bent, KnotSettings(scatter=0.06)).time == [0.0, 2.0]
 
 
 @pytest.mark.parametrize("omega", MEASURED)

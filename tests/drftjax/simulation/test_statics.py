@@ -16,6 +16,7 @@ from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import (
     INTRUSION,
     REST,
+    StaticsSettings,
     sinkage_under_load,
     vertical_support,
     zeta_from_sinkage,
@@ -177,6 +178,13 @@ def test_derivatives_of_sinkage_are_central_differences():
 def test_sinkage_that_cannot_be_is_refused(sinkage):
     with pytest.raises(InputError, match="sinkage"):
         zeta_from_sinkage(Simulator(), sinkage)
+
+
+def test_the_settings_decide_how_closely_the_sinkage_is_found():
+    fine = float(sinkage_under_load(Simulator(), TABLE_3))
+    coarse = StaticsSettings(tolerance=1e-3)
+    found = float(sinkage_under_load(Simulator(), TABLE_3, settings=coarse))
+    assert 1e-6 < abs(found - fine) < 2e-3
 
 
 def test_another_load_or_zeta_compiles_nothing(compiled):

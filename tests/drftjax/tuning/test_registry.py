@@ -63,6 +63,11 @@ def test_a_package_that_adds_no_tuner_is_named(package, name, point, said):
         tuners()
 
 
+def test_settings_are_no_number_of_a_tuner():
+    with pytest.raises(InputError, match=r"has no number 'settings', it has drift, .* low, high$"):
+        TunerSetUp("kalman", {"settings": 1.0}).build(TICK)
+
+
 def test_an_unknown_tuner_is_refused_with_the_nearest_one():
     said = "the tuner is 'kalmann', must be one of 'step', 'pi', 'kalman'; did you mean 'kalman'"
     with pytest.raises(InputError, match=said):

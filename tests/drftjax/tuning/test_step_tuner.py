@@ -11,7 +11,7 @@ from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
-from drftjax.tuning.replay import known_sinkage, replay_tuner
+from drftjax.tuning.replay import ReplaySettings, known_sinkage, replay_tuner
 from drftjax.tuning.step_tuner import (
     Loop,
     StepTuner,
@@ -159,3 +159,9 @@ def test_a_tick_in_a_gap_or_past_the_end_knows_nothing_once_the_sample_is_old():
     time = np.array([0.0, 0.02, 0.04, 0.2, 0.22])
     known = known_sinkage(np.array([0.04, 0.06, 0.08, 0.19, 0.2, 0.245, 1.0]), time, 10 * time)
     np.testing.assert_allclose(known, [0.4, 0.4, np.nan, np.nan, 2.0, 2.2, np.nan])
+
+
+def test_the_settings_decide_when_a_sample_is_old():
+    time = np.array([0.0, 0.02, 0.04])
+    known = known_sinkage(np.array([0.08, 0.12]), time, time, ReplaySettings(max_age=3.0))
+    np.testing.assert_array_equal(known, [0.04, np.nan])
