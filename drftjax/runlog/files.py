@@ -34,7 +34,7 @@ def run_files(given: Sequence[Path]) -> list[Path]:
     return found
 
 
-def each_once(files: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
+def drop_repeated_files(files: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
     """Files without those that repeat another byte by byte, and by name why each is left out.
 
     A recording that counted twice would pass for two runs that agree to the last digit.

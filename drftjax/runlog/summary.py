@@ -10,7 +10,7 @@ from rich.console import Group as Stack
 from rich.table import Table
 from rich.text import Text
 
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.schema import UNITS
 
@@ -49,7 +49,7 @@ def show(path: str, run: RunLog) -> Stack:
     """What `drft log show` prints for one file."""
     lines = [
         Text(path, style="bold"),
-        Text(f"{printable(run.title)} ({run.source})"),
+        Text(f"{replace_unprintable(run.title)} ({run.source})"),
         *(Text(f"{name}: {text}") for name, text in _provenance(run)),
         Text("set-up: " + (", ".join(_setup(run)) or "nothing is known")),
     ]
@@ -79,4 +79,4 @@ def _provenance(run: RunLog) -> Iterator[tuple[str, str]]:
     for name in ("created", "run_id", "software", "software_version", "end_reason", "notes"):
         text = getattr(run, name)
         if text is not None:
-            yield name, "\n".join(map(printable, text.splitlines()))
+            yield name, "\n".join(map(replace_unprintable, text.splitlines()))
