@@ -253,7 +253,7 @@ def decimate(each: PreparedRun) -> PreparedRun:
     every = math.floor(1 / (FASTEST * float(np.median(np.diff(seen.time)))) + 1e-6)
     if every < 2:
         return each
-    kept = slice(int(np.argmax(seen.begun)) % every, None, every)
+    kept = slice(int(np.argmax(seen.after_start)) % every, None, every)
     values = seen.values[:, kept]
     noise = [
         max(white_noise(row), SMALLEST_NOISE[name])

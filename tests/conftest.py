@@ -1,4 +1,4 @@
-"""How the tests set JAX up, and where the reference data lie.
+"""Set-up of JAX for the tests, the folder of reference data, and fixtures.
 
 JAX reads these variables when it is first imported, and so do the programs that tests start; this
 file itself does not import it.
@@ -72,7 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The reference runs and measurements, in a folder `shared` beside the repository."""
+    """Folder `shared` beside the repository, with the reference runs and measurements."""
     folder = ROOT.parent / "shared"
     if not folder.is_dir():
         pytest.skip("there is no folder ../shared with the reference runs beside the repository")
@@ -81,7 +81,7 @@ def shared() -> Path:
 
 @pytest.fixture
 def compiled() -> Iterator[list[str]]:
-    """Every compilation that the test causes, as it comes."""
+    """List that collects the compilations that a test causes."""
     from jax import monitoring
 
     found = []
@@ -97,7 +97,7 @@ def compiled() -> Iterator[list[str]]:
 
 @pytest.fixture
 def drft(monkeypatch, capsys) -> "Drft":
-    """`drft` run inside the test's own process."""
+    """`drft` run inside the process of the test."""
     from tests.helpers.drft_command import Drft
 
     return Drft(monkeypatch, capsys)
@@ -105,7 +105,7 @@ def drft(monkeypatch, capsys) -> "Drft":
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_programs_go_with_their_module():
-    """Give back the memory of a module's programs, or a few workers would fill a small machine."""
+    """Free the compiled programs of a module, or a few workers would fill the memory."""
     yield
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()

@@ -7,7 +7,7 @@ import numpy as np
 from diagnose.dataset import RigDataset, pitch
 from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
-from drftjax.physics.command import with_zeros
+from drftjax.physics.command import with_zero_crossings
 from drftjax.physics.rig import DrivenCarriage
 
 PHASES = ("stand", "accelerate", "steady", "decelerate", "rest")
@@ -103,7 +103,7 @@ def kinematics_of_run(
         x, vx = smooth("x")
         travel = None if x is None else x - x[0]
     radius = float(trial.simulator.wheel.radius)
-    fine_knots, fine_omegas, fine_vxs = with_zeros(knots, omegas, np.asarray(trial.vx))
+    fine_knots, fine_omegas, fine_vxs = with_zero_crossings(knots, omegas, np.asarray(trial.vx))
     speed = radius * np.abs(fine_omegas) + (np.abs(fine_vxs) if driven else 0)
     grouser_pitch = pitch(dataset.trials[run])
     return RunKinematics(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diagnose.model.unknown_inputs import INPUTS, unknown_inputs
-from drftjax.physics.command import Command, one_way
+from drftjax.physics.command import Command, split_at_reversals
 from drftjax.physics.state import State
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import Trial
@@ -252,7 +252,7 @@ def _ripple(path: LinearizedRun, pitch: float) -> np.ndarray:
     slope = np.zeros((path.motion.shape[0], 2))
     motion = np.asarray(path.motion)[: nodes + 1]
     turned = np.diff(motion[:, 4], append=motion[-1, 4])
-    for part, sense in one_way(np.sign(np.where(np.abs(turned) > 1e-9, turned, 0))):
+    for part, sense in split_at_reversals(np.sign(np.where(np.abs(turned) > 1e-9, turned, 0))):
         slope[: nodes + 1][part] = _ripple_one_way(motion[part], pitch, sense)
     return slope
 

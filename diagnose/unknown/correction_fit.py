@@ -27,7 +27,7 @@ from diagnose.model.shared_programs import in_modes
 from diagnose.selection.model_weights import SCALE
 from diagnose.unknown.dependence import FittedCurve, choose_disturbance, fit_curve
 from diagnose.unknown.disturbances import KNOT, Disturbance
-from drftjax.effects.correction import STAGES, Curve, entry_of, states_known_to, with_values
+from drftjax.effects.correction import STAGES, Curve, correction_variables, entry_of, with_values
 from drftjax.recorded.repeats import group_by_condition
 
 # A signal follows a variable that explains this share of it; curves over so many of these are
@@ -176,7 +176,7 @@ def fit_unknown_effect(
     fast = HERTZ_LABELS[1 + HERTZ.index(FASTEST) :]
     too_fast = sum(e.share for e in places if e.axis == "frequency" and e.label in fast)
     stage, variables = choose_disturbance(case, found)
-    known = [each for each in variables if each[0] in states_known_to(stage.name)]
+    known = [each for each in variables if each[0] in correction_variables(stage.name)]
     likely = [(name, share) for name, share in known if share >= FOLLOWS][:LIKELY]
     curves = [(curve, share) for name, share in likely for curve in fit_curve(case, stage, name)]
     if not curves:

@@ -9,7 +9,7 @@ from diagnose.dataset import RigDataset
 from diagnose.localization.kinematics import RunKinematics, kinematics_of_run
 from diagnose.unknown.disturbances import Disturbance, DisturbanceRegressors
 from diagnose.unknown.gaussian_smoother import SMOOTHER_SETTINGS
-from drftjax.effects.correction import VARIABLES, Curve, correction
+from drftjax.effects.correction import VARIABLES, Curve, correction_class
 from drftjax.recorded.repeats import group_by_condition
 
 # A curve's values may be as large as this many levels of the signal; its bends as one of these,
@@ -107,7 +107,7 @@ def fit_curve(case: RigDataset, stage: Disturbance, variable: str) -> list[Fitte
     runs = np.arange(len(values))
     return [
         FittedCurve(
-            correction(stage.name, variable, each.knots.tolist()),
+            correction_class(stage.name, variable, each.knots.tolist()),
             each.fitted(runs, each.belief),
             each.belief,
         )

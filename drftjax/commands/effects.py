@@ -58,14 +58,14 @@ def effects(
         return
     chosen = None if name is None else effect_class(name)
     if chosen is not None:
-        typer.echo(table.details(chosen))
+        typer.echo(table.effect_details(chosen))
     elif markdown:
-        typer.echo(table.markdown())
+        typer.echo(table.effect_markdown())
     elif plot is None:
         from rich.console import Console
 
         console = Console(highlight=False)
-        console.print(table.listing())
+        console.print(table.effect_table())
         console.print(f"\n{table.BESIDES}")
     if plot is not None:
         from drftjax.common.figures import save_figure

@@ -1,9 +1,9 @@
-"""Where an effect plugs into the simulator: one abstract class for each place.
+"""Abstract classes of effects: one for each place of the step that an effect acts in.
 
 An effect is a small final class with a few numbers. Its *strengths* are zero at the null, where
-the step is the reference model's to the bit; its *shapes* (a wavelength, a decay angle) say what
-it looks like and matter only beside a strength. An effect that must remember something keeps it
-in the state: `begin` makes that memory, and the step hands it back.
+the step is the reference model's to the bit; its *shapes* (a wavelength, a decay angle) give its
+form and matter only where a strength is not zero. An effect with a memory keeps it in the state:
+`begin` makes the memory, and the step hands it back.
 """
 
 import abc
@@ -29,15 +29,15 @@ Memory = Any
 
 @dataclass(frozen=True)
 class EffectInfo:
-    """What an effect says of itself.
+    """Name, stage and meaning of an effect.
 
     Attributes:
         name: Its name in reports and files.
         stage: wheel, terrain, rig, drive or sensor.
-        formula: What it changes, in the fields' symbols.
+        formula: The change that it makes, in the fields' symbols.
         meaning: The same in words.
-        form_of: The effect that this is another form of, and goes by in a diagnosis; empty for
-            most.
+        form_of: Name of the effect that this is another form of, under which a diagnosis reports
+            it; empty for most.
     """
 
     name: str
@@ -55,15 +55,15 @@ def strength(
     most: float = math.inf,
     far: Sequence[float] = (),
 ) -> Any:
-    """A field that is zero where the effect is absent.
+    """Field of an effect that is zero where the effect is absent.
 
     Args:
         unit: Its SI unit, "-" for none.
         typical: Size that a rig may well show, in that unit: the scale of a fit.
-        meaning: What it is.
-        least: Smallest value that means something: files may not go below it, fits should not.
+        meaning: Its meaning in words.
+        least: Smallest value with a meaning: files may not go below it, fits should not.
         most: Largest such value.
-        far: Values that no derivative at zero tells the way to: a search tries them one by one.
+        far: Values that no derivative at zero leads to: a search tries them one by one.
     """
     return eqx.field(
         converter=as_real,
@@ -82,15 +82,15 @@ def strength(
 def shape(
     unit: str, default: float, starts: Sequence[float], meaning: str, least: float = 0.0
 ) -> Any:
-    """A field that says what an effect looks like, and is free only beside a strength.
+    """Field of an effect's form, which matters only where a strength is not zero.
 
     Args:
         unit: Its SI unit.
-        default: Its value where nothing is known.
-        starts: Values above 0 that together cover what a rig may show: where a fit may start;
-            its logarithm is fitted.
-        meaning: What it is.
-        least: What it must lie above.
+        default: Its value where none is given.
+        starts: Values above 0 that together cover what a rig may show: a fit of its logarithm may
+            start from each.
+        meaning: Its meaning in words.
+        least: Value that it must exceed.
     """
     return eqx.field(
         converter=as_real,
@@ -106,7 +106,7 @@ def shape(
 
 
 class StepContext(eqx.Module):
-    """What an effect may know of the step it acts in.
+    """Quantities of a step that its effects may depend on.
 
     Attributes:
         time: End of the step [s].
@@ -127,18 +127,18 @@ class StepContext(eqx.Module):
     radius: Float[Array, ""]
 
     def rim_slip(self) -> Float[Array, ""]:
-        """How fast the rim runs ahead of the ground, r omega - vx [m/s]."""
+        """Slip speed of the rim over the ground, r omega - vx [m/s]."""
         return self.radius * self.omega - self.velocity[0]
 
 
 class AbstractEffect(eqx.Module):
-    """A mechanism that the reference model leaves out. `about` says which."""
+    """A mechanism beyond the reference model, described by `about`."""
 
     about: ClassVar[EffectInfo]
 
 
 class Memoryless(eqx.Module):
-    """Mixin of effects that depend on the present alone; stands before the abstract class."""
+    """Mixin of effects without a memory; to be named before the abstract class."""
 
     def begin(self, *args: Any, **kwargs: Any) -> Memory:
         """No memory, whatever the run starts from."""
@@ -150,7 +150,7 @@ class Memoryless(eqx.Module):
 
 
 class Adjustable(Protocol):
-    """A model by the parts whose numbers an adjustment may change."""
+    """A model with the parts whose numbers an adjustment may change."""
 
     @property
     def wheel(self) -> AbstractWheel: ...
@@ -166,11 +166,11 @@ class AbstractAdjustment(AbstractEffect):
 
     @abc.abstractmethod
     def adjust(self, model: Model) -> Model:
-        """The model with its numbers changed."""
+        """The model with changed numbers."""
 
 
 class AbstractDrive(AbstractEffect):
-    """Stands between the commanded and the true angular velocity."""
+    """Turns the commanded angular velocity into the true one."""
 
     @abc.abstractmethod
     def begin(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Memory:
@@ -184,25 +184,28 @@ class AbstractDrive(AbstractEffect):
         dt: Float[Array, ""],
         memory: Memory,
     ) -> tuple[Float[Array, ""], Memory]:
-        """Angular velocity handed on at the end of the step [rad/s], and the memory after it.
+        """Angular velocity at the end of the step.
 
         Args:
-            omega: What is asked for, effects before this one included [rad/s].
+            omega: Commanded, as the effects before this one hand it on [rad/s].
             angle: Wheel angle at the start of the step [rad].
             dt: Step [s].
             memory: From the step before.
+
+        Returns:
+            Angular velocity handed on [rad/s], and the memory after the step.
         """
 
 
 class MemorylessDrive(Memoryless, AbstractDrive):
-    """A drive whose speed depends on the present alone."""
+    """A drive without a memory."""
 
     @abc.abstractmethod
     def speed(self, omega: Float[Array, ""], angle: Float[Array, ""]) -> Float[Array, ""]:
         """Angular velocity handed on [rad/s].
 
         Args:
-            omega: What is asked for, effects before this one included [rad/s].
+            omega: Commanded, as the effects before this one hand it on [rad/s].
             angle: Wheel angle that this leads to at the end of the step [rad].
         """
 
@@ -221,7 +224,12 @@ class AbstractPlacement(AbstractEffect):
 
     @abc.abstractmethod
     def place(self, plates: Plates, angle: Float[Array, ""]) -> Plates:
-        """The plates, turned to `angle` [rad], where they really are."""
+        """The plates about the axle, moved to their true places.
+
+        Args:
+            plates: Turned to the wheel angle.
+            angle: Wheel angle [rad].
+        """
 
 
 class AbstractZetaFactor(AbstractEffect):
@@ -245,11 +253,11 @@ class AbstractStressFactor(AbstractEffect):
 
     @abc.abstractmethod
     def factor(self, motion: PlateMotion) -> Float[Array, " plates"]:
-        """Factor on each plate's stress [-], one at the null."""
+        """Factor on each plate's stress [-], shape (plates,), one at the null."""
 
 
 class MemorylessZetaFactor(Memoryless, AbstractZetaFactor):
-    """A factor on zeta that depends on the present alone."""
+    """A factor on zeta without a memory."""
 
 
 class AbstractSurface(AbstractEffect):
@@ -267,31 +275,31 @@ class AbstractSurface(AbstractEffect):
     def height(
         self, axle: Float[Array, ""], ahead: Float[Array, " plates"], memory: Memory
     ) -> Float[Array, " plates"]:
-        """Height of the surface over the undisturbed one [m] at the plates.
+        """Height of the surface over the undisturbed one at the plates [m], shape (plates,).
 
         Args:
             axle: Place of the axle along x [m].
-            ahead: How far ahead of it each plate is [m].
-            memory: As `advance` left it.
+            ahead: Distance of each plate ahead of the axle [m], shape (plates,).
+            memory: After the last `advance`.
         """
 
 
 class MemorylessSurface(Memoryless, AbstractSurface):
-    """A surface that no wheel changes."""
+    """A surface without a memory: no wheel changes it."""
 
 
 class AbstractPlane(AbstractSurface):
-    """A surface that is a plane under the whole wheel: all that the theory knows."""
+    """A surface that is a plane under the whole wheel, as resistive force theory assumes."""
 
     @abc.abstractmethod
     def plane(
         self, axle: Float[Array, ""], memory: Memory
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Height of the plane under the axle [m], and how much it rises along x [-].
+        """Height of the plane under the axle [m], and its slope along x [-].
 
         Args:
             axle: Place of the axle along x [m].
-            memory: As `advance` left it.
+            memory: After the last `advance`.
         """
 
     def height(
@@ -306,7 +314,7 @@ class AbstractLoad(AbstractEffect):
 
     @abc.abstractmethod
     def begin(self, position: Float[Array, "2"]) -> Memory:
-        """Memory at the start of a run, from where the axle is."""
+        """Memory at the start of a run, from the place (x, z) of the axle [m]."""
 
     @abc.abstractmethod
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
@@ -320,11 +328,18 @@ class AbstractLoad(AbstractEffect):
         moment: StepContext,
         memory: Memory,
     ) -> Float[Array, "2"]:
-        """Force (x, z) on the axle [N]; the step linearises it in `velocity` [m/s]."""
+        """Force (x, z) on the axle [N]; the step linearises it in the velocity.
+
+        Args:
+            position: Axle position (x, z) [m].
+            velocity: Axle velocity (x, z) [m/s].
+            moment: The step.
+            memory: After the last `advance`.
+        """
 
 
 class MemorylessLoad(Memoryless, AbstractLoad):
-    """A load that depends on the present alone."""
+    """A load without a memory."""
 
 
 class AbstractSandLoad(AbstractLoad):
@@ -332,10 +347,10 @@ class AbstractSandLoad(AbstractLoad):
 
 
 class AbstractSensor(AbstractEffect):
-    """Stands between what is and what is read."""
+    """Turns the true output into the reading of the instruments."""
 
     def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Where the axle (x, z) truly starts [m], from where it reads at rest."""
+        """True start (x, z) of the axle [m], from its reading at rest."""
         return position
 
     @abc.abstractmethod
@@ -346,7 +361,13 @@ class AbstractSensor(AbstractEffect):
     def read(
         self, output: "Output", dt: Float[Array, ""], memory: Memory
     ) -> tuple["Output", Memory]:
-        """The reading, and the memory after the step."""
+        """The reading, and the memory after the step.
+
+        Args:
+            output: True output, or the reading of the sensor before this one.
+            dt: Step [s].
+            memory: From the step before.
+        """
 
 
 def along_x(force: Float[Array, ""]) -> Float[Array, "2"]:

@@ -1,4 +1,4 @@
-"""The effects there are: the catalogue's, and those that installed packages add.
+"""Catalogue of effects: the project's own, and those that installed packages add.
 
 A package adds effects by the entry-point group `drft.effects`: a name, and where its class is.
 """
@@ -37,10 +37,10 @@ OURS: tuple[type[AbstractEffect], ...] = (
 
 @cache
 def catalogue() -> dict[str, type[AbstractEffect]]:
-    """Every effect's class by its name, ours first.
+    """Classes of effects by name, the project's own first.
 
     Raises:
-        InputError: where a package adds something that is no effect, or takes a name.
+        InputError: names a plug-in that is no effect, or takes a name twice.
     """
     known = {each.about.name: each for each in OURS}
     for _, label, added in load_plugins(GROUP, AbstractEffect, "effect"):
@@ -76,13 +76,13 @@ def effect_class(name: str) -> type[AbstractEffect]:
 
 
 def reported_name(name: str) -> str:
-    """What a diagnosis calls an effect: the one that it is a form of, or itself."""
+    """Name of an effect in a diagnosis: that of the effect it is a form of, or its own."""
     effect = catalogue().get(name)
     return name if effect is None else effect.about.form_of or name
 
 
 def reported_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of effects as a diagnosis tells them, each once."""
+    """Names of effects in a diagnosis, each once, in the order given."""
     return tuple(dict.fromkeys(reported_name(name) for name in names))
 
 
@@ -96,10 +96,10 @@ def field_metadata(effect: type[AbstractEffect]) -> dict[str, dict]:
 
 
 def strengths(effect: type[AbstractEffect]) -> tuple[str, ...]:
-    """The fields that are zero where the effect is absent."""
+    """Names of the fields that are zero where the effect is absent."""
     return tuple(name for name, about in field_metadata(effect).items() if "typical" in about)
 
 
 def shapes(effect: type[AbstractEffect]) -> tuple[str, ...]:
-    """The fields that say what the effect looks like."""
+    """Names of the fields of the effect's form."""
     return tuple(name for name, about in field_metadata(effect).items() if "starts" in about)

@@ -1,4 +1,4 @@
-"""Effects one after the other: what a step asks of all that plug into one place.
+"""Composition of effects: all effects of one place of the step, applied in order.
 
 Every function takes the effects and their memories, one for each, in the order given.
 """
@@ -41,7 +41,7 @@ Pair = Float[Array, "2"]
 
 
 def initial_readings(effects: Effects, position: Pair) -> Pair:
-    """Where the axle truly starts [m], from where all sensors together read it at rest."""
+    """True start (x, z) of the axle [m], from the reading of all sensors together at rest."""
     for effect in reversed(effects):
         if isinstance(effect, AbstractSensor):
             position = effect.started(position)
@@ -49,9 +49,9 @@ def initial_readings(effects: Effects, position: Pair) -> Pair:
 
 
 def begin(effects: Effects, state: "State") -> Memories:
-    """Memories at the start of a run, from where the wheel is and how it turns there.
+    """Memories at the start of a run, from the state of the wheel there.
 
-    Those of sensors follow by `begin_reading`, from an output that the other effects bear on.
+    Those of sensors follow by `begin_reading`, from an output that the other effects act on.
     """
 
     def of(effect: AbstractEffect) -> Memory:
@@ -68,7 +68,13 @@ def begin(effects: Effects, state: "State") -> Memories:
 
 
 def begin_reading(effects: Effects, memories: Memories, truth: "Output", dt: Number) -> Memories:
-    """Memories with those of the sensors, each begun on what the one before it reads."""
+    """Memories with those of the sensors, each begun on the reading of the one before it.
+
+    Args:
+        effects, memories: All effects, and their memories by `begin`.
+        truth: True output at the start.
+        dt: Time that a reading takes [s].
+    """
     reading, begun = truth, list(memories)
     for index, effect in enumerate(effects):
         if isinstance(effect, AbstractSensor):
@@ -99,7 +105,7 @@ def wheel_speed(
 
 
 def move_plates(effects: Effects, plates: Plates, angle: Number) -> Plates:
-    """The plates where they really are about the axle."""
+    """The plates about the axle, moved to their true places."""
     for effect in effects:
         if isinstance(effect, AbstractPlacement):
             plates = effect.place(plates, angle)
@@ -158,7 +164,7 @@ def loads(
 def measure(
     effects: Effects, memories: Memories, truth: "Output", dt: Number
 ) -> tuple["Output", Memories]:
-    """What the instruments read of the true output."""
+    """Reading of the instruments, and their memories after a step of `dt` [s]."""
     reading, after = truth, list(memories)
     for index, effect in enumerate(effects):
         if isinstance(effect, AbstractSensor):

@@ -1,9 +1,9 @@
-"""Corrections: effects that nobody has named, as a curve over the variable that they follow.
+"""Corrections: curves over one variable that stand in for an unlisted effect.
 
 A correction acts in one stage: it scales zeta, pulls at the axle, changes the drive's speed, the
 surface or a reading, by a curve that runs straight between its knots and level beyond them. Its
-strengths are the curve's values at the knots. What the knots stand on is part of its class, so that
-a model with it compiles like one with any effect; `correction` makes the class.
+strengths are the curve's values at the knots. The variable and the knots are part of its class, so
+that a model with it compiles like one with any effect; `correction_class` makes the class.
 """
 
 import itertools
@@ -51,7 +51,7 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-# What a curve may stand on, with its unit.
+# Variables of a curve, with their units.
 VARIABLES = {
     "angular velocity": "rad/s",
     "slip speed": "m/s",
@@ -84,15 +84,15 @@ def fields(count: int) -> tuple[str, ...]:
     return tuple(f"at_{k}" for k in range(count))
 
 
-class Travelled(eqx.Module):
-    """What has gone by since the run's start: travel [m], turning [rad] and time [s]."""
+class TravelMemory(eqx.Module):
+    """Travel [m], turning [rad] and time [s] since the run's start."""
 
     travel: Number
     turning: Number
     time: Number
 
     @classmethod
-    def nothing(cls) -> "Travelled":
+    def nothing(cls) -> "TravelMemory":
         nought = jnp.zeros(())
         return cls(nought, nought, nought)
 
@@ -120,10 +120,10 @@ class Curve(AbstractEffect):
         return jnp.interp(variable, knots, values)
 
     def along(self, known: Mapping[str, Number]) -> Number:
-        """The curve's height, of all variables that its stage knows."""
+        """Height of the curve at its own variable, among all variables of its stage."""
         return self.at(known[self.variable])
 
-    def in_moment(self, moment: StepContext, memory: Travelled) -> Number:
+    def in_moment(self, moment: StepContext, memory: TravelMemory) -> Number:
         """The curve's height in a step."""
         known = {
             "angular velocity": moment.omega,
@@ -136,8 +136,8 @@ class Curve(AbstractEffect):
         return self.along({**known, **memory.known()})
 
 
-def _gone_on(memory: Travelled, moment: StepContext) -> Travelled:
-    return Travelled(
+def _gone_on(memory: TravelMemory, moment: StepContext) -> TravelMemory:
+    return TravelMemory(
         memory.travel + moment.dt * moment.velocity[0],
         memory.turning + moment.dt * jnp.abs(moment.omega),
         memory.time + moment.dt,
@@ -150,7 +150,7 @@ class ZetaCorrection(Curve, AbstractZetaFactor):
     about: ClassVar = EffectInfo(NAME, "terrain", "ζ = ζ exp(curve)", "zeta follows a fitted curve")
 
     def begin(self) -> Memory:
-        return Travelled.nothing()
+        return TravelMemory.nothing()
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
@@ -161,7 +161,7 @@ class ZetaCorrection(Curve, AbstractZetaFactor):
 
 class _ForceCorrection(Curve, AbstractLoad):
     def begin(self, position: Pair) -> Memory:
-        return Travelled.nothing()
+        return TravelMemory.nothing()
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
@@ -197,12 +197,12 @@ class SpeedCorrection(Curve, AbstractDrive):
     )
 
     def begin(self, omega: Number, angle: Number) -> Memory:
-        return Travelled.nothing()
+        return TravelMemory.nothing()
 
     def turn(
         self, omega: Number, angle: Number, dt: Number, memory: Memory
     ) -> tuple[Number, Memory]:
-        gone = Travelled(memory.travel, memory.turning + dt * jnp.abs(omega), memory.time + dt)
+        gone = TravelMemory(memory.travel, memory.turning + dt * jnp.abs(omega), memory.time + dt)
         known = {
             "angular velocity": omega,
             "turning": gone.turning,
@@ -218,7 +218,7 @@ class HeightCorrection(Curve, AbstractPlane):
     about: ClassVar = EffectInfo(NAME, "terrain", "h = h + curve", "a fitted height of the surface")
 
     def begin(self) -> Memory:
-        return Travelled.nothing()
+        return TravelMemory.nothing()
 
     def advance(self, memory: Memory, moment: StepContext) -> Memory:
         return _gone_on(memory, moment)
@@ -235,11 +235,11 @@ class ReadingCorrection(Curve, AbstractSensor):
     )
 
     def begin(self, output: "Output") -> Memory:
-        return output.x, Travelled.nothing(), output.angle
+        return output.x, TravelMemory.nothing(), output.angle
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
         first, gone, before = memory
-        gone = Travelled(
+        gone = TravelMemory(
             output.x - first, gone.turning + jnp.abs(output.angle - before), gone.time + dt
         )
         known = {
@@ -272,7 +272,7 @@ STAGES: dict[str, tuple[type[Curve], str, float]] = {
 }
 
 
-def states_known_to(stage: str) -> tuple[str, ...]:
+def correction_variables(stage: str) -> tuple[str, ...]:
     """Variables that a correction of a stage may follow."""
     if stage == "speed":
         return DRIVE_KNOWS
@@ -283,7 +283,7 @@ def states_known_to(stage: str) -> tuple[str, ...]:
     return tuple(VARIABLES)
 
 
-def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Curve]:
+def correction_class(stage: str, variable: str, knots: Sequence[float]) -> type[Curve]:
     """Class of a correction.
 
     Args:
@@ -301,8 +301,8 @@ def correction(stage: str, variable: str, knots: Sequence[float]) -> type[Curve]
 def _correction(stage: str, variable: str, knots: tuple[float, ...]) -> type[Curve]:
     if stage not in STAGES:
         raise InputError(f"a correction's stage is {stage!r}, must be one of {', '.join(STAGES)}")
-    if variable not in states_known_to(stage):
-        known = ", ".join(states_known_to(stage))
+    if variable not in correction_variables(stage):
+        known = ", ".join(correction_variables(stage))
         raise InputError(f"a correction of {stage} may follow {known}; {variable!r} was given")
     if not 2 <= len(knots) <= MOST_KNOTS:
         raise InputError(f"a correction has 2 to {MOST_KNOTS} knots; {len(knots)} were given")
@@ -377,7 +377,7 @@ def build_correction(entry: Mapping[str, Any]) -> Curve:
         if not isinstance(entry[field], str):
             raise InputError(f"correction.{field} is {entry[field]!r}, must be a word")
     knots, values = _numbers(entry, "knots"), _numbers(entry, "values")
-    kind = correction(entry["stage"], entry["variable"], knots)
+    kind = correction_class(entry["stage"], entry["variable"], knots)
     if len(values) != len(knots):
         raise InputError(
             f"a correction has a value for each of its {len(knots)} knots; {len(values)} were given"

@@ -1,4 +1,4 @@
-"""Drive: what stands between the commanded angular velocity and the wheel's."""
+"""Drive effects, between the commanded angular velocity and the wheel's."""
 
 from typing import ClassVar
 

@@ -7,7 +7,7 @@ from rich.table import Table
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, field_metadata, strengths
-from drftjax.effects.serialization import entry_of, typical
+from drftjax.effects.serialization import entry_of, typical_effect
 
 STAGES = ("drive", "wheel", "terrain", "rig", "sensor")
 
@@ -28,16 +28,16 @@ def by_stage() -> list[tuple[str, list[type[AbstractEffect]]]]:
     return [(name, list(each)) for name, each in groupby(ordered, lambda e: e.about.stage)]
 
 
-def sizes(effect: type[AbstractEffect]) -> str:
+def typical_sizes(effect: type[AbstractEffect]) -> str:
     """An effect's numbers with the sizes that a rig may well show."""
-    shown = entry_of(typical(effect))
+    shown = entry_of(typical_effect(effect))
     return ", ".join(
         f"{name} {shown[name]:g}" + ("" if about["unit"] == "-" else f" {about['unit']}")
         for name, about in field_metadata(effect).items()
     )
 
 
-def listing() -> Table:
+def effect_table() -> Table:
     """All effects, for a terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     # Names are copied from here, and stay whole.
@@ -48,11 +48,11 @@ def listing() -> Table:
         table.add_row(f"\n[bold cyan]{stage}[/]")
         for each in effects:
             about = each.about
-            table.add_row(f"  {about.name}", about.formula, sizes(each), about.meaning)
+            table.add_row(f"  {about.name}", about.formula, typical_sizes(each), about.meaning)
     return table
 
 
-def markdown() -> str:
+def effect_markdown() -> str:
     """All effects, for docs/effects.md."""
     lines = [
         "| stage | effect | formula | typical numbers | what happens |",
@@ -62,16 +62,15 @@ def markdown() -> str:
         for each in effects:
             about = each.about
             formula = about.formula.replace("|", "\\|")
-            lines.append(
-                f"| {stage} | `{about.name}` | {formula} | {sizes(each)} | {about.meaning} |"
-            )
+            cells = (stage, f"`{about.name}`", formula, typical_sizes(each), about.meaning)
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def details(effect: type[AbstractEffect]) -> str:
+def effect_details(effect: type[AbstractEffect]) -> str:
     """One effect in full, with the lines that put it into a set-up file."""
     about = effect.about
-    shown = entry_of(typical(effect))
+    shown = entry_of(typical_effect(effect))
     lines = [f"{about.name} ({about.stage}): {about.meaning}", "", f"    {about.formula}", ""]
     if about.form_of:
         lines += [f"Another form of {about.form_of}, by whose name a diagnosis tells it.", ""]
@@ -91,7 +90,7 @@ def correction_details() -> str:
     """The correction in full, with lines for a set-up file."""
     lines = ["correction: a curve over a variable, straight between its knots, level beyond", ""]
     for stage, (_, unit, _) in correction.STAGES.items():
-        known = ", ".join(correction.states_known_to(stage))
+        known = ", ".join(correction.correction_variables(stage))
         lines.append(f"  {stage} [{unit}]  may follow {known}")
     units = ", ".join(f"{name} [{unit}]" for name, unit in correction.VARIABLES.items())
     lines += [

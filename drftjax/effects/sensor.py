@@ -1,4 +1,4 @@
-"""Sensors: what stands between where the wheel is and what is read."""
+"""Sensor effects, between the true output and the reading."""
 
 import dataclasses
 from typing import TYPE_CHECKING, ClassVar

@@ -1,6 +1,6 @@
-"""Effects as a file holds them: a name, and numbers that are left out at their defaults.
+"""Effects to and from entries of a set-up file: a name, and numbers that differ from defaults.
 
-An entry of the name `correction` is no effect of the catalogue: it says itself what it acts on.
+An entry of the name `correction` is no effect of the catalogue: it names its stage and variable.
 """
 
 import math
@@ -15,14 +15,14 @@ Entry = dict[str, str | float | list[float]]
 
 
 def build_effects(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
-    """The effect that an entry describes.
+    """Build the effect of an entry.
 
     Args:
         entry: Its name, and numbers by their fields.
-        place: Which entry of the file it is, from 1 on.
+        place: Number of the entry in the file, from 1 on.
 
     Raises:
-        InputError: says which entry, what was given and what must hold.
+        InputError: names the entry, the value given and the bound that it must meet.
     """
     name = entry.get("name")
     if not isinstance(name, str):
@@ -55,14 +55,14 @@ def build_effects(entry: Mapping[str, str | float | list[float]], place: int) ->
 
 
 def entry_of(effect: AbstractEffect) -> Entry:
-    """An effect as a file holds it: what `built` makes it of again."""
+    """Entry of an effect, from which `build_effects` builds it again."""
     if isinstance(effect, correction.Curve):
         return correction.entry_of(effect)
     fields = {field: float(getattr(effect, field)) for field in field_metadata(type(effect))}
     return {"name": effect.about.name, **fields}
 
 
-def typical(effect: type[AbstractEffect]) -> AbstractEffect:
+def typical_effect(effect: type[AbstractEffect]) -> AbstractEffect:
     """The effect with every strength at its typical size."""
     about = field_metadata(effect)
     return effect(**{field: each["typical"] for field, each in about.items() if "typical" in each})

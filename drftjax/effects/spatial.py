@@ -19,7 +19,7 @@ def centre(of_what: str) -> Any:
 
 
 def width() -> Any:
-    """A field: how wide it is there [m]."""
+    """Field: width of the effect along x [m]."""
     return shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
 
 

@@ -1,4 +1,4 @@
-"""Wheel: what its true shape and mass differ by."""
+"""Wheel effects: its true shape and mass differ from the set-up."""
 
 import dataclasses
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""What is asked of the rig over one step, and over a whole run."""
+"""Command of the rig, over one step and over a whole run."""
 
 import itertools
 from collections.abc import Iterator
@@ -30,7 +30,18 @@ def command_at(
     vx: Float[Array, " knots"] | None = None,
     zeta: Float[Array, " knots"] | None = None,
 ) -> Command:
-    """A recorded command, linear between its samples and constant beyond them, at `time` [s]."""
+    """A recorded command at other times, linear between its knots and constant beyond them.
+
+    Args:
+        time: Times [s], shape (steps,).
+        command_time: Knots [s], increasing, shape (knots,).
+        omega: Angular velocity at the knots [rad/s], shape (knots,).
+        vx: Carriage speed there [m/s]; zero where none is given.
+        zeta: Scaling factor there [-]; zero where none is given.
+
+    Returns:
+        Commands of shape (steps,).
+    """
 
     def at(values: Float[Array, " knots"] | None) -> Float[Array, " steps"]:
         if values is None:
@@ -40,10 +51,10 @@ def command_at(
     return Command(omega=at(omega), vx=at(vx), zeta=at(zeta))
 
 
-def with_zeros(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
+def with_zero_crossings(time: np.ndarray, *channels: np.ndarray) -> tuple[np.ndarray, ...]:
     """A profile with a knot wherever a channel passes through zero.
 
-    So the size of each is straight between knots too, where a wheel or a carriage turns back.
+    The absolute value of each channel is then linear between knots, too.
 
     Args:
         time: Knots [s], increasing.
@@ -68,11 +79,11 @@ def _zeros(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return time[before] + share * (time[before + 1] - time[before])
 
 
-def one_way(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
-    """Stretches in which a wheel or a drive does not turn back, and which way it turns in each.
+def split_at_reversals(senses: np.ndarray) -> Iterator[tuple[slice, int]]:
+    """Stretches between the reversals of a wheel or a drive, and the sense of rotation in each.
 
     Args:
-        senses: Which way it turns on each sample: 1, -1, or 0 where it stands, shape (samples,).
+        senses: Sense of rotation on each sample: 1, -1, or 0 where it stands, shape (samples,).
 
     Returns:
         Slices of the samples, and 1 or -1; one that stands throughout counts as forward.

@@ -1,4 +1,4 @@
-"""The single-wheel rig: its masses, damping and carriage, and how they move under a force."""
+"""Single-wheel rig: masses, damping, loads, and the motion of the carriage under a force."""
 
 import abc
 
@@ -11,7 +11,7 @@ from drftjax.physics.command import Command
 
 
 class AbstractCarriage(eqx.Module):
-    """The horizontal axis: what sets vx."""
+    """Horizontal axis, which sets vx."""
 
     @abc.abstractmethod
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
@@ -51,7 +51,7 @@ class FreeCarriage(AbstractCarriage):
 
 
 class DrivenCarriage(AbstractCarriage):
-    """The carriage is driven at the commanded vx: slip is imposed, fx is what it takes."""
+    """The carriage is driven at the commanded vx: slip is imposed, fx follows."""
 
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
         return jnp.stack([command.vx.astype(velocity.dtype), velocity[1]])
@@ -71,7 +71,7 @@ class Rig(eqx.Module):
     Attributes:
         mass_x: Mass that moves horizontally [kg].
         mass_z: Mass that moves vertically [kg].
-        damping_x, damping_z: Damping terms c_x, c_z [N s/m]; 0 unless said.
+        damping_x, damping_z: Damping terms c_x, c_z [N s/m].
         drawbar_load: Constant horizontal force held against the wheel, positive backward [N].
         gravity: Gravitational acceleration [m/s2].
         carriage: Free, or driven at a given vx(t).

@@ -10,7 +10,7 @@ from drftjax.common.arrays import Real, as_real
 
 
 class State(eqx.Module):
-    """What the next step needs.
+    """State of the simulated wheel between two steps.
 
     Attributes:
         time: Time from the run's start [s].
@@ -18,7 +18,7 @@ class State(eqx.Module):
         velocity: Axle velocity (x, z) [m/s].
         angle: Wheel angle, positive driving forward [rad].
         omega: Angular velocity [rad/s].
-        memory: What each effect remembers; empty before `Simulator.begin`.
+        memory: Memory of each effect; empty before `Simulator.begin`.
     """
 
     time: Float[Array, ""]
@@ -30,9 +30,13 @@ class State(eqx.Module):
 
     @classmethod
     def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0, speed: Real = 0.0) -> "State":
-        """A wheel that does not turn at this sinkage [m], place x [m] and angle [rad].
+        """A wheel that does not turn; its carriage may roll forward.
 
-        Its carriage may roll forward at some speed [m/s].
+        Args:
+            sinkage: H = -z [m].
+            x: Place of the axle [m].
+            angle: Wheel angle [rad].
+            speed: Of the carriage [m/s].
         """
         depth = as_real(sinkage)
         nought = jnp.zeros((), depth.dtype)
@@ -42,7 +46,7 @@ class State(eqx.Module):
 
 
 class Output(eqx.Module):
-    """What an observer wants of a step; with a leading time axis, of a run.
+    """Output of a step; with a leading time axis, of a run.
 
     Attributes:
         time: End of the step [s].

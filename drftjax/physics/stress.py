@@ -34,7 +34,7 @@ NEWTON_PER_CUBIC_CENTIMETRE = 1e6
 
 
 class PlateMotion(eqx.Module):
-    """Where the plates are and how they move, all of shape (plates,) but the last two.
+    """Depth and motion of the plates, all of shape (plates,) but the last one.
 
     Attributes:
         depth: Depth below the surface [m], negative above it.
@@ -150,11 +150,11 @@ class StressCoefficients(eqx.Module):
 
 
 class AbstractCorners(eqx.Module):
-    """What a law makes of the places where a plate's load sets in."""
+    """Onset of a plate's load: where it enters the sand, begins to lead or passes the axle."""
 
     @abc.abstractmethod
     def sunk(self, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
-        """How deep each plate is in the sand [m], given its depth below the surface [m]."""
+        """Immersion of each plate in the sand [m], given its depth below the surface [m]."""
 
     @abc.abstractmethod
     def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
@@ -172,7 +172,7 @@ class AbstractCorners(eqx.Module):
 
 
 class Sharp(AbstractCorners):
-    """All at once, as the model has it."""
+    """Sudden onset, as the model has it."""
 
     def sunk(self, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
         return jnp.maximum(depth, 0)
@@ -190,16 +190,16 @@ class Sharp(AbstractCorners):
 
 
 class Rounded(AbstractCorners):
-    """Over a width each, for searches that follow the slope of a run's derivatives.
+    """Onset over a width each, for searches that follow the slope of a run's derivatives.
 
     A derivative by a parameter jumps a little at every plate that enters the sand, begins to lead
-    or passes below the axle. When it does depends on the profile; a derivative of derivatives sees
-    the way between the jumps. Over a width, there are no jumps.
+    or passes below the axle. Its time depends on the profile, and a derivative of
+    derivatives does not see the jumps. Over a width, there are none.
 
     Attributes:
         entry: Depth over which a plate enters the sand [m].
         lead: Speed along its normal over which a plate begins to lead [m/s].
-        passage: Way over which a plate passes below the axle [m].
+        passage: Distance over which a plate passes below the axle [m].
     """
 
     entry: float = eqx.field(static=True, default=2e-3)

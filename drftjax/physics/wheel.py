@@ -34,7 +34,7 @@ ROUNDING = 1e-9
 
 
 def plate_count(length: float, plate_size: float) -> int:
-    """How many plates of at most this size [m] cut a length [m]."""
+    """Number of plates of at most this size [m] that cut a length [m]."""
     return math.ceil(length / plate_size - ROUNDING)
 
 
@@ -257,10 +257,10 @@ class GrouserWheel(AbstractWheel):
         self.reach = reach
 
     def check(self) -> None:
-        """Refuse grousers that effects made such as cannot be; traced numbers pass.
+        """Refuse impossible grousers, as effects may make them; traced numbers pass.
 
         Raises:
-            InputError: says which length, and what must hold.
+            InputError: names the length, and its bounds.
         """
         radius, height, thickness = self.radius, self.grouser_height, self.grouser_thickness
         if any(isinstance(each, jax_core.Tracer) for each in (radius, height, thickness)):

@@ -94,7 +94,7 @@ def make_batch(
     rows = size(max(trial.rows for trial in trials))
     knots = size(max(len(trial.time) for trial in trials))
     samples = size(max(len(o.time) for o in observations))
-    padded = [of_lengths(trial, rows, knots) for trial in trials]
+    padded = [pad_trial(trial, rows, knots) for trial in trials]
     recorded = [
         _observed(o, channels, samples, trial)
         for o, trial in zip(observations, trials, strict=True)
@@ -139,12 +139,12 @@ def share_program(trial: Trial, other: Trial) -> bool:
 
     def kind(trial: Trial) -> tuple:
         parts = jax.tree.leaves((trial.simulator, trial.start))
-        return jax.tree.structure(of_lengths(trial, 1, 1)), [each.shape for each in parts]
+        return jax.tree.structure(pad_trial(trial, 1, 1)), [each.shape for each in parts]
 
     return kind(trial) == kind(other)
 
 
-def of_lengths(trial: Trial, rows: int, knots: int) -> Trial:
+def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
     """The trial with so many rows, and with knots of its command added up to so many."""
     missing = max(0, knots - len(trial.time))
     later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)

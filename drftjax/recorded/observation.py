@@ -71,16 +71,16 @@ class Observation:
     unused: tuple[str, ...] = ()
 
     @property
-    def begun(self) -> np.ndarray:
+    def after_start(self) -> np.ndarray:
         """True for samples that were not taken before the command begins, shape (samples,)."""
         return self.time >= -ROUNDING
 
     @property
     def intervals(self) -> np.ndarray:
         """Whole usual intervals from the sample before [-], infinite first, shape (samples,)."""
-        return intervals_of(self.time)
+        return sampling_intervals(self.time)
 
-    def of(self, compare: Sequence[str]) -> "Observation":
+    def select_channels(self, compare: Sequence[str]) -> "Observation":
         """The same with no other channels compared than these, of those that are.
 
         Args:
@@ -121,7 +121,7 @@ class Observation:
         }
 
 
-def intervals_of(time: np.ndarray) -> np.ndarray:
+def sampling_intervals(time: np.ndarray) -> np.ndarray:
     """Whole usual intervals from the sample before [-].
 
     Args:

@@ -24,7 +24,7 @@ from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setups.from_run import setup_from_run
-from drftjax.setups.setup import CommandSetUp, SetUp, put_effects
+from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
 from drftjax.simulation.trial import Trial
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
@@ -118,7 +118,7 @@ def setup_for(
         InputError: names what the run log lacks.
     """
     setup = setup_from_run(run) if model is None else _under_command(model, run)
-    put_effects(setup, fitted)
+    add_fitted_effects(setup, fitted)
     setup.integrator.method = method
     setup.integrator.step = (
         steady_step(setup.wheel.radius, run.command.time, run.command.omega)
@@ -209,7 +209,9 @@ def as_prepared(name: str, run: object, model: SetUp | None = None, **options: A
         InputError: the object is no run.
     """
     if isinstance(run, PreparedRun):
-        return replace(run, observation=run.observation.of(options.get("compare", CHANNELS)))
+        return replace(
+            run, observation=run.observation.select_channels(options.get("compare", CHANNELS))
+        )
     if _is_pair(run):
         model, run = run  # pyright: ignore[reportGeneralTypeIssues]
     if isinstance(run, str | Path):

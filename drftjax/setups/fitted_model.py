@@ -1,4 +1,4 @@
-"""Models as files: fitted set-ups read back, and a simulated run as a run log."""
+"""Fitted models: set-ups read from the results of fits, and written into them."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -34,10 +34,10 @@ def read_model(path: str | Path, run: str | None = None) -> SetUp:
 
     Args:
         path: The result file.
-        run: Which run's model; may be left out where there is one only.
+        run: Name of the run whose model is read; none where the file holds one only.
 
     Raises:
-        InputError: names the file and what must hold.
+        InputError: names the file, and the runs that it holds.
     """
     path = Path(path)
     if path.suffix == ".toml":
@@ -92,7 +92,13 @@ def _from_hdf5(path: Path) -> dict[str, SetUp]:
 def model_group(
     setup: SetUp, datasets: dict[str, tuple[np.ndarray, str]], attributes: dict[str, float]
 ) -> ResultGroup:
-    """A fitted run as an HDF5 group: its set-up and command, with datasets of the caller's."""
+    """A fitted run as an HDF5 group.
+
+    Args:
+        setup: Fitted set-up, its command included.
+        datasets: Further datasets, each with its unit.
+        attributes: Further attributes.
+    """
     rest = msgspec.to_builtins(setup)
     command = rest.pop("command")
     radians = setup.command.build()

@@ -1,4 +1,8 @@
-"""A recorded run as a pattern: the set-up that another run may have."""
+"""Set-up of a recorded run: a `SetUp`, as set-up files hold it, from a run log.
+
+A run log holds a `RecordedSetup`: the few numbers that its operator knew, any of which may be
+missing. A `SetUp` is complete: every number that a simulation needs, its command among them.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -12,10 +16,16 @@ from drftjax.setups.terrain_setup import DynamicTerrain
 
 
 def setup_like(path: Path) -> tuple[SetUp, RunLog]:
-    """The set-up of a recorded run, and the run.
+    """Read a recorded run and its set-up from an untrusted file.
+
+    Args:
+        path: Run log.
+
+    Returns:
+        The set-up, and the run.
 
     Raises:
-        InputError: names the file, what it lacks or says that cannot be, and what must hold.
+        InputError: names the file, and the number that is missing or out of bounds.
     """
     run = read_run_guarded(path)
     try:
@@ -28,13 +38,16 @@ def setup_like(path: Path) -> tuple[SetUp, RunLog]:
 
 
 def setup_from_run(run: RunLog) -> SetUp:
-    """The set-up and commands of a recorded run, as its operator believed them to be.
+    """Complete set-up of a recorded run, from the numbers in its run log.
 
-    What the run log leaves out is taken from `SetUp`'s defaults, but for the wheel's radius,
-    width and the vertical mass, without which no run can be simulated.
+    Numbers that are missing there are `SetUp`'s defaults, but for the wheel's radius, width and
+    the vertical mass, without which no run can be simulated.
+
+    Args:
+        run: Recorded run.
 
     Raises:
-        InputError: says which attribute of /setup is missing.
+        InputError: names the missing attributes of /setup.
     """
     known = run.setup.known()
     missing = [name for name in ("wheel_radius", "wheel_width", "mass_z") if name not in known]

@@ -26,14 +26,14 @@ def replace_own_setup(path: Path, text: str, mark: str) -> None:
 
 
 def require_own_setup(path: Path, mark: str) -> None:
-    """Refuse a name at which a set-up file stands that somebody wrote or edited.
+    """Refuse the name of a set-up file that somebody wrote or edited.
 
     Args:
         path: A set-up file to be.
         mark: Words that the set-up files of this command hold.
 
     Raises:
-        InputError: names the file, and what it is.
+        InputError: names the file, and the reason.
     """
     if not path.is_file():
         return

@@ -1,4 +1,9 @@
-"""The set-up of a trial as a file: what TOML and JSON hold, and how a trial is built from it."""
+"""Set-up of a trial as a file, and the trial built from it.
+
+Each table of the file is a structure that reads it, checks its types and builds a part of the
+simulator. A `SetUp` is complete; a run log's `RecordedSetup` (`drftjax.runlog.record`) holds the
+few numbers that its operator knew, and `drftjax.setups.from_run` completes them.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -31,17 +36,17 @@ from drftjax.physics.wheel import (
     GrouserWheel,
     PlainWheel,
 )
-from drftjax.runlog.record import RecordedCommand as RunCommand
+from drftjax.runlog.record import RecordedCommand
 from drftjax.runlog.validation import text_problems
 from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp, with_law
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
 
-# Hours of a run at the default step; more is a slip of units, and would fill the memory.
-MOST_STEPS = 2e7
+# Steps of a trial [-]: hours at the default step; more is a slip of units, and would fill the memory.
+MAX_STEPS = 2e7
 
 
-FASTEST = 100.0  # that a command may turn a wheel [rad/s]
+MAX_OMEGA = 100.0  # commanded angular velocity [rad/s]
 
 
 INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
@@ -115,8 +120,8 @@ class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
 class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
     """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s.
 
-    `origin` is where the x of this set-up counts from on the rig's own scale [m]: what a diagnosis
-    leaves behind, so that its effects keep their places on the bed.
+    `origin` is the place on the rig's own scale [m] from which the x of this set-up counts: a
+    diagnosis writes it, so that its effects keep their places on the bed.
     """
 
     sinkage: float = 0.0176
@@ -134,20 +139,20 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
     vx: list[float] | None = None
     omega_unit: Literal["rad/s", "deg/s"] = "rad/s"
 
-    def build(self) -> RunCommand:
+    def build(self) -> RecordedCommand:
         omega = np.asarray(self.omega, dtype=float)
         fastest = _farthest(omega)
         if self.omega_unit == "deg/s":
-            most = np.degrees(FASTEST)
+            most = np.degrees(MAX_OMEGA)
             require_between("command omega", fastest, -most, most, " deg/s")
             omega = np.radians(omega)
         hint = " rad/s; are these deg/s?" if np.isfinite(fastest) else " rad/s"
-        require_between("command omega", _farthest(omega), -FASTEST, FASTEST, hint)
+        require_between("command omega", _farthest(omega), -MAX_OMEGA, MAX_OMEGA, hint)
         if self.vx is not None:
             require_between("command vx", _farthest(self.vx), -10.0, 10.0, " m/s")
         vx = None if self.vx is None else np.asarray(self.vx, dtype=float)
         try:
-            command = RunCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
+            command = RecordedCommand(time=np.asarray(self.time, dtype=float), omega=omega, vx=vx)
         except InputError as problem:
             raise InputError(f"command.{problem}") from None
         if len(command.time) < 2:
@@ -156,7 +161,7 @@ class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def _farthest(values: ArrayLike) -> float:
-    """The value farthest from zero, or one that is not finite: what a refusal should show."""
+    """The value farthest from zero, or one that is not finite, for an error message."""
     given = np.asarray(values, dtype=float)
     return float(given[np.argmax(np.abs(given))]) if given.size else 0.0
 
@@ -169,7 +174,11 @@ class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class SetUp(msgspec.Struct, forbid_unknown_fields=True):
-    """A trial as a file holds it. The defaults are Tables 1 to 3 of Fuke et al. 2024."""
+    """Complete set-up of a trial, as a file holds it: the operator's model of wheel, sand and rig.
+
+    The defaults are Tables 1 to 3 of Fuke, Ishikawa & Ishigami 2024. It is the model of a
+    simulation or a fit, not the record of a run: that is `drftjax.runlog.record.RecordedSetup`.
+    """
 
     command: CommandSetUp
     title: str = "simulated run"
@@ -188,7 +197,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             interval: Time between rows of its output [s].
 
         Raises:
-            InputError: says which number cannot be, and what must hold.
+            InputError: names a number out of bounds, or tables that contradict each other.
         """
         for reason in text_problems("title", self.title):
             raise InputError(reason)
@@ -217,7 +226,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
             "the number of steps",
             (command.time[-1] - command.time[0]) / self.integrator.step,
             0,
-            MOST_STEPS,
+            MAX_STEPS,
             " (times are in seconds)",
         )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
@@ -225,10 +234,13 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_setup(path: str | Path) -> SetUp:
-    """A set-up file (TOML or JSON); a wheel's outline is looked for beside it.
+    """Read a set-up file (TOML or JSON); the file of a wheel's outline lies in the same folder.
+
+    Args:
+        path: Set-up file.
 
     Raises:
-        InputError: names the file, the entry and what must hold.
+        InputError: names the file, the entry and its bounds.
     """
     path = Path(path)
     setup = to_structure(read_tables(path), SetUp, path)
@@ -254,7 +266,7 @@ def read_tables(path: Path) -> dict[str, Any]:
 
 
 def find_outline(wheel: WheelSetUp, path: Path) -> None:
-    """Read the corners of a wheel whose outline lies beside its set-up file.
+    """Read the corners of a wheel whose outline lies in the folder of its set-up file.
 
     Raises:
         InputError: names the set-up file, and that of the outline.
@@ -269,7 +281,7 @@ def find_outline(wheel: WheelSetUp, path: Path) -> None:
         raise InputError(f"{path}: outline of [wheel]: {problem}") from None
 
 
-def put_effects(setup: SetUp, names: Iterable[str]) -> None:
+def add_fitted_effects(setup: SetUp, names: Iterable[str]) -> None:
     """Add to a set-up the effects whose numbers are to be fitted, where it has none of them.
 
     A number that may not be negative starts from its typical size where it is zero: its logarithm

@@ -1,4 +1,4 @@
-"""Writing a set-up file."""
+"""Set-ups as TOML text."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -14,10 +14,10 @@ def setup_toml(
     """A set-up as the text of its TOML file, which `drftjax.setups.setup.read_setup` reads back.
 
     Args:
-        setup: What is written.
+        setup: Set-up to write.
         head: Lines of comment to begin with.
-        comments: What stands beside a number, by table and key; the effects' tables go by
-            "effect 1", "effect 2" and so on.
+        comments: Comments behind numbers, by table and key; the effects' tables go by "effect 1",
+            "effect 2" and so on.
     """
     document = msgspec.to_builtins(setup)
     effects = document.pop("effect")

@@ -1,4 +1,4 @@
-"""A set-up simulated, as a run log."""
+"""Simulation of a set-up as a run log."""
 
 import math
 
@@ -10,14 +10,14 @@ from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog import record
-from drftjax.setups.command_knots import held_until
+from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
 
 _run = eqx.filter_jit(Trial.run)
 
 
-# Of times of rows, written in decimals [s].
+# Rounding of the times of rows, written in decimals [s].
 ROUNDING = 1e-9
 
 
@@ -27,13 +27,13 @@ def simulated_run(
     """Simulate a set-up and give the run as a run log, forces and torque included.
 
     Args:
-        setup: What is simulated.
+        setup: Set-up to simulate.
         interval: Time between rows [s]; rounded to whole steps.
-        at: Times of the rows [s] in place of that, met by interpolation; past the command's end
-            its last value holds.
+        at: Times of the rows [s], shape (rows,), by interpolation; past the command's end its last
+            value holds.
 
     Raises:
-        InputError: where the set-up cannot be, or the run leaves what the model covers.
+        InputError: a number of the set-up is out of bounds, or the model does not cover the run.
     """
     if at is not None and len(at) > 1:
         interval = min(interval, float(np.median(np.diff(at))))
@@ -41,7 +41,7 @@ def simulated_run(
     end = command.time[-1] + ROUNDING
     held = setup
     if at is not None and len(at) and at[-1] > end:
-        held = msgspec.structs.replace(setup, command=held_until(at[-1], setup.command))
+        held = msgspec.structs.replace(setup, command=extend_command(at[-1], setup.command))
     lasts = held.command.time[-1] - held.command.time[0]
     if interval > lasts + ROUNDING:
         raise InputError(
@@ -68,13 +68,13 @@ def simulated_run(
 
 
 def with_believed_values(setup: SetUp, sinkage: float, zeta: float) -> record.RecordedSetup:
-    """A set-up as a run log has it, with the sinkage at rest [m] and zeta at the start [-].
+    """Set-up of a run log: the numbers of a `SetUp` that it records, and those found at rest.
 
     Args:
-        setup: What is believed of the rig.
+        setup: The operator's model of wheel, sand and rig.
         sinkage: H at rest [m].
-        zeta: At the start; NaN of a wheel that hangs in the air, where nothing tells it, and
-            nothing carries it either [-].
+        zeta: Scaling factor at the start [-]; NaN of a wheel that hangs in the air, which has
+            neither.
     """
     in_the_air = math.isnan(zeta)
     wheel = setup.wheel

@@ -1,4 +1,4 @@
-"""What effects do to the run of Fuke, Ishikawa & Ishigami 2024, drawn."""
+"""Figures of the change that effects make to the run of Fuke, Ishikawa & Ishigami 2024."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata
-from drftjax.effects.listing import sizes
-from drftjax.effects.serialization import typical
+from drftjax.effects.listing import typical_sizes
+from drftjax.effects.serialization import typical_effect
 from drftjax.physics.command import command_at
 from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import Output, State
@@ -31,16 +31,22 @@ Classes = list[type[AbstractEffect]]
 COLOURS = ("tab:blue", "tab:orange")
 
 
-def runs(effects: Classes) -> Output:
-    """The paper's run without effects, then with each at its typical size: (runs, rows).
+def simulate_effects(effects: Classes) -> Output:
+    """Simulate the paper's run without effects, then with each at its typical size.
 
     One compiled program makes them all, as an absent effect is one of zero strength.
+
+    Args:
+        effects: Classes of effects.
+
+    Returns:
+        Outputs of shape (1 + effects, rows).
     """
     fields = [(index, name) for index, each in enumerate(effects) for name in field_metadata(each)]
     null = [float(getattr(effects[index](), name)) for index, name in fields]
     table = [null]
     for one, effect in enumerate(effects):
-        sized = typical(effect)
+        sized = typical_effect(effect)
         table.append(
             [float(getattr(sized, name)) if index == one else at_null for (index, name), at_null in
              zip(fields, null, strict=True)]
@@ -61,13 +67,13 @@ def runs(effects: Classes) -> Output:
 
 
 def draw_effect(effect: type[AbstractEffect]) -> Figure:
-    """One effect: z with and without it, and what it changes in z and x."""
-    output = runs([effect])
+    """Draw z with and without an effect, and the changes that it makes in z and x."""
+    output = simulate_effects([effect])
     time = output.time[0]
     figure = Figure(figsize=(7, 7), layout="constrained")
     both, change_z, change_x = figure.subplots(3, 1, sharex=True)
     both.plot(time, 1e3 * output.z[0], color="0.5", label="without")
-    both.plot(time, 1e3 * output.z[1], color=COLOURS[0], label=f"with {sizes(effect)}")
+    both.plot(time, 1e3 * output.z[1], color=COLOURS[0], label=f"with {typical_sizes(effect)}")
     both.set(title=f"{effect.about.name}: {effect.about.meaning}", ylabel="z [mm]")
     both.legend()
     for axes, name, colour in zip((change_z, change_x), "zx", COLOURS, strict=True):
@@ -80,8 +86,8 @@ def draw_effect(effect: type[AbstractEffect]) -> Figure:
 
 
 def draw_gallery(effects: Classes) -> Figure:
-    """Every effect in a small panel of its own: what it changes in z and x."""
-    output = runs(effects)
+    """Draw the changes that each effect makes in z and x, each in a panel of its own."""
+    output = simulate_effects(effects)
     columns = min(6, len(effects))
     lines = math.ceil(len(effects) / columns)
     figure = Figure(figsize=(2.5 * columns, 1.8 * lines), layout="constrained")
@@ -94,6 +100,6 @@ def draw_gallery(effects: Classes) -> Figure:
             axes.plot(output.time[0], 1e3 * (channel[index] - channel[0]), color=colour)
             axes.tick_params(axis="y", colors=colour, labelsize=6)
             axes.locator_params(axis="y", nbins=4)
-        panel.set_title(f"{effect.about.name}\n{sizes(effect)}", fontsize=7)
+        panel.set_title(f"{effect.about.name}\n{typical_sizes(effect)}", fontsize=7)
     figure.suptitle("Change of z (blue, left, mm) and of x (orange, right, mm) over time in s")
     return figure

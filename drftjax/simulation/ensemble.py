@@ -1,4 +1,4 @@
-"""Many runs side by side: split over the devices, one after the other on each.
+"""Ensembles of runs: split over the devices, one after the other on each.
 
 A run steps plates that fill the vector units of a core by themselves, so a core is best kept busy
 with whole runs. The CPU counts as one device unless a program splits it before its first
@@ -24,7 +24,17 @@ from drftjax.simulation.simulator import Simulator
 
 
 def stack(items: Sequence[PyTree]) -> PyTree:
-    """Equal trees (simulators, states, ...) as one, each array with a leading axis of runs."""
+    """Stack equal trees (simulators, states, ...) into one.
+
+    Args:
+        items: One tree for each run, of the same structure and shapes.
+
+    Returns:
+        The tree, each array with a leading axis of runs.
+
+    Raises:
+        InputError: the trees differ in more than their numbers.
+    """
     arrays, rest = zip(*(eqx.partition(item, eqx.is_array) for item in items), strict=True)
     if any(not eqx.tree_equal(other, rest[0]) for other in rest[1:]):
         raise InputError(
@@ -40,12 +50,12 @@ def map_runs(
     *shared: PyTree,
     devices: Sequence[Any] | None = None,
 ) -> PyTree:
-    """`function(run, *shared)` for every run, in the memory of one run a device besides results.
+    """`function(run, *shared)` for every run, in the memory of one run a device and of the results.
 
     Args:
         function: Of one run; traced once. A bound method needs wrapping in a function.
         runs: Tree whose arrays have a leading axis of runs; see `stack`.
-        shared: What every run takes as it is.
+        shared: Arguments that are the same for every run.
         devices: Where to compute; all of JAX's devices where none are given.
 
     Returns:

@@ -1,4 +1,4 @@
-"""A whole run: the simulator's step scanned over a command."""
+"""Rollout of a whole run: the simulator's step scanned over a command."""
 
 from collections.abc import Callable
 
@@ -65,17 +65,18 @@ def sweep(
     *,
     every: int = 1,
 ) -> Float[Array, "kept all_rows"]:
-    """As `simulate`, but for as many rows as `rows` says when it runs; differentiable forward only.
+    """As `simulate`, for a number of rows that is known at run time; differentiable forward only.
 
     Runs of any length share one compiled program, and none pays for another's.
 
     Args:
         simulator, state, commands, dt, every: As for `simulate`.
         rows: Rows to make, at most shape (steps,) // every.
-        keep: What is kept of each row.
+        keep: Values kept of each row, shape (kept,).
 
     Returns:
-        What is kept, with the state at the start as a first row; zero beyond `rows`.
+        The values kept, with the state at the start as a first row and zero beyond `rows`, shape
+        (kept, steps // every + 1).
     """
     simulator = simulator.prepared()
     first = jax.tree.map(lambda c: c[0], commands)
@@ -99,11 +100,11 @@ def sweep(
 
 
 def with_first_row(simulator: Simulator, state: State, command: Command, rows: Output) -> Output:
-    """`rows` with the state they started from as a first row."""
+    """Output of a run with the state at its start as a first row, shape (1 + rows,)."""
     first = simulator.observe(simulator.remembered(state, command), command)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rows)
 
 
 def step_times(steps: int, dt: Real) -> Float[Array, " steps"]:
-    """Ends of the first `steps` steps of `dt` [s]."""
+    """Ends of the first `steps` steps of `dt` [s], shape (steps,)."""
     return as_real(np.arange(1, steps + 1)) * dt

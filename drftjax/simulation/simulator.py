@@ -73,20 +73,20 @@ class Simulator(eqx.Module):
         return dataclasses.replace(simulator, wheel=simulator.wheel.cut())
 
     def check(self) -> None:
-        """Refuse effects that this wheel or law cannot have, or that leave grousers that cannot be.
+        """Refuse effects that do not fit this wheel or law, or make its grousers impossible.
 
         Raises:
-            InputError: says which number, and what must hold.
+            InputError: names the number, and its bounds.
         """
         wheel = self.adjusted().wheel
         if isinstance(wheel, GrouserWheel):
             wheel.check()
 
     def begin(self, state: State, command: Command) -> State:
-        """The state that a run starts from: where it truly is, and a memory for each effect.
+        """The true state at a run's start, with a memory for each effect.
 
         Args:
-            state: Where the wheel reads to be at rest, and how it moves.
+            state: Position as the instruments read it at rest, and motion.
             command: Command at that time.
         """
         simulator = self.prepared()
@@ -100,7 +100,7 @@ class Simulator(eqx.Module):
         return dataclasses.replace(state, memory=memory)
 
     def remembered(self, state: State, command: Command) -> State:
-        """The state as it is, or begun where nothing is remembered yet."""
+        """The state as it is, or by `begin` where it has no memory yet."""
         return state if state.memory else self.begin(state, command)
 
     def plate_load(
@@ -122,7 +122,7 @@ class Simulator(eqx.Module):
             omega: Angular velocity [rad/s].
             zeta: Scaling factor [-].
             pace: See `plate_motion`; `velocity` where none is given.
-            memory: What the effects remember; as at a run's start where it is not given.
+            memory: Of the effects; as at a run's start where none is given.
         """
         self = self.prepared()
         if not memory:
@@ -215,10 +215,10 @@ class Simulator(eqx.Module):
         return dataclasses.replace(after, memory=memory), reading
 
     def held(self, state: State, command: Command) -> Float[Array, "2"]:
-        """Force (x, z) of the rig and its effects on the wheel as it stands or moves [N].
+        """Force (x, z) of the rig and its effects on the wheel [N].
 
         Args:
-            state: Of the wheel; effects remember nothing before it.
+            state: Of the wheel; the effects' memories begin with it.
             command: Command at that time.
         """
         self = self.prepared()
@@ -236,7 +236,7 @@ class Simulator(eqx.Module):
         return chain.measure(self.effects, state.memory, truth, dt)[0]
 
     def _truth(self, state: State, command: Command) -> tuple[Output, Float[Array, ""]]:
-        """What is, before any instrument reads it, and the instant that a reading takes [s]."""
+        """True output, before any instrument reads it, and the time that a reading takes [s]."""
         effects, memory = self.effects, state.memory
         dt = jnp.full_like(state.time, INSTANT)
         moment = self._moment(state, command, dt)

@@ -1,10 +1,12 @@
-"""Statics: the sinkage that carries a load, and the scaling factor that a sinkage tells.
+"""Statics: the sinkage that carries a load, and the scaling factor that follows from a sinkage.
 
 Two wheels stand at the same load. One that is pushed straight down settles where its leading
 plates carry the load (`INTRUSION`): this is the H_static that a test bed measures on touch-down,
 and the zeta(0) of Table 3 of Fuke, Ishikawa & Ishigami 2024. One that no longer moves at all
 (`REST`) carries less at the same depth, as the stress has no direction to follow.
 """
+
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,16 +27,34 @@ INTRUSION = 1e-2
 REST = 0.0
 
 
-# Depth tolerance of the root [m]: a thousandth of a micrometre.
-SINKAGE_TOLERANCE = 1e-9
+@dataclass(frozen=True)
+class StaticsSettings:
+    """Limits of the bisection for a sinkage.
+
+    Attributes:
+        tolerance: Of the sinkage [m], and of it as a share of itself: a thousandth of a micrometre.
+        max_steps: Halvings of the interval.
+        lower: Lower end of the interval, as a share of the deepest sinkage that the plates cover
+            [-]; negative, as with the grousers in the air a wheel carries nothing.
+    """
+
+    tolerance: float = 1e-9
+    max_steps: int = 64
+    lower: float = -1 / 2
+
+
+DEFAULT_STATICS = StaticsSettings()
 
 
 def resting_load(simulator: Simulator, sinkage: ArrayLike) -> Float[Array, ""]:
-    """What presses a wheel at rest into the sand [N]: its weight, and the loads of effects there.
+    """Vertical load of a wheel at rest: its weight, and the loads of effects there.
 
     Args:
         simulator: Rig and effects.
-        sinkage: H = -z [m].
+        sinkage: H = -z [m], scalar.
+
+    Returns:
+        Load [N], positive downward.
     """
     state = State.at_rest(as_real(sinkage))
     still = jnp.zeros_like(state.time)
@@ -48,14 +68,17 @@ def vertical_support(
     angle: ArrayLike = 0.0,
     descent: float = INTRUSION,
 ) -> Float[Array, ""]:
-    """Vertical force of the sand on a wheel that does not turn [N].
+    """Vertical force of the sand on a wheel that does not turn.
 
     Args:
         simulator: Wheel and terrain.
-        sinkage: H = -z [m].
+        sinkage: H = -z [m], scalar.
         zeta: Scaling factor [-].
         angle: Wheel angle [rad].
         descent: Speed straight down [m/s]: `INTRUSION` or `REST`.
+
+    Returns:
+        Force [N], positive upward.
     """
     depth = as_real(sinkage)
     nought = jnp.zeros_like(depth)
@@ -75,23 +98,27 @@ def zeta_from_sinkage(
     angle: ArrayLike = 0.0,
     descent: float = INTRUSION,
 ) -> Float[Array, ""]:
-    """Scaling factor at which the sand carries `load` at this sinkage [-]; differentiable.
+    r"""Scaling factor at which the sand carries a load at this sinkage; differentiable.
+
+    The support $S$ is linear in zeta: $\zeta = (F - S(0)) / (S(1) - S(0))$ for the load $F$.
 
     Args:
         simulator: Wheel, terrain and rig.
-        sinkage: H = -z [m].
+        sinkage: H = -z [m], scalar.
         load: Vertical load [N]; `resting_load` where none is given.
         angle: Wheel angle [rad]. At 0 both faces of the lowest grouser stand upright and carry, as
             n.p = 0 on them; turned ever so little, only one of them leads.
         descent: As in `vertical_support`.
 
+    Returns:
+        zeta [-], scalar.
+
     Raises:
-        InputError: where the sinkage is not positive or beyond what the wheel's plates cover.
+        InputError: the sinkage is not positive or beyond what the wheel's plates cover.
     """
     limit = simulator.wheel.cut().sinkage_limit
     require_between("sinkage", sinkage, 1e-6, limit, " m, all that the wheel's plates cover")
     load = resting_load(simulator, sinkage) if load is None else as_real(load)
-    # The support is linear in zeta.
     without = vertical_support(simulator, sinkage, 0.0, angle, descent)
     with_one = vertical_support(simulator, sinkage, 1.0, angle, descent)
     return (load - without) / (with_one - without)
@@ -103,8 +130,9 @@ def sinkage_under_load(
     load: ArrayLike | None = None,
     angle: ArrayLike = 0.0,
     descent: float = INTRUSION,
+    settings: StaticsSettings = DEFAULT_STATICS,
 ) -> Float[Array, ""]:
-    """Sinkage at which the sand carries `load` [m]; differentiable by the implicit function.
+    """Sinkage at which the sand carries a load; differentiable by the implicit function theorem.
 
     Args:
         simulator: Wheel, terrain and rig.
@@ -112,16 +140,22 @@ def sinkage_under_load(
         load: Vertical load [N]; `resting_load` where none is given.
         angle: Wheel angle [rad].
         descent: As in `vertical_support`.
+        settings: Limits of the bisection.
+
+    Returns:
+        Sinkage [m], scalar.
 
     Raises:
-        RuntimeError: where the load sinks the wheel deeper than its plates cover.
+        RuntimeError: the load sinks the wheel deeper than its plates cover.
     """
     load = None if load is None else as_real(load)
-    return _sinkage_under(simulator.prepared(), as_real(zeta), load, as_real(angle), descent)
+    return _sinkage_under(
+        simulator.prepared(), as_real(zeta), load, as_real(angle), descent, settings
+    )
 
 
 def standing_sinkage(simulator: Simulator, zeta: float, load: float | None = None) -> float:
-    """Sinkage at which a wheel that was let down stands [m]: `sinkage_under_load` as a number.
+    """Sinkage of a wheel that was let down and stands [m]: `sinkage_under_load` as a number.
 
     Args:
         simulator: Wheel, terrain and rig.
@@ -129,7 +163,7 @@ def standing_sinkage(simulator: Simulator, zeta: float, load: float | None = Non
         load: Vertical load [N]; `resting_load` where none is given.
 
     Raises:
-        InputError: where the load sinks the wheel deeper than its plates cover.
+        InputError: the load sinks the wheel deeper than its plates cover.
     """
     limit = float(simulator.wheel.cut().sinkage_limit)
     most = float(vertical_support(simulator, limit, zeta))
@@ -150,7 +184,10 @@ def _sinkage_under(
     load: Float[Array, ""] | None,
     angle: Float[Array, ""],
     descent: float,
+    settings: StaticsSettings,
 ) -> Float[Array, ""]:
+    """Sinkage [m] by bisection of the support less the load, as a share of the load."""
+
     def missing(sinkage: Float[Array, ""], given) -> Float[Array, ""]:
         simulator, zeta, load, angle = given
         load = resting_load(simulator, sinkage) if load is None else load
@@ -159,11 +196,10 @@ def _sinkage_under(
     limit = simulator.wheel.cut().sinkage_limit
     deepest = optx.root_find(
         missing,
-        optx.Bisection(rtol=SINKAGE_TOLERANCE, atol=SINKAGE_TOLERANCE),
+        optx.Bisection(rtol=settings.tolerance, atol=settings.tolerance),
         limit / 10,
         (simulator, zeta, load, angle),
-        # A negative sinkage, with the grousers in the air, carries nothing.
-        options={"lower": -limit / 2, "upper": limit},
-        max_steps=64,
+        options={"lower": limit * settings.lower, "upper": limit},
+        max_steps=settings.max_steps,
     )
     return deepest.value

@@ -1,4 +1,4 @@
-"""A trial: a simulator, where it starts and what it is commanded, over a whole run."""
+"""Trial: simulator, start and command of a whole run."""
 
 import math
 
@@ -53,8 +53,9 @@ class Trial(eqx.Module):
         """A trial of a recorded or written command; time counts from its first knot.
 
         Args:
-            simulator, start: What runs, and from where.
-            command: What it is asked.
+            simulator: Every number of wheel, terrain and rig.
+            start: State at the first command.
+            command: Command of the run.
             step: Integrator step [s].
             interval: Time between rows [s], rounded to whole steps.
         """
@@ -67,14 +68,26 @@ class Trial(eqx.Module):
         return cls(simulator, start, *knots, as_real(step), every, rows)
 
     def run(self) -> Output:
-        """The whole run from its start on; past the command's end its last value holds."""
+        """Simulate the whole run; past the command's end its last value holds.
+
+        Returns:
+            Output with the start as a first row, shape (1 + rows,).
+        """
         commands = self.commands()
         _, rows = simulate(self.simulator, self.start, commands, self.step, every=self.every)
         first = Command(self.omega[0], self.vx[0], commands.zeta[0])
         return with_first_row(self.simulator, self.start, first, rows)
 
     def run_to(self, rows: Int[Array, ""], channels: tuple[str, ...]) -> Float[Array, "channels _"]:
-        """Some channels of the first `rows` rows only, zero beyond; see `rollout.sweep`."""
+        """Simulate some channels of the first rows only; see `rollout.sweep`.
+
+        Args:
+            rows: Rows to make, at most the trial's.
+            channels: Fields of the output.
+
+        Returns:
+            Channels, zero beyond `rows`, shape (channels, 1 + rows of the trial).
+        """
 
         def keep(output: Output) -> Float[Array, " channels"]:
             return jnp.stack([getattr(output, each) for each in channels])
@@ -83,16 +96,20 @@ class Trial(eqx.Module):
         return sweep(self.simulator, self.start, commands, self.step, rows, keep, every=self.every)
 
     def commands(self) -> Command:
-        """The command at the end of every step."""
+        """The command at the end of every step, shape (steps,)."""
         times = step_times(self.rows * self.every, self.step)
         return command_at(times, self.time, self.omega, self.vx)
 
 
 def check_output(output: Output, simulator: Simulator) -> None:
-    """Refuse a run that left what the model covers.
+    """Refuse a run that the model does not cover.
+
+    Args:
+        output: Of the run.
+        simulator: That made it.
 
     Raises:
-        InputError: says when, and what left it.
+        InputError: the run diverges, or its wheel sinks deeper than its plates reach.
     """
     finite = jnp.isfinite(output.x) & jnp.isfinite(output.z)
     if not bool(finite.all()):

@@ -1,9 +1,10 @@
-r"""Tuners beside eq. 7's (`step_tuner.StepTuner`): a proportional-integral law, a Kalman filter.
+r"""Kalman filter for zeta of the real sand, by the simulator's own derivative.
 
-All of them see one number, the error $e = H_{real} - H_{sim}$, and move one, zeta. Less sinkage
-takes stronger sand, so zeta moves against the error. `docs/hils-tuners.md` compares them.
+It sees one number, the error $e = H_{real} - H_{sim}$, and moves one, zeta. Less sinkage takes
+stronger sand, so zeta moves against the error. `docs/hils-tuners.md` compares the tuners.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,26 +18,38 @@ from drftjax.physics.state import Output, State
 from drftjax.physics.terrain import LARGEST_ZETA
 from drftjax.tuning.step_tuner import LONGEST_TICK, AbstractTuner, Advance
 
-# Share of an error in sinkage that a tick leaves, at least: a tick that forgets more is chatter.
-LEAST_KEPT = 0.5
+
+@dataclass(frozen=True)
+class KalmanSettings:
+    """Limits within which the simulator's derivatives are trusted.
+
+    Attributes:
+        min_retention: Share of an error in sinkage that a tick leaves, at least [-]: a tick that
+            forgets more is chatter.
+        min_sinkage_rate: Rate at which a zeta higher by one moves the sinkage [m/s], under which
+            zeta counts as having no effect on it: a hundredth of that of a wheel at 30 deg/s.
+    """
+
+    min_retention: float = 0.5
+    min_sinkage_rate: float = 1e-3
 
 
-# Speed at which zeta moves the sinkage [m/s] and under which it counts as having no hold on it: a
-# hundredth of what a wheel that rolls at 30 deg/s shows.
-LEAST_HOLD = 1e-3
+DEFAULT_KALMAN = KalmanSettings()
 
 
 class Belief(NamedTuple):
     """Memory of the Kalman filter.
 
     Attributes:
-        gap: Real minus simulated sinkage, as believed [m].
-        strength: zeta of the real sand, as believed [-].
-        covariance: Of the two, shape (2, 2).
+        gap: Estimate of real minus simulated sinkage [m].
+        strength: Estimate of the real sand's zeta [-].
+        covariance: Of the two estimates, shape (2, 2).
         kept: Share of a gap that the last tick left [-].
         gained: Sinkage that the last tick gave for a zeta higher by one [m].
-        slow: How a lasting change of the sinkage shows in the whole state: 1 in the sinkage [m/m].
-        fast: What zeta does to the rest of the state, beside the sinkage [m, m/s, ...].
+        slow: Direction of the whole state that a lasting change of the sinkage takes, 1 in the
+            sinkage [m/m], shape (state,).
+        fast: Derivative of the rest of the state by zeta, the sinkage apart [m, m/s, ...], shape
+            (state,).
     """
 
     gap: Float[Array, ""]
@@ -59,19 +72,21 @@ class KalmanTuner(AbstractTuner):
     and zeta_real walks at random. a and b come from `jax.jvp` through the tick: two directions of
     the state are carried along from tick to tick, that of a lasting change of the sinkage and that
     of a lasting change of zeta, which is the recursion of the sensitivity dH/dzeta taken apart.
-    zeta is then what is believed of the sand, and as much more as takes the gap to the share
-    $e^{-T/\tau}$ by the next tick: a Gauss-Newton step, damped where zeta has no hold on the
+    zeta is then the estimate for the sand, and as much more as takes the gap to the share
+    $e^{-T/\tau}$ by the next tick: a Gauss-Newton step, damped where zeta has no effect on the
     sinkage. A wheel at rest has a = 1, b = 0: nothing is learnt there and zeta stays.
 
     Attributes:
         tick: Control period T [s].
         drift: Random walk of the sand's zeta, standard deviation after 1 s [-].
-        doubt: Standard deviation of zeta at the start, as statics tells it [-].
-        wander: The same of the sinkage, by what the simulator does not know [m].
+        doubt: Standard deviation of zeta at the start, from statics [-].
+        wander: Random walk of the sinkage by mechanisms that the simulator lacks, standard
+            deviation after 1 s [m].
         noise: Standard deviation of a reading [m].
-        recovery: Time tau in which a gap is driven out [s].
-        reach: Largest difference of zeta from what is believed of the sand [-].
+        recovery: Time constant tau in which a gap decays [s].
+        reach: Largest difference of zeta from the estimate for the sand [-].
         low, high: Bounds of zeta [-].
+        settings: Limits of the derivatives; no number of a set-up file.
     """
 
     tick: Float[Array, ""] = eqx.field(converter=as_real, default=0.01)
@@ -83,6 +98,7 @@ class KalmanTuner(AbstractTuner):
     reach: Float[Array, ""] = eqx.field(converter=as_real, default=0.1)
     low: Float[Array, ""] = eqx.field(converter=as_real, default=0.05)
     high: Float[Array, ""] = eqx.field(converter=as_real, default=10.0)
+    settings: KalmanSettings = eqx.field(static=True, default=DEFAULT_KALMAN)
 
     def __check_init__(self):
         require_between("tick", self.tick, 1e-5, LONGEST_TICK, " s")
@@ -99,21 +115,21 @@ class KalmanTuner(AbstractTuner):
         still, _ = ravel_pytree(jax.tree.map(jnp.zeros_like, _moving(state)))
         nought, one = jnp.zeros_like(zeta), jnp.ones_like(zeta)
         covariance = jnp.diag(jnp.stack([self.noise**2, self.doubt**2]))
-        return Belief(nought, zeta, covariance, one, nought, _sunk(state), still)
+        return Belief(nought, zeta, covariance, one, nought, _sinkage_direction(state), still)
 
     def tune(
         self, memory: Belief, zeta: Float[Array, ""], error: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Belief]:
         fresh = jnp.isfinite(error)
-        told = jnp.where(fresh, error - memory.gap, 0.0)
+        innovation = jnp.where(fresh, error - memory.gap, 0.0)
         spread = memory.covariance
         gain = jnp.where(fresh, spread[:, 0] / (spread[0, 0] + self.noise**2), 0.0)
-        gap = memory.gap + gain[0] * told
-        strength = jnp.clip(memory.strength + gain[1] * told, self.low, self.high)
-        left = spread - jnp.outer(gain, spread[0])
+        gap = memory.gap + gain[0] * innovation
+        strength = jnp.clip(memory.strength + gain[1] * innovation, self.low, self.high)
+        posterior = spread - jnp.outer(gain, spread[0])
         # d+ = a d + b (believed - zeta) is to be the share of d that the recovery time leaves.
         share = jnp.exp(-self.tick / self.recovery)
-        hold = LEAST_HOLD * self.tick
+        hold = self.settings.min_sinkage_rate * self.tick
         # A gap that closes faster by itself is left to do so.
         more = (
             jnp.maximum(memory.kept - share, 0.0)
@@ -123,7 +139,9 @@ class KalmanTuner(AbstractTuner):
         )
         tuned = strength + jnp.clip(more, -self.reach, self.reach)
         tuned = jnp.where(fresh, jnp.clip(tuned, self.low, self.high), zeta)
-        after = memory._replace(gap=gap, strength=strength, covariance=(left + left.T) / 2)
+        after = memory._replace(
+            gap=gap, strength=strength, covariance=(posterior + posterior.T) / 2
+        )
         return tuned, after
 
     def follow(
@@ -144,13 +162,13 @@ class KalmanTuner(AbstractTuner):
             jnp.stack([memory.slow, memory.fast]), jnp.stack([nought, one])
         )
         slow, fast = jnp.where(jnp.isfinite(carried), carried, 0.0)
-        sunk = _sunk(state)
-        deeper = jnp.vdot(sunk, slow)
-        kept = jnp.clip(deeper, LEAST_KEPT, 1.0)
-        gained = jnp.minimum(jnp.vdot(sunk, fast), 0.0)
-        sound = deeper > LEAST_KEPT
-        slow = jnp.where(sound, slow / jnp.where(sound, deeper, 1.0), sunk)
-        fast = fast - jnp.vdot(sunk, fast) * slow
+        deeper_by_one = _sinkage_direction(state)
+        deeper = jnp.vdot(deeper_by_one, slow)
+        kept = jnp.clip(deeper, self.settings.min_retention, 1.0)
+        gained = jnp.minimum(jnp.vdot(deeper_by_one, fast), 0.0)
+        sound = deeper > self.settings.min_retention
+        slow = jnp.where(sound, slow / jnp.where(sound, deeper, 1.0), deeper_by_one)
+        fast = fast - jnp.vdot(deeper_by_one, fast) * slow
 
         transition = jnp.stack([jnp.stack([kept, gained]), jnp.stack([nought, one])])
         walk = self.tick * jnp.diag(jnp.stack([self.wander**2, self.drift**2]))
@@ -167,12 +185,12 @@ class KalmanTuner(AbstractTuner):
 
 
 def _moving(state: State) -> State:
-    """The part of a state that can change by a little: its floating arrays."""
+    """Differentiable part of a state: its floating arrays."""
     return eqx.filter(state, eqx.is_inexact_array)
 
 
-def _sunk(state: State) -> Float[Array, " state"]:
-    """The direction of the state in which only the sinkage grows, shape (state,)."""
+def _sinkage_direction(state: State) -> Float[Array, " state"]:
+    """Direction of the state in which only the sinkage grows, shape (state,)."""
     still = jax.tree.map(jnp.zeros_like, _moving(state))
     deeper = eqx.tree_at(lambda s: s.position, still, jnp.array([0.0, -1.0]))
     return ravel_pytree(deeper)[0]

@@ -1,5 +1,6 @@
 """Proportional-integral tuner of zeta."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,15 +12,26 @@ from drftjax.physics.state import Output, State
 from drftjax.physics.terrain import LARGEST_ZETA
 from drftjax.tuning.step_tuner import LONGEST_TICK, AbstractTuner, Advance
 
-# Time without a measurement that counts in an integral at most [s].
-LONGEST_WAIT = 0.1
+
+@dataclass(frozen=True)
+class IntegralSettings:
+    """Limit of the integral term.
+
+    Attributes:
+        max_wait: Longest time without a measurement that counts in the integral [s].
+    """
+
+    max_wait: float = 0.1
+
+
+DEFAULT_INTEGRAL = IntegralSettings()
 
 
 class ProportionalIntegral(NamedTuple):
     """Memory of the proportional-integral law.
 
     Attributes:
-        error: Of the last tick that had a measurement, dead band taken off [m].
+        error: Error of the last tick that had a measurement, less the dead band [m].
         waited: Time since then [s].
     """
 
@@ -31,7 +43,7 @@ class ProportionalIntegralTuner(AbstractTuner):
     r"""$\Delta\zeta = -(k_p \Delta e + k_i e\, T)$, with T the time since the last measurement.
 
     The law gives changes and zeta itself is their sum, so neither a bound nor the limit of the
-    rate can wind anything up: a change that is cut off is forgotten.
+    rate winds anything up: a change beyond them is dropped.
 
     Attributes:
         tick: Control period [s].
@@ -40,6 +52,7 @@ class ProportionalIntegralTuner(AbstractTuner):
         tolerance: Error that is left alone [m]; beyond it only the excess counts.
         rate: Fastest change of zeta [1/s].
         low, high: Bounds of zeta [-].
+        settings: Limit of the integral term; no number of a set-up file.
     """
 
     tick: Float[Array, ""] = eqx.field(converter=as_real, default=0.01)
@@ -49,6 +62,7 @@ class ProportionalIntegralTuner(AbstractTuner):
     rate: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
     low: Float[Array, ""] = eqx.field(converter=as_real, default=0.05)
     high: Float[Array, ""] = eqx.field(converter=as_real, default=10.0)
+    settings: IntegralSettings = eqx.field(static=True, default=DEFAULT_INTEGRAL)
 
     def __check_init__(self):
         require_between("tick", self.tick, 1e-5, LONGEST_TICK, " s")
@@ -67,10 +81,12 @@ class ProportionalIntegralTuner(AbstractTuner):
     ) -> tuple[Float[Array, ""], ProportionalIntegral]:
         fresh = jnp.isfinite(error)
         excess = error - jnp.clip(error, -self.tolerance, self.tolerance)
-        waited = jnp.minimum(memory.waited + self.tick, jnp.maximum(LONGEST_WAIT, self.tick))
-        asked = self.proportional * (excess - memory.error) + self.integral * excess * waited
+        waited = jnp.minimum(
+            memory.waited + self.tick, jnp.maximum(self.settings.max_wait, self.tick)
+        )
+        change = self.proportional * (excess - memory.error) + self.integral * excess * waited
         most = self.rate * waited
-        tuned = jnp.clip(zeta - jnp.clip(asked, -most, most), self.low, self.high)
+        tuned = jnp.clip(zeta - jnp.clip(change, -most, most), self.low, self.high)
         after = ProportionalIntegral(
             jnp.where(fresh, excess, memory.error), jnp.where(fresh, 0.0, waited)
         )

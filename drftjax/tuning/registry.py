@@ -1,7 +1,8 @@
 """Tuners of zeta by name, those of installed packages included, and their numbers in a file.
 
 A package adds a tuner by the entry-point group `drft.tuners`: its name, and a class derived from
-`drftjax.tuning.step_tuner.AbstractTuner` that takes `tick` and its numbers as keywords.
+`drftjax.tuning.step_tuner.AbstractTuner` that takes `tick` and its numbers as keywords
+(`settings` is no number).
 """
 
 import inspect
@@ -59,7 +60,8 @@ class TunerSetUp(msgspec.Struct, frozen=True):
         known = tuners()
         require_known("the tuner", self.name, known)
         kind = known[self.name]
-        fields = [name for name in inspect.signature(kind).parameters if name != "tick"]
+        given = inspect.signature(kind).parameters
+        fields = [name for name in given if name not in ("tick", "settings")]
         for name in self.numbers:
             if name not in fields:
                 raise InputError(

@@ -1,7 +1,7 @@
-r"""The online tuner of Fuke, Ishikawa & Ishigami 2024, eq. 7: zeta follows the measured sinkage.
+r"""Online tuner of Fuke, Ishikawa & Ishigami 2024, eq. 7: zeta follows the measured sinkage.
 
-On each control tick the sinkage that the rig measures is held against the simulated one, and zeta
-is moved by one fixed step where they differ by more than a tolerance:
+On each control tick the measured sinkage is compared with the simulated one, and zeta changes by
+one fixed step where they differ by more than a tolerance:
 
 $$H_{real} - H_{sim} < -\epsilon_H:\ \zeta \to \zeta + \Delta\zeta \qquad
   H_{real} - H_{sim} > \epsilon_H:\ \zeta \to \zeta - \Delta\zeta$$
@@ -30,7 +30,7 @@ from drftjax.simulation.simulator import Simulator
 LONGEST_TICK = 10.0
 
 
-# What a tuner remembers from tick to tick: any tree of arrays.
+# Memory of a tuner from tick to tick: any tree of arrays.
 Memory = Any
 
 
@@ -39,7 +39,7 @@ Advance = Callable[[State, Float[Array, ""]], tuple[State, Output]]
 
 
 class AbstractTuner(eqx.Module):
-    """Moves zeta by what the sinkage's error says, once a tick.
+    """Law that changes zeta by the error of the sinkage, once a tick.
 
     Attributes:
         tick: Control period [s].
@@ -49,7 +49,7 @@ class AbstractTuner(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, state: State, zeta: Float[Array, ""]) -> Memory:
-        """What it remembers before the first tick.
+        """Memory before the first tick.
 
         Args:
             state: Simulated wheel at the start.
@@ -60,26 +60,32 @@ class AbstractTuner(eqx.Module):
     def tune(
         self, memory: Memory, zeta: Float[Array, ""], error: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Memory]:
-        """zeta [-] for the tick that begins, and what is remembered.
+        """zeta for the tick that begins.
 
         Args:
-            memory: What it remembers.
-            zeta: Over the tick before [-].
+            memory: After the tick before.
+            zeta: Scaling factor over the tick before [-].
             error: Recorded minus simulated sinkage [m]; NaN where nothing was recorded, and then
                 zeta stays as it is.
+
+        Returns:
+            zeta [-], and the memory.
         """
 
     @abc.abstractmethod
     def follow(
         self, memory: Memory, advance: Advance, state: State, zeta: Float[Array, ""]
     ) -> tuple[State, Output, Memory]:
-        """Simulate the tick, and learn from the simulator what zeta does where that is wanted.
+        """Simulate the tick; a tuner may differentiate the simulation for its memory.
 
         Args:
-            memory: What it remembers.
+            memory: As `tune` returned it.
             advance: Simulates the tick.
-            state: At the tick's start.
-            zeta: Over the tick [-].
+            state: Simulated wheel at the tick's start.
+            zeta: Scaling factor over the tick [-].
+
+        Returns:
+            State and output at the tick's end, and the memory.
         """
 
 
@@ -120,12 +126,12 @@ class StepTuner(AbstractTuner):
 
 
 class Loop(eqx.Module):
-    """What the next tick needs.
+    """State of simulation and tuner between two ticks.
 
     Attributes:
         state: State of the simulated wheel.
         zeta: Scaling factor as last tuned [-].
-        memory: What the tuner remembers; empty before `begun`.
+        memory: Of the tuner; empty before `with_tuner_memory`.
     """
 
     state: State
@@ -134,7 +140,7 @@ class Loop(eqx.Module):
 
 
 class Tick(eqx.Module):
-    """What an observer wants of a tick; with a leading time axis, of a run.
+    """Output of a tick; with a leading time axis, of a run.
 
     Attributes:
         error: Recorded minus simulated sinkage at the tick's start [m]; NaN without a measurement.
@@ -148,13 +154,13 @@ class Tick(eqx.Module):
 
 
 def with_zeta_per_step(simulator: Simulator) -> Simulator:
-    """The same simulator, its wheel cut, that takes zeta from each step's command."""
+    """The same simulator, prepared, with zeta taken from each step's command."""
     terrain = dataclasses.replace(simulator.terrain, zeta=PerStepZeta())
     return dataclasses.replace(simulator, terrain=terrain).prepared()
 
 
 def with_tuner_memory(tuner: AbstractTuner, loop: Loop) -> Loop:
-    """The loop as it is, or with what the tuner remembers at a start where it has no memory."""
+    """The loop as it is, or with the tuner's first memory where it has none."""
     if jax.tree.leaves(loop.memory):
         return loop
     return dataclasses.replace(loop, memory=tuner.begin(loop.state, loop.zeta))
@@ -170,11 +176,14 @@ def tuned_tick(
     """One tick: compare the sinkages, tune zeta, and simulate to the next tick.
 
     Args:
-        simulator: A `tunable` one.
-        tuner: How zeta is moved.
-        loop: At the tick's start, `begun`.
+        simulator: One that takes zeta per step; see `with_zeta_per_step`.
+        tuner: Law that changes zeta.
+        loop: At the tick's start, with the tuner's memory; see `with_tuner_memory`.
         commands: One for each of the tick's steps, shape (substeps,); their zeta is not read.
         recorded: Newest sinkage known at the tick's start [m]; NaN where there is none.
+
+    Returns:
+        The loop at the tick's end, and the tick's output.
     """
     error = recorded + loop.state.position[1]
     zeta, memory = tuner.tune(loop.memory, loop.zeta, error)
@@ -199,7 +208,18 @@ def tick_commands(
     omega: Float[Array, " knots"],
     vx: Float[Array, " knots"] | None = None,
 ) -> Command:
-    """A recorded command for every step of every tick, shape (ticks, substeps)."""
+    """A recorded command for every step of every tick.
+
+    Args:
+        ticks, substeps: Number of ticks, and of steps in each.
+        tick: Control period [s].
+        time: Knots of the command from its first on [s], shape (knots,).
+        omega: Commanded angular velocity [rad/s], shape (knots,).
+        vx: Commanded carriage speed [m/s], shape (knots,); zero where none is given.
+
+    Returns:
+        Commands of shape (ticks, substeps).
+    """
     times = step_times(ticks * substeps, as_real(tick) / substeps)
     commands = command_at(times, time, omega, vx)
     return jax.tree.map(lambda values: values.reshape(ticks, substeps), commands)

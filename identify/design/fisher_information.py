@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
-from drftjax.recorded.batch import of_lengths
+from drftjax.recorded.batch import pad_trial
 from drftjax.runlog.record import CHANNELS
 from drftjax.runlog.schema import UNITS
 from drftjax.setups.setup import SetUp
@@ -233,7 +233,7 @@ def stackable_trial(setup: SetUp, step: float, knots: int, duration: float) -> T
     setup = copy.deepcopy(setup)
     setup.integrator.step = step
     trial = setup.trial()
-    return of_lengths(trial, math.ceil(duration / (trial.every * step) - 1e-9), knots)
+    return pad_trial(trial, math.ceil(duration / (trial.every * step) - 1e-9), knots)
 
 
 def _at_most_farthest(turn: float) -> Float[Array, ""]:

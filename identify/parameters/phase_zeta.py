@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from drftjax.common.errors import InputError
-from drftjax.physics.command import Command, with_zeros
+from drftjax.physics.command import Command, with_zero_crossings
 from drftjax.physics.terrain import AbstractZeta, ConstantZeta
 from drftjax.recorded.observation import ROUNDING
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.setups.command_knots import SCATTER, simplify_command
+from drftjax.setups.command_knots import DEFAULT_KNOTS, simplify_command
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 from identify.parameters.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
@@ -64,8 +64,8 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
     moving = command.omega if turns else command.vx
     assert moving is not None
     top = max(float(np.abs(moving).max()), np.finfo(float).tiny)
-    moving = np.where(np.abs(moving) <= SCATTER * top, 0.0, moving)
-    time, moving = with_zeros(command.time - command.time[0], moving)
+    moving = np.where(np.abs(moving) <= DEFAULT_KNOTS.scatter * top, 0.0, moving)
+    time, moving = with_zero_crossings(command.time - command.time[0], moving)
     speed = np.abs(moving)
     found: list[tuple[float, float, str]] = []
     moved = False
@@ -73,7 +73,7 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
         change = (last - first) / (end - begin) / top
         if first == 0 and last == 0:
             name = "rest" if moved else "stand"
-        elif abs(change) < STEADY_CHANGE or abs(last - first) <= SCATTER * top:
+        elif abs(change) < STEADY_CHANGE or abs(last - first) <= DEFAULT_KNOTS.scatter * top:
             name = "steady"
         else:
             name = "accelerate" if change > 0 else "decelerate"

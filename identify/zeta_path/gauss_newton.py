@@ -12,7 +12,12 @@ from drftjax.common.errors import RunError
 from drftjax.physics.command import Command
 from drftjax.recorded.batch import Batch
 from drftjax.recorded.commanded_motion import is_commanded_to_move
-from drftjax.recorded.observation import SMALLEST_NOISE, Observation, intervals_of, white_noise
+from drftjax.recorded.observation import (
+    SMALLEST_NOISE,
+    Observation,
+    sampling_intervals,
+    white_noise,
+)
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.trial import Trial
@@ -72,7 +77,7 @@ class ZetaPathSolver:
         self.counts = np.asarray(batch.observed.weight[number, 0]) > 0
         self.values = np.asarray(batch.observed.values[number])[:, self.counts]
         time = run.observation.time[run.observation.counts]
-        self.intervals = intervals_of(time)
+        self.intervals = sampling_intervals(time)
         zeta = _initial_zeta(run.trial, grid)
         self.coordinates = np.r_[np.log(zeta), 0.0, 0.0]
         self.level = float(np.log(zeta).mean())

@@ -19,7 +19,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from drftjax.effects.catalogue import catalogue  # noqa: E402
-from drftjax.effects.serialization import typical  # noqa: E402
+from drftjax.effects.serialization import typical_effect  # noqa: E402
 from drftjax.physics.command import command_at  # noqa: E402
 from drftjax.physics.state import State  # noqa: E402
 from drftjax.simulation.rollout import simulate, step_times  # noqa: E402
@@ -68,7 +68,7 @@ def main() -> None:
     if not chosen.names:
         cases["all at once"] = tuple(known.values())
     taken = {
-        name: cost([typical(each) for each in those], plain, chosen.repeats)
+        name: cost([typical_effect(each) for each in those], plain, chosen.repeats)
         for name, those in cases.items()
     }
     bare = min(without for _, without in taken.values())

@@ -25,7 +25,7 @@ from drftjax.common.jax_config import configure_jax
 from hils.link.framing import Receiver
 from hils.link.messages import FROM_RIG, Arm, Drive, Frame, Hello, Measurement, encode
 from tests.benchmarks.loop import machine
-from tests.hils.rig_sim.test_server import HOST, Rig, opened
+from tests.helpers.rig_server import HOST, Rig, open_raw
 
 TICK_MS, WATCHDOG_MS = 10, 50
 
@@ -51,7 +51,7 @@ def physics_speed(setup) -> tuple[float, float]:
 
 def answers(name: str, tick: float, seconds: float, session: int) -> np.ndarray:
     """Time from each command to the measurement that acknowledges it [s]; infinite where none."""
-    port, receiver = opened(name), Receiver(FROM_RIG)
+    port, receiver = open_raw(name), Receiver(FROM_RIG)
     receiver.expect(session)
 
     def send(message, seq: int) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from matplotlib.figure import Figure
 
 import drftjax
-from diagnose import api as interface
+from diagnose import api
 from diagnose.gap.cross_validation import at_mean_sinkage
 from diagnose.report.model_writer import model_toml
 from diagnose.report.text import run_rows
@@ -208,10 +208,10 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
                 raise RunError(name, "no zeta lets the reference model follow its sinkage")
         return Found(names, ["A note."])
 
-    monkeypatch.setattr(interface, "diagnose_case", search)
+    monkeypatch.setattr(api, "diagnose_case", search)
     told = []
-    found = interface.diagnose_gathered(
-        interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
+    found = api.diagnose_gathered(
+        api.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
     )
     assert found.names == [name for name in runs if name not in lost]
     assert [each.removeprefix("left out: ") for each in told] == [
@@ -220,8 +220,8 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
     assert len(told) == 2
     lost |= set(runs)
     with pytest.raises(RunError, match="no zeta"):
-        interface.diagnose_gathered(
-            interface.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
+        api.diagnose_gathered(
+            api.gather_inputs(runs), (SurfaceSlope,), lambda stage: None, told.append
         )
 
 
@@ -237,12 +237,12 @@ def test_a_run_log_that_cannot_be_used_is_left_out(runs):
             runs[name], measured=dataclasses.replace(measured, z=-measured.z)
         ),
     }
-    found = interface.gather_inputs(given)
+    found = api.gather_inputs(given)
     assert [each.name for each in found.runs] == [name]
     assert found.skipped["torque alone"].startswith("torque alone: nothing to compare")
     assert found.skipped["downward"].startswith("downward: measured z stands")
     with pytest.raises(InputError, match=r"torque alone: nothing to compare.*; downward: measured"):
-        interface.gather_inputs({key: given[key] for key in ("torque alone", "downward")})
+        api.gather_inputs({key: given[key] for key in ("torque alone", "downward")})
 
 
 def test_a_set_up_that_somebody_wrote_is_not_replaced(found, tmp_path):

@@ -1,4 +1,4 @@
-"""`drft` run inside the test's own process: what it printed, and the code it left with."""
+"""`drft` run inside the process of the test: its output and its exit code."""
 
 import sys
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from drftjax.commands.main import main
 
 @dataclass(frozen=True)
 class Answer:
-    """What a program said."""
+    """Exit code, output and error output of a program."""
 
     code: int
     out: str
@@ -19,7 +19,7 @@ class Answer:
 
     @property
     def refusal(self) -> str:
-        """The one sentence of a refusal, without its "drft: "."""
+        """Sentence of a refusal, without its "drft: "."""
         assert self.code == 2, self
         assert self.err.startswith("drft: "), self
         assert self.err.count("\n") == 1, self
@@ -28,7 +28,7 @@ class Answer:
 
 
 class Drft:
-    """`drft`, called with its arguments."""
+    """`drft`, to be called with its arguments."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
         self._monkeypatch, self._capsys = monkeypatch, capsys

@@ -1,4 +1,4 @@
-"""Runs with any effects at any strength, by one program: nulls are numbers."""
+"""Runs with any effects at any strength, by one program: an absent effect has strength zero."""
 
 from dataclasses import replace
 from functools import cache
@@ -26,13 +26,13 @@ KNOWN = {each.about.name: each for each in OURS}
 
 
 def typical(name: str) -> dict[str, float]:
-    """Strengths of an effect at their typical sizes."""
+    """Typical strengths of an effect, by field."""
     about = field_metadata(KNOWN[name])
     return {field: about[field]["typical"] for field in strengths(KNOWN[name])}
 
 
 def vector(**given: dict[str, float]) -> np.ndarray:
-    """The numbers of all effects, zero strengths and default shapes but for those given."""
+    """Numbers of all effects: those given, and otherwise strength zero and default shapes."""
     return np.asarray(
         [
             given.get(name, {}).get(field, float(getattr(KNOWN[name](), field)))
@@ -42,7 +42,7 @@ def vector(**given: dict[str, float]) -> np.ndarray:
 
 
 def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple(KNOWN)):
-    """All effects but some, with these numbers."""
+    """Build effects from the numbers of all, without some of them."""
     fields: dict[str, dict] = {name: {} for name in KNOWN}
     for (name, field), value in zip(NUMBERS, values, strict=True):
         fields[name][field] = value
@@ -64,7 +64,7 @@ def with_effects(wheel: AbstractWheel, values, only: tuple[str, ...] = tuple(KNO
 
 
 def rows(sim: Simulator, start: State, omega, dt, every: int) -> Output:
-    """The output at the start and after every so many steps."""
+    """Output at the start and after every `every` steps."""
     command = commands(omega)
     after = simulate(sim, start, command, dt, every=every)[1]
     return with_first_row(sim, start, jax.tree.map(lambda c: c[0], command), after)
@@ -72,7 +72,7 @@ def rows(sim: Simulator, start: State, omega, dt, every: int) -> Output:
 
 @cache
 def driven(smooth: bool, speed: float, dt: float = 1e-3, seconds: float = 2.0) -> State:
-    """A wheel, with grousers or smooth, that has been driven at this speed [rad/s] for a while."""
+    """State of a smooth or grousered wheel that was driven at a speed [rad/s] for some seconds."""
     sim = simulator(RIM if smooth else GROUSERS)
     steps = round(seconds / dt)
     omega = speed * np.minimum(1, np.arange(1, steps + 1) / (0.5 * steps))

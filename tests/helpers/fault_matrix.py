@@ -1,4 +1,4 @@
-"""Each scripted fault in each phase of a run; docs/hils-faults.md states what follows.
+"""Every scripted fault in every phase of a run; docs/hils-faults.md states what follows.
 
 Whatever the fault: nothing moves before ARM, only one sentence is raised, the wheel rests in the
 end, the recorder is told why, and no command was beyond the limits or not finite.
@@ -139,7 +139,7 @@ class Cell(NamedTuple):
 
 @cache
 def loop() -> LoopSetUp:
-    """Coarse and quick: what counts here is how runs end."""
+    """Coarse and quick set-up of the loop; the tests ask only how runs end."""
     setup = SetUp(
         command=CommandSetUp([0, 0.1, 0.6, 1.1, 1.6], [0, 0, 30, 30, 10], omega_unit="deg/s"),
         wheel=WheelSetUp(plate_size=0.01),
@@ -161,7 +161,7 @@ def cell(what: FaultKind | None, phase: str = "connect", duration: float = SHORT
 
 @cache
 def answer_at_once() -> None:
-    """Spare small steps the way through JAX's queue, where it has computed nothing yet."""
+    """Dispatch small steps without JAX's queue; has an effect before the first computation only."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
@@ -182,7 +182,7 @@ def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
 
 
 def require_safety(cell: Cell) -> None:
-    """What holds in every cell."""
+    """Check the rules of safety, which hold in every cell."""
     soft, occasions = cell.soft, cell.soft.rig.occasions
     assert soft.clock.now() - occasions["power"] < LONGEST
     assert soft.rig.motion.omega == 0.0
@@ -204,7 +204,7 @@ def require_safety(cell: Cell) -> None:
 
 
 def require_outcome(cell: Cell, outcome: str) -> None:
-    """What the table says of this cell."""
+    """Check the outcome that the table states for this cell."""
     report = cell.report
     if outcome.startswith("refused"):
         assert report is None
@@ -226,7 +226,7 @@ def require_outcome(cell: Cell, outcome: str) -> None:
 
 
 def table() -> dict[str, list[str]]:
-    """Outcomes by fault, in the order of the phases."""
+    """Stated outcomes of each fault, in the order of the phases."""
     rows = {}
     for line in PAGE.read_text(encoding="utf-8").splitlines():
         name, *outcomes = [each.strip() for each in line.strip().strip("|").split("|")]
@@ -236,7 +236,7 @@ def table() -> dict[str, list[str]]:
 
 
 def require_row(name: str) -> None:
-    """A fault has its stated outcome in every phase."""
+    """Check that a fault has its stated outcome in every phase."""
     what, duration = FAULTS[name]
     for phase, outcome in zip(PHASES, table()[name], strict=True):
         made = cell(what, phase, duration)

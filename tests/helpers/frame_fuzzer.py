@@ -1,4 +1,4 @@
-"""Frames spoilt at random, and what both ends make of them."""
+"""Frames damaged at random, fed to both ends of the link."""
 
 import math
 import random
@@ -33,7 +33,7 @@ CHUNK = 700  # longest piece that is fed at once [bytes]
 
 
 def random_message(random: random.Random) -> Message:
-    """Any message, with any values that its fields hold."""
+    """Random message, with any values that its fields can hold."""
 
     def bits(count: int) -> int:
         return random.getrandbits(count)
@@ -60,7 +60,7 @@ def random_message(random: random.Random) -> Message:
 
 
 def spoilt(random: random.Random, frame: bytes, other: bytes) -> bytes:
-    """A frame after one mishap, or several."""
+    """Frame after one random damage or several."""
     data = bytearray(frame)
     for _ in range(random.choice((1, 1, 1, 2, 5))):
         place = random.randrange(len(data) or 1)
@@ -90,7 +90,7 @@ def spoilt(random: random.Random, frame: bytes, other: bytes) -> bytes:
 
 @dataclass
 class Tally:
-    """What became of the spoilt frames.
+    """Counts of the outcomes of damaged frames.
 
     Attributes:
         spoilt: How many there were; one in ten more is left as it is, between them.

@@ -1,4 +1,4 @@
-"""Runs in the loop, in virtual time, on a virtual rig: made, and what was said and done kept."""
+"""Runs in the loop on a virtual rig, in virtual time, with a log of all that was sent."""
 
 import functools
 import math
@@ -46,7 +46,7 @@ def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
 
 
 class Made:
-    """A run that was made: its report, rows, and what the rig was sent and did."""
+    """Finished run: its report, its rows, and the messages to the rig."""
 
     def __init__(self, report: RunReport | None, rows: InMemorySink, soft: SoftRig, said: list):
         self.report, self.rows, self.soft, self.said = report, rows, soft, said
@@ -59,7 +59,7 @@ class Made:
 
 
 class LoggedLink(InProcessLink):
-    """Keeps what the host says, and when."""
+    """In-process link that logs the messages of the host and their times."""
 
     def __init__(self, rig, clock):
         super().__init__(rig, clock)
@@ -71,7 +71,7 @@ class LoggedLink(InProcessLink):
 
 
 class LateClock(VirtualClock):
-    """Wakes late once: so long after this time [s]."""
+    """Virtual clock that wakes late once, after a given time [s]."""
 
     def __init__(self, start: float, when: float, late: float):
         super().__init__(start)
@@ -84,7 +84,7 @@ class LateClock(VirtualClock):
 
 
 class Cue:
-    """Does something once the rig's clock has come to a time."""
+    """Calls a function once the clock of the rig reaches a time."""
 
     def __init__(self, clock: VirtualClock, when: float, act):
         self._when, self._act = when, act
@@ -112,7 +112,7 @@ def make(
     scales: Instruments | None = None,
     **procedure,
 ) -> Made:
-    """A run; `cue` is called with (stop, link) and a late waking comes `at` s into the profile."""
+    """Make a run; `cue(stop, link)` is called, or the clock wakes late, `at` s into the profile."""
     setup = VirtualSetUp(physics=QUICK, instruments=scales or Instruments())
     clock = LateClock(START, START + BEFORE + at if late else math.inf, late)
     rig = VirtualRig(setup, rig_physics(setup), None, 0, 0, 0.0, START)
@@ -132,7 +132,7 @@ def whole(tuner: str) -> Made:
 
 
 def resting(made: Made) -> bool:
-    """Whether the true rig stands still a second later."""
+    """True if the rig is at rest one second later."""
     made.soft.clock.sleep_until(made.soft.clock.now() + 1.0)
     motion = made.soft.rig.motion
     return abs(motion.omega) < TURNS and abs(motion.vx) < CREEPS

@@ -1,4 +1,4 @@
-"""Ends of links to try hosts on: a terminal, a served rig, a port that does as it is told.
+"""Far ends of links, to test hosts on: a terminal, a served rig and a scripted port.
 
 Real time passes here. Deadlines are on what comes of it and generous (`PATIENCE`), for the machine
 may be busy.
@@ -40,7 +40,7 @@ def eventually(true: Callable[[], object]) -> None:
 
 
 def lost(link: PortLink) -> str:
-    """What the link says once it is lost."""
+    """Wait until the link is lost; its reason."""
 
     def listen() -> None:
         while link.wait(time.monotonic() + PATIENCE):
@@ -52,7 +52,7 @@ def lost(link: PortLink) -> str:
 
 
 def acknowledged(link: PortLink) -> int | None:
-    """The command that the newest measurement answers."""
+    """Number of the command that the newest measurement answers."""
     newest = link.newest()
     return newest and newest.frame.message.ack_seq
 
@@ -62,7 +62,7 @@ def thread_of(link: PortLink) -> threading.Thread:
 
 
 class Ends:
-    """A pseudo-terminal: the rig's end as a descriptor, and the name of the host's."""
+    """Pseudo-terminal: descriptor of the end of the rig, and name of the end of the host."""
 
     def __init__(self):
         self.rig, host = pty.openpty()
@@ -89,7 +89,7 @@ class Ends:
 
 
 class ServedRig:
-    """A rig at one end of a socket pair, in a thread."""
+    """Rig at one end of a socket pair, in a thread."""
 
     def __init__(self):
         self.host, self._socket = socket.socketpair()
@@ -120,7 +120,7 @@ class ServedRig:
 
 
 def is_armed(session: Session) -> bool:
-    """Whether the rig could be armed; a busy machine may let its quarter of a second pass."""
+    """True if the rig could be armed; on a busy machine, its quarter of a second may pass."""
     try:
         session.arm(STILL)
     except InputError:
@@ -129,7 +129,7 @@ def is_armed(session: Session) -> bool:
 
 
 class ScriptedPort(AbstractPort):
-    """Takes and gives as it is told."""
+    """Port that reads and writes by a script."""
 
     def __init__(self, room: int = 1 << 20):
         self.room, self.taken = room, b""

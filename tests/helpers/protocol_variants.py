@@ -1,4 +1,4 @@
-"""Rigs that read the wire's page in their own ways, and the table that they are tried on.
+"""Rigs that implement the wire protocol each in its own way, and a session with one of them.
 
 `OtherRig` is written from the page alone and shares no code with the package: struct, zlib and a
 COBS of its own.
@@ -20,7 +20,7 @@ ROUNDING = 1e-9
 
 
 def stuffed(data: bytes) -> bytes:
-    """COBS, the slow and plain way."""
+    """COBS encoding, byte by byte."""
     return b"".join(bytes([len(each) + 1]) + each for each in data.split(b"\0"))
 
 
@@ -33,7 +33,7 @@ def unstuffed(data: bytes) -> bytes:
 
 
 class OtherRig:
-    """Somebody's firmware. Each attribute is a way to read the page, or a mishap."""
+    """Firmware by another hand; each attribute is a way to read the specification, or a fault."""
 
     leading_delimiter = True
     watchdog_counts_in_idle = False
@@ -114,7 +114,7 @@ class OtherRig:
 
 
 class Table:
-    """A rig, the virtual clock, a link and a session."""
+    """A rig with a virtual clock, a link and a session."""
 
     def __init__(self, rig):
         self.rig, self.clock = rig, VirtualClock()
@@ -122,7 +122,7 @@ class Table:
         self.session = Session(self.link, self.clock)
 
     def heard(self) -> list:
-        """What the host says from here on."""
+        """List that collects the messages of the host from here on."""
         said, send = [], self.link.send
         self.link.send = lambda message: (said.append(message), send(message))[1]
         return said
@@ -140,7 +140,7 @@ class Table:
 
 
 class Silent:
-    """A port with nothing that speaks the wire behind it."""
+    """Port without a rig behind it."""
 
     def __init__(self, babble: bytes = b""):
         self.babble, self.heard = babble, []
@@ -156,7 +156,7 @@ def ours() -> RigProtocol:
 
 
 class Buttons:
-    """A rig with an emergency button and one that resets it."""
+    """Rig with an emergency button and a reset button."""
 
     def __init__(self):
         self.protocol, self.pressed = RigProtocol(RigIdentity(boot_id=1)), b""

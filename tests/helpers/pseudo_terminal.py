@@ -1,4 +1,4 @@
-"""A pseudo-terminal as a person sits at it: a program in its foreground, keys in, text out."""
+"""Pseudo-terminal as a person uses it: a program in the foreground, keys in, text out."""
 
 import fcntl
 import os
@@ -57,7 +57,7 @@ class PseudoTerminal:
 
     @property
     def leader(self) -> int:
-        """The process that leads the session."""
+        """Process that leads the session."""
         return self._shell.pid
 
     def mode(self) -> list[Any]:
@@ -67,7 +67,7 @@ class PseudoTerminal:
         os.write(self._master, keys.encode())
 
     def sees(self, pattern: str) -> re.Match[str]:
-        """The first match on the screen since the start, waiting for it."""
+        """Wait for text; its first match on the screen since the start."""
         found: list[re.Match[str]] = []
 
         def there() -> bool:
@@ -78,7 +78,7 @@ class PseudoTerminal:
         return found[0]
 
     def ends(self) -> int:
-        """The program's exit code, waiting for it."""
+        """Wait for the end of the program; its exit code."""
         return int(self.sees(r"left with (-?\d+)")[1])
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class PseudoTerminal:
 
 
 def soon(holds) -> bool:
-    """Whether it comes to hold within patience."""
+    """Wait until a condition holds; False if it does not within `PATIENCE`."""
     deadline = time.monotonic() + PATIENCE
     while not holds():
         if time.monotonic() > deadline:

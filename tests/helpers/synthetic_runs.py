@@ -1,4 +1,4 @@
-"""Short runs made by simulation, for tests of what fits find in them."""
+"""Short simulated runs, for tests of fits."""
 
 import dataclasses
 
@@ -23,12 +23,12 @@ BELIEVED_ZETA = 0.7823
 
 
 def step_for(omega) -> float:
-    """The step that a virtual run of these speeds is made and fitted with [s]."""
+    """Time step for simulating and fitting a run with these speeds [s]."""
     return FAST_STEP if max(omega) > 1 else SLOW_STEP
 
 
 def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) -> SetUp:
-    """A true set-up, integrated as fits integrate."""
+    """True set-up of a run, with the integrator of fits."""
     time, omega = profile
     setup = SetUp(command=CommandSetUp(list(time), list(omega), vx), title="a virtual run")
     setup.wheel.plate_size = PLATE
@@ -49,7 +49,7 @@ def recorded(
     channels: tuple[str, ...] = ("x", "z"),
     force_noise: float = 0.0,
 ) -> RunLog:
-    """A run of `setup` as a rig records it; its zeta is not written down."""
+    """Run log of a set-up as a rig records it, with noise and without its zeta."""
     log = simulated_run(setup, 1 / rate)
     random = np.random.default_rng(seed)
     measured = {}
@@ -64,7 +64,7 @@ def recorded(
 
 
 def coarse(name: str, run: RunLog, **options) -> PreparedRun:
-    """`candidate` with the virtual run's plates and step: a run log does not say them."""
+    """Prepare a run with the plates and the step of its simulation, which no run log holds."""
     options.setdefault("step", step_for(run.command.omega))
     return recut(prepare_run(name, run, **options))
 

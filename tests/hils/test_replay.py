@@ -4,7 +4,6 @@ import dataclasses
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -12,97 +11,18 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.runlog.hdf5.api import read_run, write_run
+from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import RunLog
-from drftjax.setups.setup import CommandSetUp, SetUp
-from drftjax.tuning.registry import TunerSetUp
-from hils.clock import AbstractClock
-from hils.control.limits import CommandLimits
-from hils.control.loop_config import LoopSetUp
-from hils.control.stop_request import StopReason, StopRequest
-from hils.events import Event, TickFlag
-from hils.procedure.operator_prompts import UnattendedPrompts
-from hils.procedure.procedure import Procedure, run
-from hils.recording.recorder import Recorder
+from hils.events import TickFlag
 from hils.replay import replay
-from hils.rig_sim.faults import Fault, FaultScript, LostFrames, ScaleJump, Window
-from hils.rig_sim.in_process import soft_rig
+from tests.helpers.replayable_run import PROFILE, record_run
 
 # As the test's own process has it: what other tests set meanwhile may make other kernels.
 ENVIRONMENT = dict(os.environ)
 ROOT = Path(__file__).resolve().parents[2]
 
-PROFILE = ([0.0, 0.3, 1.3, 2.0, 2.5], [0.0, 0.0, 0.5, 0.5, 0.0])
 # Within the run, which starts some 6 s after the rig's power-up.
 BUSY_AT = (7.0, 7.5, 7.6)
-SCRIPT = FaultScript(
-    seed=3,
-    faults=(
-        Fault(LostFrames(rate=0.3), Window(after="motion", start=0.2, duration=0.5)),
-        Fault(ScaleJump(rate=0.3), Window(after="motion", start=0.8, duration=0.3)),
-    ),
-)
-
-
-class BusyClock(AbstractClock):
-    """A virtual clock on a computer that has something else to do at some moments.
-
-    Args:
-        clock: The virtual clock.
-        moments: When [s]; it wakes late by `late` [s].
-        each: Called at every waking.
-    """
-
-    def __init__(
-        self,
-        clock: AbstractClock,
-        moments: Sequence[float],
-        late: float,
-        each: Callable[[], None],
-    ):
-        self._clock, self._moments, self._late, self._each = clock, list(moments), late, each
-
-    def now(self) -> float:
-        return self._clock.now()
-
-    def sleep_until(self, deadline: float) -> None:
-        late = 0.0
-        if self._moments and deadline >= self._moments[0]:
-            late = self._late
-            del self._moments[0]
-        self._clock.sleep_until(deadline + late)
-        self._each()
-
-
-def recorded(
-    path: Path, tuner: str = "step", busy_at: Sequence[float] = (), stop_above: float = np.inf
-) -> RunLog:
-    """A short run on a virtual rig with faults, in virtual time, through the real recorder.
-
-    Args:
-        path: The run log.
-        tuner: By name.
-        busy_at: When the loop misses three ticks, from the rig's power-up [s].
-        stop_above: Angular velocity at which someone asks to stop [rad/s].
-    """
-    time, omega = PROFILE
-    loop = LoopSetUp(
-        setup=SetUp(command=CommandSetUp(time=time, omega=omega)),
-        commands=CommandLimits(2.0, 0.3),
-        tuner=TunerSetUp(tuner),
-        tuning_ticks=2,
-    )
-    rig, link, clock = soft_rig(script=SCRIPT, seed=1)
-    request = StopRequest()
-
-    def look() -> None:
-        if rig.motion.omega > stop_above and request.first_reason is None:
-            request.ask(StopReason("asked to stop", Event.STOP_ASKED))
-
-    clock = BusyClock(clock, [clock.now() + each for each in busy_at], 0.034, look)
-    procedure, prompts = Procedure(loop=loop, free=False), UnattendedPrompts(quiet=True)
-    run(procedure, link, clock, Recorder(path), prompts, request)
-    return read_run(path)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +32,7 @@ def path(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def log(path) -> RunLog:
-    return recorded(path)
+    return record_run(path)
 
 
 def test_the_run_has_what_makes_a_replay_hard(log):
@@ -150,11 +70,11 @@ def test_another_process_gives_the_recorded_zeta_bit_for_bit(log, path):
 
 @pytest.mark.parametrize("tuner", ["pi", "kalman"])
 def test_every_tuner_is_replayed_bit_for_bit(tmp_path, tuner):
-    assert replay(recorded(tmp_path / "run.h5", tuner)).exact
+    assert replay(record_run(tmp_path / "run.h5", tuner)).exact
 
 
 def test_skipped_ticks_are_replayed_bit_for_bit(tmp_path):
-    log = recorded(tmp_path / "run.h5", busy_at=BUSY_AT)
+    log = record_run(tmp_path / "run.h5", busy_at=BUSY_AT)
     numbers = np.round(log.online.time / log.online.tick)
     assert (np.diff(numbers) > 1).sum() == 3
     assert ((log.online.flags & TickFlag.SKIPPED) > 0).sum() == 3
@@ -162,7 +82,7 @@ def test_skipped_ticks_are_replayed_bit_for_bit(tmp_path):
 
 
 def test_a_run_ended_early_is_replayed_bit_for_bit(tmp_path):
-    log = recorded(tmp_path / "run.h5", stop_above=0.3)
+    log = record_run(tmp_path / "run.h5", stop_above=0.3)
     assert log.end_reason == "asked to stop"
     assert ((log.online.flags & TickFlag.RAMPING) > 0).any()
     assert log.online.time[-1] < PROFILE[0][-1]

@@ -18,7 +18,7 @@ from drftjax.recorded.prepared_run import prepare_runs
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured
 from drftjax.setups.terrain_setup import ZetaKnots
-from identify.fit_constant import fit as fit_candidates
+from identify.fit_constant import fit as fit_runs
 from identify.solver.levenberg_marquardt import solve
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
 
@@ -236,7 +236,7 @@ def test_all_runs_count_where_none_diverges():
 
 def test_a_run_at_its_bound_says_so(runs, model):
     bounded = drftjax.own("zeta", bounds=(0.76, 0.9), start=0.8)
-    result = fit_candidates(prepare_runs(runs, model), [bounded])
+    result = fit_runs(prepare_runs(runs, model), [bounded])
     assert [run.status for run in result.runs] == ["at a bound", "converged"]
     document = msgspec.json.decode(msgspec.json.encode(result.document()))
     first = document["runs"][0]
@@ -251,7 +251,7 @@ def test_a_run_at_its_bound_says_so(runs, model):
 def test_bounds_far_away_are_no_bounds(runs, model, result):
     """A thousandth of so wide an interval holds all values that there are."""
     wide = drftjax.own("zeta", bounds=(1e-6, 1e6), start=0.8)
-    far = fit_candidates(prepare_runs(runs, model), [wide])
+    far = fit_runs(prepare_runs(runs, model), [wide])
     assert [run.status for run in far.runs] == ["converged", "converged"]
     assert not any("bound" in each for each in far.findings)
     for run, plain in zip(far.runs, result.runs, strict=True):

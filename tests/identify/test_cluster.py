@@ -17,7 +17,7 @@ import pytest
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_result, read_run, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA
-from identify.cluster import scheduler as clusters
+from identify.cluster import scheduler
 from identify.cluster.result_codec import SingleRunResult, decode_result
 from identify.cluster.scheduler import (
     LocalWorkers,
@@ -234,7 +234,7 @@ def test_addresses():
 
 
 def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(clusters, "CONNECT_LIMIT", 1.0)
+    monkeypatch.setattr(scheduler, "CONNECT_LIMIT", 1.0)
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         arguments = "fit", folder / "run00.h5", "-o", tmp_path / "fit", "--cluster"
@@ -248,12 +248,12 @@ def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, mo
 def test_without_workers_a_cluster_is_given_up(logs, tmp_path, monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(clusters, "WORKER_LIMIT", 0.5)
+    monkeypatch.setattr(scheduler, "WORKER_LIMIT", 0.5)
     with (
         LocalCluster(n_workers=0, dashboard_address=None) as empty,
         Client(empty) as client,
         FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
-        pytest.raises(clusters.InputError, match="no worker"),
+        pytest.raises(scheduler.InputError, match="no worker"),
     ):
         fit_on(client, logs, SETTINGS, store, silent)
 
@@ -269,13 +269,13 @@ def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
     with (
         Client(started) as client,
         FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
-        pytest.raises(clusters.InputError, match=r"the cluster is lost .* keeps the \d+ fits"),
+        pytest.raises(scheduler.InputError, match=r"the cluster is lost .* keeps the \d+ fits"),
     ):
         fit_on(client, logs, SETTINGS, store, report)
 
 
 def test_without_dask_the_extra_is_named(drft, folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(clusters.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(scheduler.importlib.util, "find_spec", lambda name: None)
     answer = drft("fit", folder / "run00.h5", "--cluster", "local", "-o", tmp_path / "fit")
     assert "pip install '.[cluster]'" in answer.refusal
 
@@ -289,7 +289,7 @@ def test_what_has_no_meaning_on_a_cluster_is_refused(drft, folder, tmp_path):
 
 def test_workers_of_another_version_are_refused(logs):
     other = FitOptions((ZETA,), software="0.0.0")
-    with pytest.raises(clusters.InputError, match=r"must have 0\.0\.0"):
+    with pytest.raises(scheduler.InputError, match=r"must have 0\.0\.0"):
         fit_logs(other.encoded(), [])
 
 
@@ -304,7 +304,7 @@ def store(tmp_path) -> Path:
 
 def refusal(path: Path, settings: FitOptions = SETTINGS) -> str:
     before = path.read_bytes()
-    with pytest.raises(clusters.InputError) as refused:
+    with pytest.raises(scheduler.InputError) as refused:
         FitStore(path, settings.plain_values())
     assert path.read_bytes() == before
     text = str(refused.value)
@@ -370,7 +370,7 @@ def test_a_file_that_is_no_store_is_left_alone(tmp_path):
         assert "no store" in refusal(path)
     path.unlink()
     path.mkdir()
-    with pytest.raises(clusters.InputError, match="ordinary file"):
+    with pytest.raises(scheduler.InputError, match="ordinary file"):
         FitStore(path, {})
 
 
@@ -388,13 +388,13 @@ def test_an_interrupt_reaches_no_process_begun_for_the_cluster():
             [sys.executable, "-c", asked], capture_output=True, text=True, check=True
         ).stdout.strip()
 
-    with clusters._without_interrupts():
+    with scheduler._without_interrupts():
         begun = held()
     assert (begun, held()) == ("True", "False")
     # A shell has what it runs in the background ignore the signal.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), clusters._without_interrupts():
+        with pytest.raises(KeyboardInterrupt), scheduler._without_interrupts():
             # What came meanwhile is not lost.
             signal.raise_signal(signal.SIGINT)
     finally:

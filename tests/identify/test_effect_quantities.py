@@ -10,7 +10,7 @@ from drftjax.common.errors import InputError
 from drftjax.effects.catalogue import catalogue
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.fitted_model import read_model
-from drftjax.setups.setup import put_effects
+from drftjax.setups.setup import add_fitted_effects
 from drftjax.setups.setup_toml import setup_toml
 from identify.parameters.effect_quantities import effect_numbers
 from identify.parameters.parameter import quantity
@@ -89,7 +89,7 @@ def test_every_number_of_the_catalogue_can_be_fitted(model):
     """Read from a trial that has its effect, and put there."""
     assert len(effect_numbers()) > len(catalogue())
     setup = copy.deepcopy(model)
-    put_effects(setup, ["zeta", *effect_numbers()])
+    add_fitted_effects(setup, ["zeta", *effect_numbers()])
     trial = setup.trial()
     for name in effect_numbers():
         each = quantity(name)

@@ -8,7 +8,7 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.setups.setup import put_effects
+from drftjax.setups.setup import add_fitted_effects
 from identify.fit_path import fit_paths
 from identify.fit_path_jointly import JointFit, _JointProblem, fit_jointly
 from identify.parameters.parameter import own, shared
@@ -109,7 +109,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
 def pulled(number: int, force: float) -> PreparedRun:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
     each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
-    put_effects(each.setup, ["drawbar.force"])
+    add_fitted_effects(each.setup, ["drawbar.force"])
     return dataclasses.replace(each, trial=each.setup.trial(10 * STEP))
 
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from drftjax.common.errors import InputError
 from drftjax.physics.terrain import KnotZeta
 from drftjax.recorded.batch import make_batch
-from drftjax.recorded.observation import intervals_of, white_noise
+from drftjax.recorded.observation import sampling_intervals, white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import IntegratorSetUp
 from identify.zeta_path.evidence import (
@@ -278,7 +278,7 @@ def test_whitening_is_the_inverse_covariance_whatever_was_lost(lost):
     place = np.delete(np.arange(40), lost)
     columns, noise = random.standard_normal((len(place), 3)), AR1Noise(0.3, 0.8)
     covariance = 0.3**2 * 0.8 ** np.abs(np.subtract.outer(place, place))
-    products = LaggedProducts.of(columns, intervals_of(0.01 * place))
+    products = LaggedProducts.of(columns, sampling_intervals(0.01 * place))
     dense = columns.T @ np.linalg.solve(covariance, columns)
     np.testing.assert_allclose(products.whitened_gram(noise), dense, rtol=INVERSE)
     assert products.log_determinant(noise) == pytest.approx(
@@ -302,7 +302,7 @@ def test_noise_is_found_among_the_samples_that_are_left():
 
 def test_noise_lasts_no_longer_than_its_instrument_allows():
     time = np.linspace(0.0, 1.0, 500)
-    products = LaggedProducts.of((1e-3 * time)[:, None], intervals_of(time))
+    products = LaggedProducts.of((1e-3 * time)[:, None], sampling_intervals(time))
     residual, nothing = np.ones(1), np.zeros((0, 0))
     assert (
         products.most_probable_noise(residual, nothing, InstrumentFloor(1e-6, 0.9999)).correlation

@@ -25,7 +25,7 @@ from rich.table import Table
 
 from diagnose.model.augmented_model import AugmentedModel
 from drftjax.common.jax_config import configure_jax
-from drftjax.effects import composition as chain
+from drftjax.effects import composition
 from drftjax.effects.base import StepContext
 from drftjax.effects.catalogue import effect_class, field_metadata
 from drftjax.physics.state import State
@@ -113,8 +113,8 @@ def steady(
     def one(setting: Setting) -> tuple[Float[Array, ""], Float[Array, ""]]:
         nought = jnp.zeros_like(setting.vx)
         speed = jnp.stack([setting.vx, nought])
-        memory = chain.begin(effects, State.at_rest(nought))
-        omega, _ = chain.wheel_speed(effects, memory, setting.omega, nought, nought + 1.0)
+        memory = composition.begin(effects, State.at_rest(nought))
+        omega, _ = composition.wheel_speed(effects, memory, setting.omega, nought, nought + 1.0)
         phases = ((STEP_AT, BEFORE / data.OUTER_RADIUS + nought), (until, omega))
         time, moment = 0.0, None
         for end, turning in phases:
@@ -122,10 +122,10 @@ def steady(
             span = nought + end - time
             moment = StepContext(nought + end, span, place, speed, nought, turning, turning, radius)
             # What remembers here grows evenly while the speeds stay, so one long step is exact.
-            memory = chain.advance(effects, memory, moment)
+            memory = composition.advance(effects, memory, moment)
             time = end
         assert moment is not None
-        zeta = jnp.exp(at[0]) * chain.zeta_factor(effects, memory, moment)
+        zeta = jnp.exp(at[0]) * composition.zeta_factor(effects, memory, moment)
 
         def force(sinkage: Float[Array, ""]) -> Float[Array, "2"]:
             place = jnp.stack([setting.vx * until, -sinkage])
@@ -133,7 +133,7 @@ def steady(
             def turned(angle: Float[Array, ""]) -> Float[Array, "3"]:
                 return simulator.wrench(place, speed, angle, omega, zeta, memory=memory)
 
-            piled = chain.loads(effects, memory, place, speed, moment, of_the_sand=True)
+            piled = composition.loads(effects, memory, place, speed, moment, of_the_sand=True)
             return jax.vmap(turned)(angles)[:, :2].mean(0) + piled
 
         def halve(_, bracket):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drftjax.physics.command import one_way
+from drftjax.physics.command import split_at_reversals
 
 # Sample interval of commanded and wheel speed [s].
 SPEED_INTERVAL = 2e-3
@@ -120,7 +120,7 @@ class PlantBacklash(AbstractPlantDrive):
         if self.play <= 0:
             return commanded
         speeds, position = np.empty_like(commanded), 0.0
-        for part, sense in one_way(np.sign(commanded)):
+        for part, sense in split_at_reversals(np.sign(commanded)):
             angle = np.cumsum(np.abs(commanded[part])) * SPEED_INTERVAL
             contact = int(np.searchsorted(angle, self.play - sense * position))
             since_contact = (np.arange(len(angle)) - contact) * SPEED_INTERVAL

@@ -17,7 +17,13 @@ from diagnose.model.augmented_model import (
 )
 from diagnose.model.shared_programs import SHORTEST_ROW, in_modes, program_of
 from drftjax.common.arrays import as_real
-from drftjax.effects.correction import STAGES, correction, fields, states_known_to, with_values
+from drftjax.effects.correction import (
+    STAGES,
+    correction_class,
+    correction_variables,
+    fields,
+    with_values,
+)
 from drftjax.effects.sensor import TravelGain
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
@@ -68,17 +74,17 @@ def predicted(kind, coordinates) -> np.ndarray:
 
 
 # zeta may follow all variables there are; the other stages tell theirs in their own ways.
-STANDING = [("zeta", variable) for variable in states_known_to("zeta")]
+STANDING = [("zeta", variable) for variable in correction_variables("zeta")]
 STANDING += [
     (stage, variable)
     for stage in ("force_z", "speed", "height", "reading z")
-    for variable in (states_known_to(stage)[0], states_known_to(stage)[-1])
+    for variable in (correction_variables(stage)[0], correction_variables(stage)[-1])
 ]
 
 
 @pytest.mark.parametrize(("stage", "variable"), STANDING)
 def test_the_program_runs_as_the_curve_does(stage, variable):
-    kind = correction(stage, variable, PLACES[variable])
+    kind = correction_class(stage, variable, PLACES[variable])
     typical = STAGES[stage][2]
     of_class = simulated(kind, (typical * HEIGHTS).tolist())
     assert np.abs(predicted(kind, HEIGHTS) - of_class).max() < ROUNDING
@@ -86,7 +92,7 @@ def test_the_program_runs_as_the_curve_does(stage, variable):
 
 
 def test_curves_of_a_stage_share_one_program():
-    kinds = [correction("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
+    kinds = [correction_class("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
     kinds.append(in_modes(kinds[0], np.eye(4)[:, :2], 1.0))
     assert len({program_of(each).effect for each in kinds}) == 1
     assert len({AugmentedModel((each,)).program[0] for each in kinds}) == 1
@@ -94,14 +100,14 @@ def test_curves_of_a_stage_share_one_program():
 
 def test_a_curve_of_more_knots_than_the_row_has_a_longer_one():
     knots = np.linspace(0, 0.2, SHORTEST_ROW + 3)
-    kind = correction("zeta", "travel", knots.tolist())
+    kind = correction_class("zeta", "travel", knots.tolist())
     values = 0.1 * np.sin(30 * knots)
     assert len(fields(SHORTEST_ROW + 3)) == len(program_of(kind).mix)
     assert np.abs(predicted(kind, values / 0.1) - simulated(kind, values)).max() < ROUNDING
 
 
 def test_modes_are_the_curve_that_they_add_up_to():
-    kind = correction("force_z", "travel", PLACES["travel"])
+    kind = correction_class("force_z", "travel", PLACES["travel"])
     modes = np.array([[1.0, 0.0], [2.0, 1.0], [0.0, -1.0], [0.5, 0.5]])
     amplitudes, typical = np.array([1.5, -2.0]), 0.5
     summed = typical * modes @ amplitudes
@@ -111,7 +117,9 @@ def test_modes_are_the_curve_that_they_add_up_to():
 
 def test_the_derivative_is_by_the_effects_own_coordinates():
     kind = in_modes(
-        correction("zeta", "travel", PLACES["travel"]), np.array([[1.0], [0.5], [0.0], [-1.0]]), 0.2
+        correction_class("zeta", "travel", PLACES["travel"]),
+        np.array([[1.0], [0.5], [0.0], [-1.0]]),
+        0.2,
     )
     # The gain of a reading beside it stays a number of its own.
     model = AugmentedModel((TravelGain, kind))

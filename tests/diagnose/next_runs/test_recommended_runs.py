@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from diagnose.blind.plant import run_plan
 from diagnose.blind.plant.plant import DEFAULT_PLANT
-from diagnose.blind.plant.run_plan import RECOMMENDED_RUNS
 from diagnose.commands.protocol import app
 from diagnose.next_runs.recommended_runs import TELLING, recommended_runs
 from drftjax.commands.options import USUAL_OMEGA_MAX
@@ -91,7 +91,7 @@ def test_sand_that_does_not_bear_the_wheel_is_refused():
 
 
 def test_the_blind_sets_are_of_the_same_runs():
-    for run, blind in zip(TELLING, RECOMMENDED_RUNS, strict=True):
+    for run, blind in zip(TELLING, run_plan.RECOMMENDED_RUNS, strict=True):
         assert blind.time == run.time
         assert blind.speed == run.speed
         row_interval = DEFAULT_PLANT.steps_per_row * blind.steady_step() / 2

@@ -30,7 +30,7 @@ from drftjax.effects.base import (
     strength,
 )
 from drftjax.effects.catalogue import field_metadata
-from drftjax.effects.correction import correction, fields, states_known_to
+from drftjax.effects.correction import correction_class, correction_variables, fields
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import Loosening
@@ -123,7 +123,9 @@ def test_a_drive_that_turns_too_fast_is_an_error_of_speed_that_follows_the_speed
     assert found[0].name == "speed"
     assert found[0].evidence > found[1].evidence + TIED
     assert found[0].explained > 0.95  # of the gap: noise is under a per mille of it
-    ranked = [(v, s) for v, s in rank_dependence(case(), found[0]) if v in states_known_to("speed")]
+    ranked = [
+        (v, s) for v, s in rank_dependence(case(), found[0]) if v in correction_variables("speed")
+    ]
     assert ranked[0][0] == "angular velocity"
     assert ranked[0][1] > NEARLY_ALL
 
@@ -170,7 +172,7 @@ def test_a_slope_is_an_unknown_height_that_follows_the_travel():
 def test_a_known_force_is_recovered_within_its_error():
     knots = np.linspace(0, 5, KNOTS)
     truth = np.array([0.0, 0.0, -4.0, -4.0, 2.0, 2.0])
-    kind = correction("force_x", "time", knots.tolist())
+    kind = correction_class("force_x", "time", knots.tolist())
     found = estimate_disturbances(case(), log_zeta(), left(with_(kind, **values_of(truth))))
     assert found[0].name == "force_x"
     inside = []
@@ -191,8 +193,8 @@ def test_a_known_force_is_recovered_within_its_error():
 )
 def test_a_correction_is_an_effect_like_any(stage, variable, knots):
     knots = tuple(np.arange(KNOTS) * 2 * np.pi / KNOTS) if knots is None else knots
-    kind = correction(stage, variable, knots)
-    assert kind is correction(stage, variable, list(knots))
+    kind = correction_class(stage, variable, knots)
+    assert kind is correction_class(stage, variable, list(knots))
     for null, reference in zip(with_(kind), plain(), strict=True):
         assert np.array_equal(null, reference)
     small = 0.01 * field_metadata(kind)["at_1"]["typical"]
@@ -292,11 +294,11 @@ def test_an_effect_on_plates_and_on_a_scale_is_read_once():
 def test_a_correction_refuses_what_its_stage_cannot_know():
     knots = list(range(KNOTS))
     with pytest.raises(InputError, match="may follow"):
-        correction("speed", "sinkage", knots)
+        correction_class("speed", "sinkage", knots)
     with pytest.raises(InputError, match="stage"):
-        correction("weather", "time", knots)
+        correction_class("weather", "time", knots)
     with pytest.raises(InputError, match="must ascend"):
-        correction("zeta", "time", [0.0] * KNOTS)
+        correction_class("zeta", "time", [0.0] * KNOTS)
 
 
 def test_one_run_alone_is_described():

@@ -25,7 +25,7 @@ from diagnose.unknown.correction_fit import (
 )
 from drftjax.effects.base import EffectInfo, MemorylessZetaFactor, strength
 from drftjax.effects.catalogue import catalogue
-from drftjax.effects.correction import Curve, correction, with_values
+from drftjax.effects.correction import Curve, correction_class, with_values
 from drftjax.effects.terrain import TerrainVariation
 from drftjax.runlog.hdf5.api import write_run
 from tests.helpers.rig_datasets import CONDITIONS, run_with
@@ -97,7 +97,7 @@ def test_what_is_written_holds_the_curve_and_names_the_effect(found, tmp_path):
 def curve(stage: str, variable: str, values=BUMP, left: float = 1.0) -> Correction:
     """That leaves so many of twenty noise floors."""
     knots = np.linspace(0.0, 1.0, len(values)).tolist()
-    effect = with_values(correction(stage, variable, knots), list(values))
+    effect = with_values(correction_class(stage, variable, knots), list(values))
     gap = {"z": Gap(20.0, left, 1.0, 1.0, (0.0, 1.0))}
     return Correction(effect, 1.0, SelectedEffects((effect,), np.zeros(1), [], gap))
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from drftjax.effects import composition as chain
+from drftjax.effects import composition
 from drftjax.effects.base import (
     AbstractAdjustment,
     AbstractDrive,
@@ -336,14 +336,14 @@ def test_loads_factors_and_surfaces_act_in_any_order():
     motion = plate_motion(plates, height, state.velocity, state.omega, height * 0, state.velocity)
 
     def everything(effects):
-        memory = chain.advance(effects, chain.begin(effects, state), moment)
+        memory = composition.advance(effects, composition.begin(effects, state), moment)
         place, speed = state.position + 0.1, state.velocity
         return (
-            chain.zeta_factor(effects, memory, moment),
-            chain.stress_factor(effects, motion),
-            chain.relative_to_surface(effects, memory, motion, place[0], plates.x).depth,
-            chain.loads(effects, memory, place, speed, moment, of_the_sand=True),
-            chain.loads(effects, memory, place, speed, moment, of_the_sand=False),
+            composition.zeta_factor(effects, memory, moment),
+            composition.stress_factor(effects, motion),
+            composition.relative_to_surface(effects, memory, motion, place[0], plates.x).depth,
+            composition.loads(effects, memory, place, speed, moment, of_the_sand=True),
+            composition.loads(effects, memory, place, speed, moment, of_the_sand=False),
         )
 
     for one, other in zip(everything(forward), everything(forward[::-1]), strict=True):

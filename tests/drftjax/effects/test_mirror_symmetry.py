@@ -16,7 +16,7 @@ import pytest
 from drftjax.effects.base import StepContext
 from drftjax.effects.catalogue import field_metadata, shapes
 from drftjax.effects.serialization import build_effects
-from drftjax.physics.command import with_zeros
+from drftjax.physics.command import with_zero_crossings
 from drftjax.physics.integrator import HeldPace, steady_step
 from drftjax.physics.state import Output, State
 from drftjax.physics.stress import Dynamic
@@ -259,8 +259,8 @@ def test_a_patch_may_lie_behind_the_start():
 
 def test_a_profile_that_turns_back_has_a_knot_where_it_does():
     time, omega, vx = np.arange(4.0), np.array([0.0, 1.0, -3.0, -3.0]), np.array([0.0, 1, 2, -2])
-    found = with_zeros(time, omega, vx)
+    found = with_zero_crossings(time, omega, vx)
     np.testing.assert_allclose(found[0], [0, 1, 1.25, 2, 2.5, 3])
     np.testing.assert_allclose(found[1], [0, 1, 0, -3, -3, -3])
     np.testing.assert_allclose(found[2], [0, 1, 1.25, 2, 0, -2])
-    assert with_zeros(time, np.abs(omega))[0] is time
+    assert with_zero_crossings(time, np.abs(omega))[0] is time

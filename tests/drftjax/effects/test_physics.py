@@ -1,4 +1,4 @@
-"""What every effect does to a run, against what a few lines of algebra say it should.
+"""Influence of every effect on a run, against a few lines of algebra.
 
 Two runs of a smooth wheel: `hold` turns on at an even 2 rad/s, over two turns; `starting` speeds up
 to that from rest. One program makes the runs of all effects, most of them at zero.
@@ -74,8 +74,7 @@ RADIUS, ZETA = 0.150, 0.7823
 def start(moving: bool) -> State:
     if moving:
         return driven(True, SPEED)
-    rest = driven(True, 0.0)
-    return replace(rest, velocity=jnp.zeros(2))
+    return replace(driven(True, 0.0), velocity=jnp.zeros(2))
 
 
 @cache

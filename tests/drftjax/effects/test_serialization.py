@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from drftjax.effects.catalogue import catalogue
-from drftjax.effects.correction import STAGES, states_known_to
-from drftjax.effects.listing import listing, markdown
-from drftjax.effects.serialization import build_effects, entry_of, typical
+from drftjax.effects.correction import STAGES, correction_variables
+from drftjax.effects.listing import effect_markdown, effect_table
+from drftjax.effects.serialization import build_effects, entry_of, typical_effect
 from drftjax.effects.terrain import Loosening
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_run, write_result
@@ -68,7 +68,7 @@ def test_a_set_up_without_effects_says_none_and_keeps_none(tmp_path):
 
 @pytest.mark.parametrize("name", list(catalogue()))
 def test_every_effect_comes_back_from_a_file(tmp_path, name):
-    entry = entry_of(typical(catalogue()[name]))
+    entry = entry_of(typical_effect(catalogue()[name]))
     setup = SetUp(command=CommandSetUp([0, 1], [0, 1]), effects=[entry])
     path = written(tmp_path, msgspec.json.encode(setup).decode(), "rig.json")
     (effect,) = read_setup(path).trial().simulator.effects
@@ -221,7 +221,7 @@ def test_corrections_of_nothing_in_every_stage_are_the_reference_model_to_the_bi
         {
             "name": "correction",
             "stage": stage,
-            "variable": "sinkage" if "sinkage" in states_known_to(stage) else "turning",
+            "variable": "sinkage" if "sinkage" in correction_variables(stage) else "turning",
             "knots": [0.0, 0.02, 0.5],
             "values": [0.0, 0.0, 0.0],
         }
@@ -308,8 +308,8 @@ def test_a_plot_shows_what_an_effect_does(drft, tmp_path):
 
 
 def test_the_page_holds_the_table_that_the_command_prints(drft):
-    assert drft("effects", "--markdown").out == markdown() + "\n"
-    assert markdown() in PAGE.read_text()
+    assert drft("effects", "--markdown").out == effect_markdown() + "\n"
+    assert effect_markdown() in PAGE.read_text()
 
 
 def code_block(language: str) -> str:
@@ -394,6 +394,6 @@ def test_a_package_that_adds_no_effect_is_named(package, tmp_path, point, said):
 
 def test_names_stay_whole_on_a_narrow_terminal():
     text = io.StringIO()
-    Console(file=text, width=80).print(listing())
+    Console(file=text, width=80).print(effect_table())
     for name in catalogue():
         assert re.search(rf"^  {name} ", text.getvalue(), re.MULTILINE), name

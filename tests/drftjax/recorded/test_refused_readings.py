@@ -13,7 +13,7 @@ from drftjax.recorded.refused_readings import drop_refused, refused_readings
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.record import RunLog
 from hils.events import TickFlag
-from tests.hils.test_replay import recorded
+from tests.helpers.replayable_run import record_run
 
 # The wheel sinks by 14 mm in this run; an absurd reading is off by 30 mm and more [m].
 ABSURD = 0.025
@@ -22,7 +22,7 @@ ABSURD = 0.025
 @pytest.fixture(scope="module")
 def path(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("refused") / "run.h5"
-    recorded(path)
+    record_run(path)
     return path
 
 

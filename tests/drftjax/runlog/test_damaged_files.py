@@ -13,14 +13,14 @@ import h5py
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.runlog import safe_reader as guard
+from drftjax.runlog import safe_reader
 from drftjax.runlog.check import check_file, read_run_guarded
 from drftjax.runlog.content import Level
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.safe_reader import GuardedReader
-from tests.drftjax.runlog.test_examples import example_run, flattened
+from tests.helpers.run_logs import example_run, flattened
 
 SEALED_FLIPS = 400
 # Each costs a survey in the child; the few that hang the library cost the time limit and a new
@@ -113,23 +113,28 @@ def test_the_seal_is_cut_off_by_a_program_that_edits_the_file(good, tmp_path):
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", 60, r"crashed .*\(SIGSEGV\)"),
         ("import os; os._exit(3)", 60, "ended with code 3"),
         (
-            "from drftjax.runlog import guard; guard._limit_memory(); x = bytes(5 * 2**30)",
+            "from drftjax.runlog import safe_reader\n"
+            "safe_reader._limit_memory()\n"
+            "try: bytes(5 * 2**30)\n"
+            "except MemoryError: raise SystemExit(7)",
             60,
-            "ended",
+            "ended with code 7",
         ),
     ],
     ids=["hangs", "crashes", "leaves", "wants memory"],
 )
 def test_a_reader_that_is_lost_is_reported_and_replaced(good, monkeypatch, deed, limit, reason):
-    honest = guard._START
-    root = Path(guard.__file__).parents[2]
+    honest = safe_reader._START
+    root = Path(safe_reader.__file__).parents[2]
     with GuardedReader(limit) as reader:
-        monkeypatch.setattr(guard, "_START", f"import sys; sys.path.append({str(root)!r}); {deed}")
+        monkeypatch.setattr(
+            safe_reader, "_START", f"import sys; sys.path.append({str(root)!r}); {deed}"
+        )
         content, (violation,) = reader.survey(good)
         assert content is None
         assert re.search(reason, violation.reason)
         assert violation.level is Level.REFUSED
-        monkeypatch.setattr(guard, "_START", honest)
+        monkeypatch.setattr(safe_reader, "_START", honest)
         reader._time_limit = 20.0
         assert reader.survey(good)[1] == []
 

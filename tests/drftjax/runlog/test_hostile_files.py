@@ -19,7 +19,7 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.check import check_file, check_files
 from drftjax.runlog.content import Level
 from drftjax.runlog.hdf5.api import SIZE_LIMIT, read_run, write_run
-from tests.drftjax.runlog.test_examples import example_run
+from tests.helpers.run_logs import example_run
 
 F8 = np.dtype("<f8")
 

@@ -8,10 +8,10 @@ import pytest
 
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import RecordedCommand
-from drftjax.setups.command_knots import SCATTER, decimate_command, simplify_command
+from drftjax.setups.command_knots import DEFAULT_KNOTS, decimate_command, simplify_command
 from drftjax.setups.setup import CommandSetUp, SetUp
 from identify.parameters.phase_zeta import phases_of
-from identify.uncertainty.estimate import phases_of as numbered
+from identify.uncertainty.estimate import phases_of as phase_numbers
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 TIME = [0.0, 0.3, 0.8, 1.9, 2.4, 2.7]
@@ -54,7 +54,7 @@ def test_what_a_measured_speed_scatters_by_is_no_phase(omega):
     lines = simplify_command(command)
     assert len(lines.time) == len(TIME)
     off = np.interp(DENSE, lines.time, lines.omega) - omega
-    assert np.abs(off).max() <= SCATTER * np.abs(omega).max() * (1 + ROUNDING)
+    assert np.abs(off).max() <= DEFAULT_KNOTS.scatter * np.abs(omega).max() * (1 + ROUNDING)
     found = phases_of(SetUp(command))
     assert [name for *_, name in found] == ["stand", "accelerate", "steady", "decelerate", "rest"]
     np.testing.assert_allclose([end for _, end, _ in found], TIME[1:], rtol=0, atol=ROWS * INTERVAL)
@@ -67,7 +67,7 @@ def test_constants_of_a_model_last_as_long_as_the_phases_of_a_measured_command(o
         setup=SetUp(CommandSetUp(DENSE.tolist(), omega.tolist())),
         observation=SimpleNamespace(time=time),
     )
-    (phase,) = numbered((each,), np.ones((1, 1, len(time)), bool))  # pyright: ignore
+    (phase,) = phase_numbers((each,), np.ones((1, 1, len(time)), bool))  # pyright: ignore
     assert len(np.unique(phase)) == len(TIME) - 1
 
 

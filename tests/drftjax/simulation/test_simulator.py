@@ -16,11 +16,11 @@ from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import step_times
 from drftjax.simulation.simulator import Simulator
-from drftjax.simulation.statics import REST, SINKAGE_TOLERANCE, sinkage_under_load
+from drftjax.simulation.statics import DEFAULT_STATICS, REST, sinkage_under_load
 from tests.studies.runs import profile, roll
 
 # A wheel that stands where the sand at rest carries it goes no farther than that depth is known.
-NO_CREEP = SINKAGE_TOLERANCE
+NO_CREEP = DEFAULT_STATICS.tolerance
 # Elsewhere the sand gives way no faster than the regulariser's width, but for its tails: a plate
 # at 2 REST_SPEED still lacks a tenth of its direction.
 CREEP = 2 * REST_SPEED

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from hils.commands.run import run
-from hils.link import ports as port_module
+from hils.link import ports
 from hils.link.link import LinkLost
 from hils.link.ports import ListedPort, latency_timer, open_port
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
@@ -96,7 +96,7 @@ def test_ports_are_asked_at_the_rate_that_a_run_takes(drft, monkeypatch):
         asked.append(baud)
         raise LinkLost("for this test")
 
-    monkeypatch.setattr(port_module, "open_port", opened)
+    monkeypatch.setattr(ports, "open_port", opened)
     drft("hils", "ports", "/dev/ttyX9")
     assert asked == [inspect.signature(run).parameters["baud"].default]
 
@@ -108,8 +108,8 @@ def test_a_port_in_use_is_left_alone(drft, terminal):
 
 
 def test_ports_are_listed_with_what_is_known_of_them(drft, monkeypatch):
-    monkeypatch.setattr(port_module, "ports", lambda: [ListedPort("/dev/ttyX9", "USB, FTDI")])
-    monkeypatch.setattr(port_module, "latency_timer", lambda name: 16)
+    monkeypatch.setattr(ports, "ports", lambda: [ListedPort("/dev/ttyX9", "USB, FTDI")])
+    monkeypatch.setattr(ports, "latency_timer", lambda name: 16)
     answer = drft("hils", "ports", "--no-hello")
     assert answer.out.splitlines() == [
         "/dev/ttyX9: USB, FTDI",
@@ -118,7 +118,7 @@ def test_ports_are_listed_with_what_is_known_of_them(drft, monkeypatch):
 
 
 def test_no_port_at_all_is_said(drft, monkeypatch):
-    monkeypatch.setattr(port_module, "ports", list)
+    monkeypatch.setattr(ports, "ports", list)
     assert drft("hils", "ports").out == "there is no serial port\n"
 
 

@@ -38,7 +38,7 @@ def test_wheel_in_the_air_is_driven_and_recorded_where_nothing_is_simulated(over
         def say(self, text):
             told.append(text)
 
-        mention = tell
+        say_if_free = say
 
     given = Procedure(loop=loop_setup(), countdown=0.3, free=True)
     link = LoggedLink(InTheAir(over=over), clock)

@@ -4,16 +4,12 @@ Deadlines are on outcomes and generous: the machine may be busy.
 """
 
 import os
-import queue
-import re
 import select
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-import tty
 from pathlib import Path
 
 import pytest
@@ -22,70 +18,11 @@ from hils.link.framing import Receiver
 from hils.link.messages import FROM_RIG, Bye, Frame, Hello, HelloAck, Measurement, RigState, encode
 from hils.rig_sim.endpoints import PtyEnd
 from tests.helpers.drft_command import Drft
+from tests.helpers.rig_server import HOST, PATIENCE, Rig, open_raw
 
-DRFT = [sys.executable, "-m", "drftjax.commands.main"]
-PATIENCE = 60.0  # for anything to happen at all [s]
 TICK, WATCHDOG = 0.01, 0.05
 # What a busy machine may add before the test is told [s]; an idle one adds some milliseconds.
 MARGIN = 1.0
-
-QUICK_RIG = """
-[physics]
-step = 1e-3
-plate_size = 0.008
-"""
-
-# A host that arms the rig and streams commands until it is killed.
-HOST = """
-import itertools, os, sys, time
-from hils.link.messages import Arm, Drive, Frame, Hello, encode
-port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-seq = itertools.count(1)
-def send(message): os.write(port, encode(Frame(message, 9, next(seq), 0)))
-send(Hello(10_000, 50)); time.sleep(0.2)
-send(Arm())
-begun = time.monotonic()
-for tick in itertools.count(1):
-    send(Drive(0.3 if tick > 50 else 0.0, 0.0, False, 50))
-    try: os.read(port, 65536)
-    except BlockingIOError: pass
-    time.sleep(max(0.0, begun + 0.01 * tick - time.monotonic()))
-"""
-
-
-class Rig:
-    """`drft hils rig`, started."""
-
-    def __init__(self, folder: Path, *arguments: object, quick: bool = True):
-        setup = folder / "rig.toml"
-        setup.write_text(QUICK_RIG if quick else "")
-        self.process = subprocess.Popen(
-            [*DRFT, "hils", "rig", "--setup", str(setup), *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.lines: queue.Queue[tuple[float, str]] = queue.Queue()
-        assert self.process.stdout is not None
-        self.name = self.process.stdout.readline().strip()
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def _listen(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.put((time.monotonic(), line))
-
-    def says(self, pattern: str) -> tuple[float, re.Match[str]]:
-        """When it says so [s], waiting for it."""
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            when, line = self.lines.get(timeout=max(0.0, deadline - time.monotonic()))
-            if match := re.search(pattern, line):
-                return when, match
-
-    def end(self) -> int:
-        self.process.terminate()
-        return self.process.wait(PATIENCE)
 
 
 @pytest.fixture
@@ -129,12 +66,6 @@ def test_what_cannot_be_is_refused_in_one_sentence(drft, arguments, words):
     assert all(word in refusal for word in words), refusal
 
 
-def opened(name: str) -> int:
-    port = os.open(name, os.O_RDWR | os.O_NOCTTY)
-    tty.setraw(port)
-    return port
-
-
 def heard(port: int, receiver: Receiver, wanted: type) -> Frame:
     """The first message of this kind that comes."""
     deadline = time.monotonic() + PATIENCE
@@ -157,14 +88,14 @@ def test_rig_answers_at_a_pseudo_terminal_and_leaves_no_link_behind(started, tmp
     link = tmp_path / "rig"
     rig = started("--link", link)
     assert rig.name == str(link)
-    port = opened(rig.name)
+    port = open_raw(rig.name)
     receiver = greet(port)
     assert isinstance(heard(port, receiver, HelloAck).message, HelloAck)
     measured = heard(port, receiver, Measurement).message
     assert (measured.state, abs(measured.z) < 20) == (RigState.IDLE, True)
     os.write(port, encode(Frame(Bye(), 5, 2, 0)))
     os.close(port)
-    port = opened(rig.name)  # a host may come again
+    port = open_raw(rig.name)  # a host may come again
     heard(port, greet(port, 6), HelloAck)
     assert rig.end() == 0
     assert not link.is_symlink()
@@ -232,7 +163,7 @@ def test_pulled_plug_hangs_up_and_comes_back(started, tmp_path):
         'when = {after = "hello", start = 0.5, duration = 0.5}\n'
     )
     rig = started("--faults", faults, "--link", tmp_path / "rig")
-    port = opened(rig.name)
+    port = open_raw(rig.name)
     heard(port, greet(port), HelloAck)
     deadline = time.monotonic() + PATIENCE
     with pytest.raises(OSError):  # noqa: PT012
@@ -242,5 +173,5 @@ def test_pulled_plug_hangs_up_and_comes_back(started, tmp_path):
     os.close(port)
     while not Path(rig.name).exists() and time.monotonic() < deadline:
         time.sleep(0.02)
-    port = opened(rig.name)
+    port = open_raw(rig.name)
     heard(port, greet(port, 6), HelloAck)

@@ -1,23 +1,30 @@
 """A delay of the readings, whatever the step of the loop."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.drftjax.effects.test_physics import hold
-from tests.helpers.effect_runs import KNOWN
+from drftjax.physics.state import Output, State
+from tests.helpers.effect_runs import KNOWN, RIM, rows, simulator
 
 # Where only rounding and the step itself lie between.
 CLOSE = 1e-9
 
 
+@cache
+def standing() -> Output:
+    """Output of a wheel at rest; the tests replace its x."""
+    return rows(simulator(RIM), State.at_rest(0.02), np.zeros(1), 1e-3, 1)
+
+
 def read_late(truth, dt: float, delay: float) -> np.ndarray:
-    """What is read of an x that is truth(t), step by step."""
+    """Readings of an x that is truth(t), step by step."""
     effect = KNOWN["measurement_delay"](delay=delay)
-    output = jax.tree.map(lambda channel: jnp.asarray(channel[0]), hold())
+    output = jax.tree.map(lambda channel: channel[0], standing())
 
     def read(memory, x):
         late, memory = effect.read(replace(output, x=x), jnp.asarray(dt), memory)
