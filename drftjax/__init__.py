@@ -9,7 +9,7 @@ The public names below are imported on first use, so that `import drftjax` and `
 fast and a program can still set JAX up before it is loaded. Type checkers read `__init__.pyi`.
 """
 
-from drftjax.common.lazy import lazily, uncover
+from drftjax.common.lazy import lazy_attributes, uncover
 
 __version__ = "0.1.0"
 
@@ -53,4 +53,4 @@ _HOMES = {
 
 __all__ = [*_HOMES]  # pyright: ignore[reportUnsupportedDunderAll]
 
-__getattr__, __dir__ = lazily(globals(), _HOMES)
+__getattr__, __dir__ = lazy_attributes(globals(), _HOMES)

@@ -95,7 +95,7 @@ def answer(
     from diagnose.blind.answers.answer import answer_sets, configure, runs_of
     from diagnose.blind.answers.answer_file import read_raw_answers, write_answers
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import printable
+    from drftjax.common.text import replace_unprintable
 
     if output.suffix.lower() != ".json":
         raise InputError(f"{output}: a file of answers must end in .json")
@@ -114,7 +114,7 @@ def answer(
                 write_answers(output, answers)
             bar.advance(task)
     for name, reason in sorted(failures.items()):
-        typer.echo(f"no answer to {printable(name)}: {printable(reason)}")
+        typer.echo(f"no answer to {replace_unprintable(name)}: {replace_unprintable(reason)}")
     if not answers:
         raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
     typer.echo(f"{len(answers)} answers written to {output}")

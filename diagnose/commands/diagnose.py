@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -25,7 +25,7 @@ OTHER_RUNS` holds the model against runs that it was not found on.
 
 
 @app.command(epilog=EXAMPLES)
-@leaves_no_empty_folder
+@remove_empty_folders
 def diagnose(
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
@@ -51,7 +51,7 @@ def diagnose(
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import printable
+    from drftjax.common.text import replace_unprintable
     from drftjax.setups.generated_files import require_own_setup
 
     chosen = effects_among(_names(effects))
@@ -62,7 +62,9 @@ def diagnose(
 
     def say(text: str, style: str | None = None) -> None:
         # File names may hold brackets, and are to be copied from one line.
-        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
+        )
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder, refuse_given
+from drftjax.commands.options import remove_empty_folders, refuse_options
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ run's own.
 
 
 @app.command(epilog=EXAMPLES)
-@leaves_no_empty_folder
+@remove_empty_folders
 def evaluate(
     context: typer.Context,
     runs: Annotated[
@@ -63,7 +63,7 @@ def evaluate(
 ) -> None:
     """Hold a model with effects against runs, beside the reference model."""
     if not tuner:
-        refuse_given(context, ("tick", "zeta_step", "tolerance"), "give --tuner too")
+        refuse_options(context, ("tick", "zeta_step", "tolerance"), "give --tuner too")
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -78,7 +78,7 @@ def evaluate(
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import replace_file, require_places
     from drftjax.common.structured_files import as_json
-    from drftjax.common.text import printable
+    from drftjax.common.text import replace_unprintable
     from drftjax.tuning.step_tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
@@ -91,7 +91,7 @@ def evaluate(
 
     def say(text: str) -> None:
         # File names may hold brackets, and are to be copied from one line.
-        console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
+        console.print(replace_unprintable(text), markup=False, highlight=False, soft_wrap=True)
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     moved: list[tuple[TunerActivity, TunerActivity]] = []

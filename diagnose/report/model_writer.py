@@ -8,7 +8,7 @@ import numpy as np
 from diagnose.gap.gap import Gap
 from diagnose.result import Diagnosis, ParameterEstimate
 from diagnose.selection.model_weights import NONE, UNKNOWN
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES
@@ -31,7 +31,7 @@ def model_toml(found: Diagnosis) -> str:
     setup = copy.deepcopy(runs[0].setup)
     zeta = np.array([float(each.setup.terrain.zeta) for each in runs])  # pyright: ignore
     zeta = zeta * np.exp(found.selected.log_zeta)
-    setup.title = f"{printable(setup.title)}, with what a diagnosis found"
+    setup.title = f"{replace_unprintable(setup.title)}, with what a diagnosis found"
     setup.command = decimate_command(setup.command)
     setup.terrain.zeta = float(zeta.mean())
     setup.effects = [entry_of(effect) for effect in found.selected.effects]
@@ -61,7 +61,7 @@ def estimate_in_words(number: ParameterEstimate) -> str:
 
 def _head(found: Diagnosis) -> list[str]:
     """Comment lines at the top of the file."""
-    names = ", ".join(printable(each.name) for each in found.dataset.runs)
+    names = ", ".join(replace_unprintable(each.name) for each in found.dataset.runs)
     lines = [f"{MODEL_FILE_MARK} {names}."]
     if found.verdict == (NONE,):
         lines.append("No effect was found: this is the reference model.")

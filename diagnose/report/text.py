@@ -20,7 +20,7 @@ from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax import __version__
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.effects.catalogue import reported_names
 from drftjax.effects.correction import VARIABLES
 from drftjax.recorded.observation import SHOWN
@@ -289,7 +289,9 @@ def run_rows(found: Diagnosis) -> list[tuple[str, ...]]:
         ]
         time = found.dataset.time(number)
         duration = f"{len(time) * found.dataset.sample_interval(number):.1f}"
-        rows.append((each.name, printable(each.setup.title), duration, f"{zeta:.4f}", *cells))
+        rows.append(
+            (each.name, replace_unprintable(each.setup.title), duration, f"{zeta:.4f}", *cells)
+        )
     return rows
 
 

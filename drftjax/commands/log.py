@@ -145,7 +145,7 @@ def import_(
     """Make run logs from a CSV or TSV table, by a mapping that says what its columns mean."""
     from drftjax.runlog.hdf5.api import write_run
     from drftjax.runlog.importers.registry import importer_for
-    from drftjax.runlog.plausibility import doubts
+    from drftjax.runlog.plausibility import plausibility_warnings
 
     imported = list(importer_for(table)(table, None if mapping is None else _mapping(mapping)))
     targets = _targets(output, [each.name for each in imported])
@@ -156,7 +156,7 @@ def import_(
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
         typer.echo(f"wrote {path}: {each.run.title}")
-        for doubt in doubts(each.run):
+        for doubt in plausibility_warnings(each.run):
             typer.echo(f"note: {path}: {doubt}", err=True)
 
 

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from drftjax.common.errors import InputError
 
 
-def refuse_given(context: typer.Context, names: tuple[str, ...], why: str) -> None:
+def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> None:
     """Refuse options that would be ignored.
 
     Args:
@@ -54,7 +54,7 @@ class CommandGroup(TyperGroup):
                 formatter.write_dl(rows)
 
 
-def leaves_no_empty_folder(command: Callable[..., None]) -> Callable[..., None]:
+def remove_empty_folders(command: Callable[..., None]) -> Callable[..., None]:
     """The command, but a folder for its results that it made goes again if it stays empty."""
 
     @wraps(command)

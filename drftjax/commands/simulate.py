@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -23,7 +23,7 @@ Examples:
 
 
 @app.command(epilog=EXAMPLES)
-@leaves_no_empty_folder
+@remove_empty_folders
 def simulate(
     setup: Annotated[
         Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)
@@ -61,7 +61,7 @@ def simulate(
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.hdf5.api import write_run
-    from drftjax.runlog.plausibility import doubts
+    from drftjax.runlog.plausibility import plausibility_warnings
     from drftjax.setups import fitted_model as saved
     from drftjax.setups import setup as setups
     from drftjax.setups.from_run import setup_like
@@ -108,7 +108,7 @@ def simulate(
     if sampled is None and len(time) > 1 and abs((time[1] - time[0]) * rate - 1) > 1e-6:
         true, steps = 1 / (time[1] - time[0]), chosen.integrator.step
         typer.echo(f"note: rows come at {true:.4g} Hz, at whole steps of {steps:g} s", err=True)
-    for doubt in doubts(log):
+    for doubt in plausibility_warnings(log):
         typer.echo(f"note: {doubt}", err=True)
     if output is not None:
         write_run(output, log)

@@ -1,4 +1,4 @@
-"""How numbers enter the simulator: as floating arrays that JAX can trace and differentiate."""
+"""Conversion of numbers to floating arrays that JAX can trace, and checks of their range."""
 
 import jax
 import jax.core as jax_core
@@ -9,19 +9,33 @@ from numpy.typing import ArrayLike
 
 from drftjax.common.errors import InputError
 
-# One number, written or computed.
 Real = float | Array
+"""One real number, plain or computed by JAX."""
 
 
 def as_real(value: ArrayLike) -> Float[Array, "..."]:
-    """A floating array in JAX's current default precision; tracers and floating arrays pass."""
+    """Convert a value to a floating array of JAX's default precision.
+
+    Args:
+        value: Numbers of any shape; a JAX array or tracer of a floating type is returned unchanged.
+
+    Returns:
+        Array of the same shape.
+    """
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
         return value
     return jnp.asarray(value, dtype=float)
 
 
 def require_between(name: str, value: ArrayLike, low: float, high: Real, hint: str = "") -> None:
-    """Refuse a concrete number outside [low, high] or not finite; traced ones pass.
+    """Refuse a number that is not finite or lies outside [low, high].
+
+    Args:
+        name: Name of the quantity in the error message.
+        value: Numbers of any shape; a traced value passes, as it has no number yet.
+        low: Smallest value allowed.
+        high: Largest value allowed; where it is traced, nothing is checked.
+        hint: Text added to the message, such as a unit.
 
     Raises:
         InputError: names the quantity, what was given and what must hold.
@@ -38,6 +52,7 @@ def require_between(name: str, value: ArrayLike, low: float, high: Real, hint: s
 
 
 def _as_floats(given: np.ndarray) -> np.ndarray:
+    """Whole numbers of any size as float64; infinite where one is too large."""
     try:
         return given.astype(float)
     except OverflowError:

@@ -1,4 +1,4 @@
-"""Writing a figure to a file, with errors that help."""
+"""Writing figures to files."""
 
 import io
 import warnings
@@ -10,10 +10,13 @@ from drftjax.common.errors import InputError
 from drftjax.common.output_files import make_folder, replace_file
 
 KINDS = (".png", ".pdf", ".svg")
+"""Suffixes of the formats that a figure can be written in."""
 
 
 def check_figure_name(path: Path) -> None:
-    """Refuse a name that no figure can have, before the work that leads to the figure.
+    """Refuse a file name whose suffix is not that of a figure.
+
+    Called before the computation whose result the figure shows.
 
     Raises:
         InputError: names the file and what must hold.
@@ -23,7 +26,7 @@ def check_figure_name(path: Path) -> None:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, PDF or SVG, whole or not at all; folders are made.
+    """Write a figure atomically as PNG, PDF or SVG, and create its folder.
 
     Raises:
         InputError: names the file and what must hold.

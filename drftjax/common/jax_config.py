@@ -1,4 +1,4 @@
-"""How a program sets JAX up. The library itself sets nothing."""
+"""JAX settings of a program. The library itself changes none."""
 
 import os
 from contextlib import suppress
@@ -7,30 +7,33 @@ from typing import Literal
 
 from drftjax.common.errors import InputError
 
-# Compiling one simulator takes seconds; anything that compiles faster is not worth a file.
 SHORTEST_CACHED_COMPILATION_S = 0.3
-
+"""Shortest compilation whose result is cached [s]: one simulator compiles for seconds."""
 
 WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
+"""XLA flag by which a loop is compiled as one kernel."""
 
 
 def configure_jax(
     precision: Literal["float64", "float32"] = "float64", devices: int | None = None
 ) -> None:
-    """Choose the precision, the number of CPU devices and where compiled programs are kept.
+    """Set the precision, the number of CPU devices and the cache of compiled programs.
 
-    Called by a subcommand before its first computation. A cache folder that is already chosen,
-    as by JAX_COMPILATION_CACHE_DIR, stays.
+    Called by a command before its first computation. A cache folder that is already set, as by
+    JAX_COMPILATION_CACHE_DIR, is kept.
 
     Args:
         precision: Default floating-point type of every array.
-        devices: Number of devices to split the CPU into, so that as many simulations run side by
-            side; None leaves it as it is. Without effect once JAX has computed something.
+        devices: Number of devices to split the CPU into, on which as many simulations run in
+            parallel; None for no change. Without effect once JAX has computed something.
+
+    Raises:
+        InputError: for another precision, or fewer than one device.
     """
     if precision not in ("float64", "float32"):
         raise InputError(f"precision must be float64 or float32, not {precision!r}")
     _compile_loops_whole()
-    # Programs spread their work over threads themselves; NumPy's own would only wait for these.
+    # Programs run threads of their own, which those of NumPy's BLAS would only slow down.
     # Read when NumPy is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax  # here, so that `drft --help` needs no JAX
@@ -46,9 +49,9 @@ def configure_jax(
 
 
 def _compile_loops_whole() -> None:
-    """Let XLA make one kernel of a run's whole loop, which halves its time: docs/speed.md.
+    """Have XLA compile the loop of a run as one kernel, which halves its run time.
 
-    XLA reads its flags once, when JAX first computes; flags of the user's own stay.
+    XLA reads its flags once, when JAX first computes. Extra options that the user has set are kept.
     """
     given = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in given:
@@ -56,16 +59,17 @@ def _compile_loops_whole() -> None:
 
 
 def _split_cpu(devices: int) -> None:
+    """Make JAX see the CPU as several devices."""
     import jax
 
     if devices < 1:
         raise InputError(f"the number of CPU devices must be at least 1, not {devices}")
-    with suppress(RuntimeError):  # JAX has computed already and keeps the devices it has
+    with suppress(RuntimeError):  # JAX has already computed and keeps its devices
         jax.config.update("jax_num_cpu_devices", devices)
 
 
 def _cache_folder() -> Path | None:
-    """The user's cache folder for compiled programs, or None where none can be written."""
+    """User's cache folder for compiled programs; None where it cannot be written."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         folder = Path(base) / "drftjax" / "jax"

@@ -1,4 +1,4 @@
-"""Public names that are imported on first use, and packages that another distribution may hide."""
+"""Public names imported on first use, and packages that another distribution may hide."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -9,14 +9,14 @@ from typing import Any
 _ROOT = Path(__file__).absolute().parents[2]
 
 
-def lazily(
+def lazy_attributes(
     package: dict[str, Any], homes: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """A package's `__getattr__` and `__dir__` (PEP 562).
+    """Return the `__getattr__` and `__dir__` of a package (PEP 562).
 
     Args:
-        package: Its globals.
-        homes: The module that each name comes from.
+        package: Globals of the package.
+        homes: Module that defines each name.
     """
 
     def get(name: str) -> Any:
@@ -29,13 +29,13 @@ def lazily(
 
 
 def uncover(name: str) -> None:
-    """Let the modules of a package of this project be found where another package hides it.
+    """Add this project's folder to the path of a package that another distribution hides.
 
-    In an editable installation, `identify` of pre-commit stands in site-packages and is found
-    before the checkout. Its `__init__.py` is empty: to import it costs nothing.
+    In an editable installation, the package `identify` of pre-commit lies in site-packages and is
+    found before the one of the checkout. Its `__init__.py` is empty, so importing it is cheap.
 
     Args:
-        name: Of the package.
+        name: Name of the package.
     """
     with suppress(ModuleNotFoundError):
         path, own = import_module(name).__path__, str(_ROOT / name)

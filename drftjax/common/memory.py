@@ -1,42 +1,55 @@
-"""How much memory a piece of a computation may take."""
+"""Bytes of memory that one chunk of a computation may use."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
 
-# A piece takes this share of what is free, as several things are held of it at once, and no less
-# than so many bytes.
-SHARE, LEAST = 1 / 16, 1e7
 
+@dataclass(frozen=True)
+class ChunkMemory:
+    """Size of one chunk, by the memory that is free.
+
+    Attributes:
+        share: Share of the free memory: several arrays of a chunk's size exist at once.
+        minimum: Smallest chunk [bytes]: smaller ones save nothing beside the program itself.
+    """
+
+    share: float = 1 / 16
+    minimum: float = 1e7
+
+
+CHUNK_MEMORY = ChunkMemory()
 
 MEMINFO = Path("/proc/meminfo")
 
-
-# Of a container: what it may take, and what it takes.
 GROUP = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
+"""Limit and use of the memory of a container."""
 
 
-def piece_bytes(most: float) -> float:
-    """Bytes of one piece: a share of the memory that is free, `most` at most."""
+def chunk_bytes(maximum: float, settings: ChunkMemory = CHUNK_MEMORY) -> float:
+    """Bytes that one chunk may use: a share of the free memory, and at most `maximum`."""
     free = free_bytes()
-    return most if free is None else max(LEAST, min(most, SHARE * free))
+    if free is None:
+        return maximum
+    return max(settings.minimum, min(maximum, settings.share * free))
 
 
 def free_bytes() -> float | None:
-    """Free memory of the accelerator that computes, else of the machine or container.
+    """Free memory [bytes] of the accelerator in use, else of the machine or container.
 
-    None where nothing tells it.
+    None where the system does not report it.
     """
     device = jax.devices()[0]
-    told = None if device.platform == "cpu" else device.memory_stats()
-    if told is not None and "bytes_limit" in told:
-        return float(told["bytes_limit"] - told.get("bytes_in_use", 0))
+    stats = None if device.platform == "cpu" else device.memory_stats()
+    if stats is not None and "bytes_limit" in stats:
+        return float(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
     known = [each for each in (_of_machine(), _of_container()) if each is not None]
     return min(known, default=None)
 
 
 def _of_machine() -> float | None:
-    """What programs can still have [bytes], as Linux tells it."""
+    """Memory that programs can still allocate [bytes], as reported by Linux."""
     try:
         lines = MEMINFO.read_text().splitlines()
     except OSError:
@@ -46,7 +59,7 @@ def _of_machine() -> float | None:
 
 
 def _of_container() -> float | None:
-    """What its control group leaves [bytes]; None where it sets no limit ("max")."""
+    """Memory that the control group still allows [bytes]; None where it sets no limit ("max")."""
     try:
         limit, taken = (each.read_text().strip() for each in GROUP)
         return max(0.0, float(limit) - float(taken))

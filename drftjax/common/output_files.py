@@ -1,4 +1,4 @@
-"""Files of results: names that share a stem, files put in place whole or not at all."""
+"""Result files: names that share a stem, atomic replacement, result folders."""
 
 import errno
 import os
@@ -11,10 +11,14 @@ from drftjax.common.errors import InputError
 
 
 def stem_of(output: Path, endings: Sequence[str]) -> Path:
-    """What was given for a stem, without the ending if it has one of the results'.
+    """Return the common stem of several results from the path that the user gave.
+
+    Args:
+        output: Path with or without one of the endings.
+        endings: Suffixes of the results.
 
     Raises:
-        InputError: where it is a folder.
+        InputError: the path is a folder.
     """
     if output.is_dir() or not output.name:
         raise InputError(f"{output} is a folder; name the result too, such as {output / 'fit'}")
@@ -22,26 +26,29 @@ def stem_of(output: Path, endings: Sequence[str]) -> Path:
 
 
 def files_of(stem: Path, endings: Sequence[str]) -> list[Path]:
-    """A file for each ending, after all of the stem's name: it may hold dots."""
+    """Path for each ending, appended to the whole name of the stem, which may hold dots."""
     return [stem.with_name(stem.name + ending) for ending in endings]
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write to a neighbour, fsync, rename: the name holds the old file or the new one.
+    """Write a file atomically: a temporary file beside it, fsync, rename.
 
     Args:
-        path: Final name; what stood there is replaced.
-        data: The whole file.
+        path: Final name; an existing file is replaced.
+        data: Contents of the file.
+
+    Raises:
+        InputError: the file cannot be written.
     """
     _put(path, data, lambda draft: draft.replace(path))
 
 
 def put_new_file(path: Path, data: bytes) -> None:
-    """The same where nothing stands yet: whatever came there meanwhile stays.
+    """Write a file atomically under a name that must be free; an existing file is kept.
 
     Args:
         path: Final name.
-        data: The whole file.
+        data: Contents of the file.
 
     Raises:
         InputError: the name is taken, or cannot be written.
@@ -63,6 +70,7 @@ def put_new_file(path: Path, data: bytes) -> None:
 
 
 def _put(path: Path, data: bytes, place: Callable[[Path], object]) -> None:
+    """Write a draft beside `path` and have `place` move it there."""
     folder = path.parent
     if not folder.is_dir():
         raise InputError(f"{path} cannot be written: there is no folder {folder}")
@@ -76,7 +84,7 @@ def _put(path: Path, data: bytes, place: Callable[[Path], object]) -> None:
                 file.flush()
                 os.fsync(file.fileno())
             place(Path(draft))
-        except BaseException:  # an interrupt, too, leaves nothing behind
+        except BaseException:  # an interrupt included
             with suppress(OSError):
                 Path(draft).unlink()
             raise
@@ -87,7 +95,11 @@ def _put(path: Path, data: bytes, place: Callable[[Path], object]) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, with those above it."""
+    """Create a folder for results and its parents.
+
+    Raises:
+        InputError: it cannot be created.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -96,10 +108,12 @@ def make_folder(folder: Path) -> None:
 
 
 def require_folder(folder: Path) -> None:
-    """Make a folder for results and try it out, before the work that leads to them.
+    """Create a folder for results, and check that it can be written.
+
+    Called before the computation of the results.
 
     Raises:
-        InputError: names the folder, where it cannot be made or nothing can be written there.
+        InputError: names the folder that cannot be created or written.
     """
     make_folder(folder)
     try:
@@ -111,13 +125,13 @@ def require_folder(folder: Path) -> None:
 
 
 def require_places(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
-    """Refuse names of results that cannot be written, before the work that leads to them.
+    """Refuse result files that cannot be written, and create their folders.
 
-    Folders are made.
+    Called before the computation of the results.
 
     Args:
-        paths: The files to be.
-        inputs: Files that are read, and that no result may replace.
+        paths: Result files.
+        inputs: Files that are read, which no result may replace.
 
     Raises:
         InputError: names the folder or the file, and why.
@@ -131,19 +145,20 @@ def require_places(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
 
 
 def _require_ordinary(path: Path) -> None:
+    """Refuse to replace a folder or a device."""
     if path.exists() and not path.is_file():
-        # A rename would put a plain file in the place of a folder or a device.
         raise InputError(f"{path} cannot be written: it is not an ordinary file")
 
 
 def _umask() -> int:
+    """Permissions that new files of this process lack; it can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself last through a power cut, where the system can."""
+    """Write the rename to disk, so that it survives a power failure, where the system can."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -19,7 +19,7 @@ _HOMES: Final = (_PACKAGE / "_data", _PACKAGE.parent / "data")
 
 
 def data_file(name: str) -> Path:
-    """The file of that name below data/, such as "import/cmu_intrusion.toml".
+    """Path of a file below data/, such as "import/cmu_intrusion.toml".
 
     Raises:
         InputError: no such file ships with the project.
@@ -41,7 +41,7 @@ def load_plugins(group: str, kind: type[Kind], noun: str) -> Iterator[tuple[str,
 
     Args:
         group: Entry-point group, such as "drft.tuners".
-        kind: type[Kind] that all of them derive from.
+        kind: Class that all of them derive from.
         noun: One of them in a sentence, such as "tuner".
 
     Yields:

@@ -1,4 +1,4 @@
-"""TOML and JSON files: read into a typed structure, with errors that help; JSON written."""
+"""TOML and JSON files read into typed structures; JSON files written."""
 
 import json
 import re
@@ -13,20 +13,16 @@ from drftjax.common.errors import InputError
 
 Structure = TypeVar("Structure", bound=msgspec.Struct)
 
-
 _UNKNOWN = re.compile(r"unknown field `(?P<field>.+?)`")
-
 
 _MISSING = re.compile(r"missing required field `(?P<field>.+?)`")
 
-
 _PLACE = re.compile(r" - at `\$\.?(?P<place>.*?)`$")
 
-
 HDF5 = b"\x89HDF\r\n\x1a\n"
+"""First bytes of an HDF5 file."""
 
-
-# The words of TOML's users for the types that msgspec names.
+# Words for the types that msgspec names, in place of JSON's.
 _WORDS = {
     "float": "a number",
     "int": "a whole number",
@@ -39,7 +35,7 @@ _WORDS = {
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """The whole of a TOML or JSON file, by its ending.
+    """Read a TOML or JSON file, by its suffix.
 
     Raises:
         InputError: names the file and why it cannot be read.
@@ -74,12 +70,17 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def as_json(document: dict[str, Any]) -> bytes:
-    """Plain values as the text of a file; null for what is not finite, as JSON demands."""
+    """Encode plain values as JSON text; a number that is not finite becomes null."""
     return msgspec.json.format(msgspec.json.encode(document, enc_hook=float), indent=1) + b"\n"
 
 
 def to_structure(document: dict[str, Any], kind: type[Structure], path: Path) -> Structure:
-    """`document` as a `kind`; unknown, missing or mistyped entries are refused.
+    """Convert a document to a structure; unknown, missing and mistyped entries are refused.
+
+    Args:
+        document: Entries of the file.
+        kind: Type of the structure.
+        path: The file, for the error message.
 
     Raises:
         InputError: names the file, the entry and, for an unknown one, the nearest known names.
@@ -91,7 +92,12 @@ def to_structure(document: dict[str, Any], kind: type[Structure], path: Path) ->
 
 
 def explain(message: str, kind: type[msgspec.Struct]) -> str:
-    """msgspec's sentence on a document that is no `kind`, in the words of whoever wrote it."""
+    """Rewrite msgspec's message on an invalid document in the terms of the file.
+
+    Args:
+        message: Text of msgspec's `ValidationError`.
+        kind: Structure that the document should have.
+    """
     place = match["place"] if (match := _PLACE.search(message)) else ""
     where = f" in [{place}]" if place else ""
     what = _PLACE.sub("", message)
@@ -109,11 +115,12 @@ def explain(message: str, kind: type[msgspec.Struct]) -> str:
 
 
 def _in_words(types: str) -> str:
+    """Types that msgspec names, in words."""
     return " or ".join(_WORDS.get(each, each) for each in types.split(" | "))
 
 
 def _allowed(kind: Any, place: str) -> tuple[Any, ...]:
-    """The words that an entry may be, where it is one of a few."""
+    """Values that an entry may have, where it is a choice; () for other entries."""
     for name in place.split("."):
         known = {each.encode_name: each.type for each in msgspec.structs.fields(kind)}
         if name not in known:
@@ -125,7 +132,7 @@ def _allowed(kind: Any, place: str) -> tuple[Any, ...]:
 
 
 def _names(kind: Any) -> set[str]:
-    """Names of every entry of a structure and of those inside it."""
+    """Names of all entries of a structure and of the structures inside it."""
     names: set[str] = set()
     for field in msgspec.structs.fields(kind):
         names.add(field.encode_name)

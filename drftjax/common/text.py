@@ -1,6 +1,6 @@
-"""Text that is safe to print."""
+"""Control characters in text from files."""
 
 
-def printable(text: str) -> str:
-    """A file's words without what would steer a terminal or break a line."""
+def replace_unprintable(text: str) -> str:
+    """Replace control characters, which could steer a terminal or break a line, by U+FFFD."""
     return "".join(each if each.isprintable() else "\ufffd" for each in text)

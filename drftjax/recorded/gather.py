@@ -7,9 +7,9 @@ from pathlib import Path
 from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import PreparedRun, names_of, prepare_run
 from drftjax.recorded.refused_readings import drop_refused, refused_readings
-from drftjax.runlog.files import each_once, run_files
+from drftjax.runlog.files import drop_repeated_files, run_files
 from drftjax.runlog.hdf5.conversion import run_from_survey
-from drftjax.runlog.plausibility import doubts
+from drftjax.runlog.plausibility import plausibility_warnings
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.safe_reader import GuardedReader
 
@@ -46,7 +46,7 @@ def gather(
     Raises:
         InputError: no run can be used.
     """
-    files, skipped = each_once(run_files(given))
+    files, skipped = drop_repeated_files(run_files(given))
     prepared: list[PreparedRun] = []
     with GuardedReader() as reader:
         for name, path, surveyed in zip(names_of(files), files, reader.surveys(files), strict=True):

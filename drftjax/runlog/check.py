@@ -1,4 +1,4 @@
-"""Everything that is wrong with a file, and reading files that nobody vouches for."""
+"""Violations of one or several files, and reading of files of unknown origin."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,11 +13,11 @@ from drftjax.runlog.schema import SCHEMA
 
 
 def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violation]:
-    """Every violation of the run-log format by one file; empty for a good one.
+    """Violations of the run-log format by one file; empty for a valid one.
 
     Args:
         path: The file.
-        time_limit: For reading it, in a child process [s].
+        time_limit: Time in which a child process must have read it [s].
     """
     return check_files([path], time_limit)[0]
 
@@ -25,30 +25,38 @@ def check_file(path: str | Path, time_limit: float = TIME_LIMIT) -> list[Violati
 def check_files(
     paths: Iterable[str | Path], time_limit: float = TIME_LIMIT
 ) -> list[list[Violation]]:
-    """`check_file` for many files with one child process."""
+    """`check_file` for several files, with one child process."""
     with GuardedReader(time_limit, values=False) as reader:
         return [violations for _, violations in reader.surveys(paths)]
 
 
 def read_run_guarded(path: str | Path, time_limit: float = TIME_LIMIT) -> RunLog:
-    """`read_run` for a file of unknown origin: damage to it cannot hang or crash the caller."""
+    """Read a run log of unknown origin; a damaged file cannot hang or crash the caller.
+
+    Args:
+        path: The file.
+        time_limit: Time in which a child process must have read it [s].
+
+    Raises:
+        InputError: names the file and the first reason to refuse it.
+    """
     return read_runs_guarded([path], time_limit)[0]
 
 
 def read_runs_guarded(paths: Iterable[str | Path], time_limit: float = TIME_LIMIT) -> list[RunLog]:
-    """`read_run_guarded` for many files with one child process."""
+    """`read_run_guarded` for several files, with one child process."""
     with GuardedReader(time_limit) as reader:
         return [run_from_survey(*surveyed) for surveyed in reader.surveys(paths)]
 
 
 def require_no_recording(path: Path) -> None:
-    """Refuse to put a result in the place of what cannot be made again.
+    """Refuse to replace a file that may hold a recording.
 
-    An earlier simulation or fit may be replaced; an HDF5 file of another program, or one that
+    An earlier simulation or fit may be replaced. An HDF5 file of another program, or one that
     cannot be opened, may hold a recording.
 
     Raises:
-        InputError: names the file and what it holds.
+        InputError: names the file and its contents.
     """
     if not path.is_file() or path.stat().st_size == 0:
         return

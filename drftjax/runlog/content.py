@@ -1,4 +1,4 @@
-"""A file's contents as plain values, between the HDF5 library and the meaning of a run log."""
+"""Contents of an HDF5 file as plain values, and violations found in them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,28 +12,26 @@ Attribute = str | int | float | list[str] | list[int] | list[float]
 
 
 class Level(StrEnum):
-    """How far a finding goes."""
+    """Severity of a violation."""
 
-    REFUSED = "refused"  # no reader opens the file
-    FORMAT = "format"  # readable, but not as the format says
-    NOTE = "note"  # allowed, and perhaps not what was meant
+    REFUSED = "refused"  # the file is not read
+    FORMAT = "format"  # the file is read, but is not as the format says
+    NOTE = "note"  # allowed, and perhaps a mistake
 
 
 Found = tuple[str, str, Level]
-
-
-"""A finding before the file has a name: where, why, how far."""
+"""Violation without the name of its file: place, reason and level."""
 
 
 @dataclass(frozen=True)
 class Violation:
-    """One thing that is wrong with one file.
+    """Violation of the format by one file.
 
     Attributes:
-        path: The file.
-        where: The object in the file, such as /measured/z; / for the file as a whole.
-        reason: What was found and what must hold.
-        level: Whether readers refuse the file for it.
+        path: Name of the file.
+        where: Object in the file, such as /measured/z; / for the file as a whole.
+        reason: Clause with what was found and what must hold.
+        level: Severity.
     """
 
     path: str
@@ -48,7 +46,17 @@ class Violation:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """One dataset: its values (None where they were not read) and how it is stored."""
+    """One dataset and its storage.
+
+    Attributes:
+        values: Its values; None where they were not read.
+        shape: Shape in the file.
+        attributes: Attributes by name.
+        chunked: True where it is stored in chunks.
+        checksummed: True where its chunks carry a fletcher32 checksum.
+        scale: True where it is an HDF5 dimension scale.
+        scaled_by: Paths of the dimension scales of its rows.
+    """
 
     values: NDArray[Any] | None
     shape: tuple[int, ...] = ()
@@ -61,7 +69,7 @@ class Dataset:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """One group's datasets and attributes by name."""
+    """Datasets and attributes of one group, by name."""
 
     datasets: Mapping[str, Dataset] = field(default_factory=dict)
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
@@ -69,7 +77,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """A whole file: root attributes and datasets, and one level of groups."""
+    """Contents of a file: attributes and datasets of the root, and groups by their path."""
 
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
     groups: Mapping[str, Group] = field(default_factory=dict)
@@ -77,7 +85,7 @@ class Content:
 
 
 def real_column(values: NDArray[Any] | None) -> NDArray[np.float64] | None:
-    """Values as float64, None where there are none."""
+    """Convert the values of a dataset to float64; None where they were not read."""
     return None if values is None else np.asarray(values, dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""One run as a figure: what was commanded above, what was measured below, on one time axis."""
+"""Time plots of one run: commands above, measurements below, on one time axis."""
 
 import math
 from collections.abc import Callable
@@ -13,16 +13,13 @@ from drftjax.runlog.record import RunLog
 from drftjax.runlog.schema import UNITS
 
 LARGEST_DRAWN: Final = 1e30
-
-
-"""No rig has a number beyond this in any unit; near the largest of all, axes overflow."""
-
+"""Largest number that is drawn: no rig has more in any unit, and axes overflow near 1e308."""
 
 Panel = Callable[[Axes, RunLog], None]
 
 
 def plot_run(run: RunLog) -> Figure:
-    """Draw every channel that the run has; the figure belongs to no window.
+    """Draw every channel of a run, in a figure without a window.
 
     Raises:
         InputError: names a channel whose numbers are too large for an axis.
@@ -41,6 +38,7 @@ def plot_run(run: RunLog) -> Figure:
 
 
 def _require_drawable(run: RunLog) -> None:
+    """Refuse a run with numbers that overflow an axis."""
     for title in ("command", "measured", "online"):
         part = getattr(run, title)
         for name, unit in UNITS[title].items():
@@ -51,6 +49,7 @@ def _require_drawable(run: RunLog) -> None:
 
 
 def _panels(run: RunLog) -> list[Panel]:
+    """Panels for the channels that the run has, from top to bottom."""
     measured, panels = run.measured, [_command]
     if measured.z is not None:
         panels.append(_height)
@@ -66,6 +65,7 @@ def _panels(run: RunLog) -> list[Panel]:
 
 
 def _command(axes: Axes, run: RunLog) -> None:
+    """Commanded wheel speed, and carriage speed where it is driven."""
     command = run.command
     axes.plot(command.time, command.omega * (180 / math.pi), color="C0")
     axes.set_ylabel("omega [deg/s]")
@@ -76,6 +76,7 @@ def _command(axes: Axes, run: RunLog) -> None:
 
 
 def _height(axes: Axes, run: RunLog) -> None:
+    """Height of the wheel, measured and simulated online."""
     _channel(axes, run, run.measured.z, "measured", 1e3)
     if run.online is not None:
         axes.plot(run.online.time, run.online.z_sim * 1e3, color="C1", label="simulated online")
@@ -84,6 +85,7 @@ def _height(axes: Axes, run: RunLog) -> None:
 
 
 def _travel(axes: Axes, run: RunLog) -> None:
+    """Travel, measured and simulated online."""
     _channel(axes, run, run.measured.x, "measured", 1.0)
     if run.online is not None:
         axes.plot(run.online.time, run.online.x_sim, color="C1", label="simulated online")
@@ -92,6 +94,7 @@ def _travel(axes: Axes, run: RunLog) -> None:
 
 
 def _forces(axes: Axes, run: RunLog) -> None:
+    """Measured forces."""
     for name, values in (("fx", run.measured.fx), ("fz", run.measured.fz)):
         if values is not None:
             _channel(axes, run, values, name, 1.0, color=None)
@@ -100,11 +103,13 @@ def _forces(axes: Axes, run: RunLog) -> None:
 
 
 def _torque(axes: Axes, run: RunLog) -> None:
+    """Measured torque."""
     _channel(axes, run, run.measured.torque, "measured", 1.0)
     axes.set_ylabel("torque [N m]")
 
 
 def _scaling(axes: Axes, run: RunLog) -> None:
+    """zeta of the control loop."""
     assert run.online is not None
     axes.plot(run.online.time, run.online.zeta, color="C1")
     axes.set_ylabel("online zeta [-]")
@@ -113,7 +118,7 @@ def _scaling(axes: Axes, run: RunLog) -> None:
 def _channel(
     axes: Axes, run: RunLog, values: Any, label: str, scale: float, color: str | None = "C0"
 ) -> None:
-    """A line; a single row, such as a steady mean, is a dot."""
+    """Draw a channel as a line; a single row, such as a steady mean, as a dot."""
     time = run.measured.time
     marker = "o" if time.size == 1 else None
     axes.plot(time, values * scale, color=color, marker=marker, label=label)

@@ -1,4 +1,4 @@
-"""Run logs as they are named on a command line: files, and folders of them."""
+"""Run logs named on a command line, by file or by folder."""
 
 from collections.abc import Sequence
 from hashlib import file_digest
@@ -11,10 +11,10 @@ HDF5_ENDINGS: Final = (".h5", ".hdf5")
 
 
 def run_files(given: Sequence[Path]) -> list[Path]:
-    """Run logs by files and folders; of a folder those that lie directly in it.
+    """Run logs by files and folders; of a folder, those that lie directly in it.
 
     Raises:
-        InputError: where a folder holds none, or nothing is given.
+        InputError: a folder holds none, or nothing is given.
     """
     found: list[Path] = []
     for path in given:
@@ -34,10 +34,13 @@ def run_files(given: Sequence[Path]) -> list[Path]:
     return found
 
 
-def each_once(files: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
-    """Files without those that repeat another byte by byte, and by name why each is left out.
+def drop_repeated_files(files: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
+    """Drop files that equal an earlier one byte for byte.
 
-    A recording that counted twice would pass for two runs that agree to the last digit.
+    A recording that counted twice would look like two runs that agree to the last digit.
+
+    Returns:
+        The other files, and a sentence for each file that was dropped, by its name.
     """
     first: dict[str, Path] = {}
     kept: list[Path] = []
@@ -55,11 +58,11 @@ def each_once(files: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
 
 
 def _digest(path: Path) -> str | None:
-    """SHA-256 of a file; None for what is no ordinary file with something in it."""
+    """SHA-256 of a file; None for an empty file, a folder or a device."""
     try:
         if not path.is_file() or path.stat().st_size == 0:
             return None
         with path.open("rb") as file:
             return file_digest(file, "sha256").hexdigest()
-    except OSError:  # whoever reads it says why it cannot be read
+    except OSError:  # reading it will give the reason
         return None

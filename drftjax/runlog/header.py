@@ -19,7 +19,7 @@ class OnlineHead:
         tolerance: Largest sinkage error at which zeta is not changed [m].
         loop: Inputs and settings of the loop as JSON, from which the run can be replayed; None
             where they are not kept.
-        flag_meanings: A word for each bit of the flags.
+        flag_meanings: Word for each bit of the flags.
     """
 
     tick: float
@@ -34,14 +34,17 @@ class Head:
     """Run log without its rows.
 
     Attributes:
-        setup: What the operator believes about the rig.
-        source: One of the format's sources, such as "measured" or "virtual rig".
-        title: What people call the run.
-        channels: Of /measured, beside time: names among x, z, fx, fz, torque.
-        driven: Whether the carriage is driven, so that /command has vx.
-        online: What the control loop adds; None where there is none.
-        event_meanings: A word for each code of /events.
+        setup: Set-up of the rig as stated by the operator.
+        source: Origin of the run, such as "measured" or "virtual rig".
+        title: Title for people.
+        channels: Channels of /measured: names among x, z, fx, fz, torque, in the order of a row.
+        driven: True where the carriage is driven, so that /command has vx.
+        online: Numbers of the control loop; None where there is none.
+        event_meanings: Words for each code of /events.
         created, run_id, notes, software, software_version: As in `RunLog`.
+
+    Raises:
+        InputError: the source or a channel is unknown.
     """
 
     setup: RecordedSetup

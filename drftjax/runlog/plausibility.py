@@ -134,7 +134,7 @@ def require_upright(run: RunLog, limits: PlausibilityLimits = LIMITS) -> None:
             raise InputError(f"measured z {reason}")
 
 
-def doubts(run: RunLog, limits: PlausibilityLimits = LIMITS) -> Iterator[str]:
+def plausibility_warnings(run: RunLog, limits: PlausibilityLimits = LIMITS) -> Iterator[str]:
     """Warnings that `drft log check` gives for the numbers of a run, one sentence each."""
     setup = run.setup.known()
     for reason in standing_problems(setup, limits):

@@ -1,4 +1,4 @@
-"""One run as values: what was set up, commanded, measured, and what happened online.
+"""One run as validated arrays: set-up, command, measurements, control loop and events.
 
 Frame: x forward, z up, z = 0 where the rim just touches the undisturbed surface, so the
 sinkage is H = -z. omega > 0 drives forward. fx, fz are the sand's force on the wheel. SI units.
@@ -28,7 +28,7 @@ CHANNELS: Final = tuple(each.name for each in COLUMNS["measured"][1:])
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSetup:
-    """What the operator believes about the rig; None where it is not known.
+    """Set-up of the rig as stated by the operator; None where a number is not known.
 
     Attributes:
         wheel_radius: Rim radius, without grousers [m].
@@ -39,9 +39,12 @@ class RecordedSetup:
         mass_x: Mass that moves forward with the wheel [kg].
         mass_z: Mass that rests on the wheel [kg].
         gravity: Free-fall acceleration [m/s^2].
-        bulk_density: Of the sand [kg/m^3].
-        sinkage_static: H at rest before the run [m].
+        bulk_density: Bulk density of the sand [kg/m^3].
+        sinkage_static: Sinkage H at rest before the run [m].
         scaling_factor_initial: zeta before any tuning [-].
+
+    Raises:
+        InputError: a number is not finite or has an impossible sign.
     """
 
     wheel_radius: float | None = None
@@ -63,12 +66,16 @@ class RecordedSetup:
             object.__setattr__(self, name, plain)
 
     def known(self) -> dict[str, float | int]:
-        """The numbers that are known, by name, in the format's order."""
+        """Known numbers by name, in the format's order."""
         pairs = ((each.name, getattr(self, each.name)) for each in fields(self))
         return {name: value for name, value in pairs if value is not None}
 
     def require(self, *names: str) -> tuple[float, ...]:
-        """The named numbers; an InputError names the first one that is not known."""
+        """Return the named numbers.
+
+        Raises:
+            InputError: names the first one that is not known.
+        """
         for name in names:
             if getattr(self, name) is None:
                 raise InputError(f"the set-up does not give {name}, which is needed here")
@@ -77,12 +84,15 @@ class RecordedSetup:
 
 @dataclass(frozen=True, eq=False)
 class RecordedCommand:
-    """What was asked of the rig.
+    """Commands that were sent to the rig; columns of shape (rows,).
 
     Attributes:
-        time: From the run's start, increasing [s].
+        time: Time from the run's start, increasing [s].
         omega: Wheel speed, positive driving forward [rad/s].
-        vx: Carriage speed [m/s] where it was driven; None where the carriage ran free.
+        vx: Speed of a driven carriage [m/s]; None where the carriage ran free.
+
+    Raises:
+        InputError: names the column and the rule that it breaks.
     """
 
     time: Reals
@@ -95,15 +105,18 @@ class RecordedCommand:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the rig answered; a channel that was not measured is None.
+    """Measurements of the rig, columns of shape (rows,); None for a channel without a sensor.
 
     Attributes:
-        time: The data logger's clock, from the run's start, increasing [s].
+        time: Clock of the data logger, from the run's start, increasing [s].
         x: Forward travel [m].
         z: Height of the rim datum, minus the sinkage [m].
         fx: Forward force of the sand on the wheel [N].
         fz: Upward force of the sand on the wheel [N].
-        torque: Of the drive on the wheel, positive driving forward [N m].
+        torque: Torque of the drive on the wheel, positive driving forward [N m].
+
+    Raises:
+        InputError: names the column and the rule that it breaks, or no channel is given.
     """
 
     time: Reals
@@ -119,13 +132,17 @@ class Measured:
             raise InputError(f"nothing was measured: give at least one of {', '.join(CHANNELS)}")
 
     def channels(self) -> dict[str, Reals]:
-        """The channels that were measured, by name."""
+        """Measured channels by name, in the format's order."""
         pairs = ((name, getattr(self, name)) for name in CHANNELS)
         return {name: values for name, values in pairs if values is not None}
 
     @property
     def sinkage(self) -> Reals:
-        """H = -z [m]."""
+        """Sinkage H = -z, shape (rows,) [m].
+
+        Raises:
+            InputError: z was not measured.
+        """
         if self.z is None:
             raise InputError("the run has no /measured/z, so its sinkage is not known")
         return -self.z
@@ -133,27 +150,32 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Online:
-    """What a hardware-in-the-loop run adds, one row for each control tick.
+    """Record of the control loop of a hardware-in-the-loop run, one row for each tick.
+
+    Its columns are those of `drftjax.runlog.schema.COLUMNS["online"]`, of shape (rows,).
 
     Attributes:
-        time: The controller's clock, from the run's start, increasing [s].
+        time: Clock of the controller, from the run's start, increasing [s].
         zeta: Scaling factor in use [-].
         x_sim, z_sim: Simulated position [m].
         vx_sim: Simulated speed, which drives the carriage [m/s].
         fx_sim: Simulated forward force [N].
-        fz_sim: Simulated upward force [N]; None in a log of an older program.
+        fz_sim: Simulated upward force [N]; None in a log of a program that did not record it.
         tuned: 1 where zeta was changed on this tick.
-        late: Time over the deadline, the tick's or that of the first one skipped before it; 0 where
-            it was met [s].
+        late: Delay beyond the deadline of the tick, or of the first one skipped before it; 0 in
+            time [s].
         age: Age of the measurement that was used [s].
-        flags: Bits of what happened on this tick.
+        flags: Bits of the events of this tick.
         seq_sent, seq_received: Sequence numbers on the wire.
-        rig_time: The rig's own clock [s].
+        rig_time: Clock of the rig [s].
         tick: Control period [s].
         zeta_step: Change of zeta in one tuning step [-].
-        tolerance: Sinkage error that is left alone [m].
-        loop: All that the loop was given, as JSON, so that the run can be replayed.
-        meanings: A word for each bit of the flags.
+        tolerance: Largest sinkage error at which zeta is not changed [m].
+        loop: Inputs and settings of the loop as JSON, from which the run can be replayed.
+        meanings: Word for each bit of the flags.
+
+    Raises:
+        InputError: names the column or the number, and the rule that it breaks.
     """
 
     time: Reals
@@ -187,13 +209,16 @@ class Online:
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """What happened beside the ticks, in order; several may share one time.
+    """Events of a run in their order, columns of shape (rows,).
 
     Attributes:
-        event_time: From the run's start, never decreasing [s].
-        code: Which event, a number of `meanings`.
-        arg: A number that goes with it.
-        meanings: The code table: a word or a few for each code.
+        event_time: Time from the run's start, never decreasing; several events may share it [s].
+        code: Code of the event, a key of `meanings`.
+        arg: Number that belongs to the event.
+        meanings: Words for each code.
+
+    Raises:
+        InputError: names the column and the rule that it breaks.
     """
 
     event_time: Reals
@@ -207,9 +232,25 @@ class Events:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """One run: the set-up as believed, the command, the measurement, and where it came from.
+    """One run.
 
-    `end_reason` says why a recorded run ended; None for one that was not recorded online.
+    Attributes:
+        setup: Set-up of the rig as stated by the operator.
+        command: Commands.
+        measured: Measurements.
+        source: Origin: "measured", "virtual rig", "simulated" or "imported".
+        title: Title for people.
+        online: Record of the control loop; None where there was none.
+        events: Events; None where none were recorded.
+        created: Date and time at which the run began, as text.
+        run_id: Identifier that no other run has.
+        notes: Free text.
+        software: Name of the program that wrote the run.
+        software_version: Its version.
+        end_reason: Reason why a recorded run ended; None where it was not recorded online.
+
+    Raises:
+        InputError: the source is unknown, or a text cannot be written to a file.
     """
 
     setup: RecordedSetup

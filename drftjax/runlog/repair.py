@@ -1,4 +1,4 @@
-"""Making an ordinary run log of a recording that was cut off."""
+"""Repair of an interrupted recording into an ordinary run log."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,24 +12,23 @@ from drftjax.runlog.recording_lock import PART
 from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
 
 CUT_OFF = "cut off; the committed rows were kept"
-
-
-"""The end_reason of a repaired run."""
+"""End reason of a repaired run."""
 
 
 def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple[Path, RunLog]:
-    """Copy the committed rows of a recording into a fresh, ordinary file.
+    """Copy the committed rows of an interrupted recording into an ordinary run log.
 
     Args:
-        part: The recording, NAME.h5.part; it stays as it is.
-        output: The file to write; NAME.h5 where it is not given.
-        force: Whether a file that stands there is replaced.
+        part: The recording, NAME.h5.part, which is not changed.
+        output: File to write; NAME.h5 where it is None.
+        force: True to replace an existing file.
 
     Returns:
-        The file and the run in it.
+        Path of the written file, and the run in it.
 
     Raises:
-        InputError: It is no recording, still being recorded, damaged, or without a row.
+        InputError: the file is not a recording, is still being recorded, is damaged or has no row;
+            or the output exists.
     """
     whole = part.with_name(part.name.removesuffix(PART))
     if not part.exists():

@@ -1,4 +1,4 @@
-"""A result file's contents: what a program found, beside the run logs it was found from."""
+"""HDF5 files of results beside run logs, such as those of a fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,10 @@ FIT_SCHEMA: Final = "drft-fit"
 
 @dataclass(frozen=True, eq=False)
 class ResultGroup:
-    """One group of a result file: datasets as (array, unit) by name, and attributes."""
+    """One group of a result file: datasets as (array, unit) by name, and attributes.
+
+    `group[name]` is the array of a dataset.
+    """
 
     datasets: Mapping[str, tuple[ArrayLike, str]] = field(default_factory=dict)
     attributes: Mapping[str, Attribute] = field(default_factory=dict)
@@ -26,7 +29,7 @@ class ResultGroup:
 
 @dataclass(frozen=True, eq=False)
 class ResultFile:
-    """A result file: root attributes and groups."""
+    """Result file: attributes of the root, and groups by name (`file[name]`)."""
 
     attributes: Mapping[str, Attribute]
     groups: Mapping[str, ResultGroup]
@@ -36,21 +39,29 @@ class ResultFile:
 
 
 Columns = ResultGroup | Mapping[str, tuple[ArrayLike, str]]
-
-
-"""A result's group, or just its datasets."""
+"""Group of a result, or only its datasets."""
 
 
 def result_content(
     schema: str, version: int, attributes: Mapping[str, Attribute], groups: Mapping[str, Columns]
 ) -> Content:
-    """The file's contents for a result."""
+    """Contents of the file that holds a result.
+
+    Args:
+        schema: Name of the kind of file.
+        version: Version of that schema.
+        attributes: Attributes of the root.
+        groups: Groups by name; arrays of real numbers of any rank.
+
+    Raises:
+        InputError: a dataset does not hold real numbers.
+    """
     stamped = {**attributes, "schema": schema, "schema_version": version}
     return Content(stamped, {title: _group(title, each) for title, each in groups.items()})
 
 
 def result_from(content: Content) -> ResultFile:
-    """The result that an examined file holds."""
+    """Result that a surveyed file holds."""
     groups = {
         title: ResultGroup(
             {
@@ -65,6 +76,7 @@ def result_from(content: Content) -> ResultFile:
 
 
 def _group(title: str, columns: Columns) -> Group:
+    """Group of a file for a group of a result; truth values become 0 and 1."""
     group = columns if isinstance(columns, ResultGroup) else ResultGroup(columns)
     datasets: dict[str, Dataset] = {}
     for name, (given, unit) in group.datasets.items():

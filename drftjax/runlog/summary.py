@@ -1,4 +1,4 @@
-"""One run in words: the set-up, and each channel's rows, rate, range and last value."""
+"""Text summary of one run: its set-up, and rows, rate, range and last value of each channel."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,14 +10,24 @@ from rich.console import Group as Stack
 from rich.table import Table
 from rich.text import Text
 
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.schema import UNITS
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel's figures, in the channel's unit."""
+    """Numbers of one channel, in its unit.
+
+    Attributes:
+        name: Group and column, such as "measured/z".
+        unit: SI unit.
+        rows: Number of rows.
+        rate: Mean number of rows in a second [1/s]; None for a single row.
+        low: Smallest value.
+        high: Largest value.
+        last: Last value.
+    """
 
     name: str
     unit: str
@@ -29,7 +39,7 @@ class Channel:
 
 
 def channels(run: RunLog) -> Iterator[Channel]:
-    """Every channel of a run, group by group; the rate is rows over time [1/s]."""
+    """Channels of a run, group by group."""
     for title, record in (
         ("command", run.command),
         ("measured", run.measured),
@@ -46,10 +56,15 @@ def channels(run: RunLog) -> Iterator[Channel]:
 
 
 def show(path: str, run: RunLog) -> Stack:
-    """What `drft log show` prints for one file."""
+    """Text that `drft log show` prints for one file.
+
+    Args:
+        path: Name of the file.
+        run: Its contents.
+    """
     lines = [
         Text(path, style="bold"),
-        Text(f"{printable(run.title)} ({run.source})"),
+        Text(f"{replace_unprintable(run.title)} ({run.source})"),
         *(Text(f"{name}: {text}") for name, text in _provenance(run)),
         Text("set-up: " + (", ".join(_setup(run)) or "nothing is known")),
     ]
@@ -68,15 +83,18 @@ def show(path: str, run: RunLog) -> Stack:
 
 
 def _rate(time: NDArray[np.float64]) -> float | None:
+    """Mean number of rows in a second [1/s]."""
     return None if time.size < 2 else (time.size - 1) / float(time[-1] - time[0])
 
 
 def _setup(run: RunLog) -> Iterator[str]:
+    """Known numbers of the set-up, in words."""
     return (f"{name} {value:g}" for name, value in run.setup.known().items())
 
 
 def _provenance(run: RunLog) -> Iterator[tuple[str, str]]:
+    """Texts on the origin of a run, by name."""
     for name in ("created", "run_id", "software", "software_version", "end_reason", "notes"):
         text = getattr(run, name)
         if text is not None:
-            yield name, "\n".join(map(printable, text.splitlines()))
+            yield name, "\n".join(map(replace_unprintable, text.splitlines()))

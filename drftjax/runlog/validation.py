@@ -1,7 +1,7 @@
-"""What the numbers of a run log must satisfy, one sentence for each rule that is broken.
+"""Rules for the axes, channels, numbers and texts of a run log, one sentence for each violation.
 
-The same rules guard a record when it is built, a file when it is read and a file when it is
-checked; the first two stop at the first sentence, the last lists them all.
+The same rules hold when a record is built, when a file is read and when a file is checked; the
+first two stop at the first violation, the last lists all.
 """
 
 from collections.abc import Iterator
@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 SOURCES: Final = ("measured", "virtual rig", "simulated", "imported")
 
-
 POSITIVE: Final = frozenset(
     {"wheel_radius", "wheel_width", "mass_x", "mass_z", "gravity", "bulk_density"}
 )
-
 
 NOT_NEGATIVE: Final = frozenset(
     {"grouser_count", "grouser_height", "grouser_thickness", "scaling_factor_initial"}
@@ -25,12 +23,12 @@ NOT_NEGATIVE: Final = frozenset(
 
 
 def axis_problems(name: str, time: NDArray[np.float64], repeats: bool = False) -> Iterator[str]:
-    """Breaches of a time axis: finite, and increasing from row to row.
+    """Violations by a time axis, which must be finite and increase from row to row.
 
     Args:
-        name: What the sentences call it.
-        time: Times [s].
-        repeats: Whether neighbours may be equal (two events can fall on one tick).
+        name: Name of the axis in the sentences.
+        time: Times, shape (rows,) [s].
+        repeats: True where neighbours may be equal, as for two events on one tick.
     """
     finite = np.isfinite(time)
     if not finite.all():
@@ -47,7 +45,14 @@ def axis_problems(name: str, time: NDArray[np.float64], repeats: bool = False) -
 
 
 def channel_problems(name: str, values: NDArray[np.generic], rows: int, axis: str) -> Iterator[str]:
-    """Breaches of a channel: one finite value for each row of its time axis."""
+    """Violations by a channel, which must have one finite value for each row of its time axis.
+
+    Args:
+        name: Name of the channel in the sentences.
+        values: Its values; right is the shape (rows,).
+        rows: Number of rows of the axis.
+        axis: Name of the axis.
+    """
     if values.shape != (rows,):
         yield (
             f"{name} has {_extent(values.shape)} but {axis} has {rows} rows; the lengths must agree"
@@ -57,7 +62,7 @@ def channel_problems(name: str, values: NDArray[np.generic], rows: int, axis: st
 
 
 def setup_problems(name: str, value: float) -> Iterator[str]:
-    """Breaches of one number of the set-up: finite, and of a sign that can exist."""
+    """Violations by a number of the set-up, which must be finite and of a possible sign."""
     if not np.isfinite(value):
         yield f"{name} is {value}, it must be a finite number"
     elif name in POSITIVE and value <= 0:
@@ -69,20 +74,20 @@ def setup_problems(name: str, value: float) -> Iterator[str]:
 
 
 def text_problems(name: str, text: str) -> Iterator[str]:
-    """Breaches of a text: no character that a file of UTF-8 text cannot hold."""
+    """Violations by a text, which may hold only characters that UTF-8 can encode, and no NUL."""
     odd = next((each for each in text if each == "\0" or "\ud800" <= each <= "\udfff"), None)
     if odd is not None:
         yield f"{name} holds the character {odd!r}, which cannot be written; leave it out"
 
 
 def source_problems(source: str) -> Iterator[str]:
-    """A source is one of the four that the format knows."""
+    """Violation by a source that is none of `SOURCES`."""
     if source not in SOURCES:
         yield f"source is {source!r}, it must be one of {', '.join(map(repr, SOURCES))}"
 
 
 def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
-    """A hint that names the closest known words, or all of them where none is close."""
+    """Hint that names the closest known words, or all of them where none is close."""
     close = get_close_matches(name, known, n=3, cutoff=0.5)
     if close:
         return "did you mean " + " or ".join(map(repr, close)) + "?"
@@ -90,6 +95,7 @@ def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
 
 
 def _not_finite(name: str, values: NDArray[np.generic]) -> str:
+    """Sentence on values that are not finite."""
     bad = np.flatnonzero(~np.isfinite(values.ravel()))
     return (
         f"{name} has {bad.size} values that are not finite, the first in row {bad[0]}; "
@@ -98,4 +104,5 @@ def _not_finite(name: str, values: NDArray[np.generic]) -> str:
 
 
 def _extent(shape: tuple[int, ...]) -> str:
+    """Shape of an array in words."""
     return f"{shape[0]} rows" if len(shape) == 1 else f"shape {shape}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from drftjax import __version__
 from drftjax.common.errors import InputError
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.runlog import record
 from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
@@ -102,7 +102,7 @@ def summary(run: record.RunLog) -> str:
     assert measured.x is not None
     assert measured.z is not None
     return (
-        f"{printable(run.title)}: {lasts:.4g} s, "
+        f"{replace_unprintable(run.title)}: {lasts:.4g} s, "
         f"deepest sinkage {-measured.z.min() * 1e3:.2f} mm, "
         f"final sinkage {-measured.z[-1] * 1e3:.2f} mm, "
         f"travel {measured.x[-1] - measured.x[0]:.4f} m"

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.commands.options import remove_empty_folders
 
 EXAMPLES = """
 Examples:
@@ -21,7 +21,7 @@ tells what they show. Ten runs of either kind take a minute or two, in virtual t
 """
 
 
-@leaves_no_empty_folder
+@remove_empty_folders
 def paper(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "out"

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_given
+from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_options
 from drftjax.common.errors import InputError
 from hils.link.timing import USUAL_BAUD, require_baud
 
@@ -111,9 +111,9 @@ def run(
 ) -> None:
     """Run a rig in the loop, or with its carriage free, and record it."""
     if mode == "free":
-        refuse_given(context, OF_THE_TUNER, "in --mode free nothing is tuned")
+        refuse_options(context, OF_THE_TUNER, "in --mode free nothing is tuned")
     if repeat == 1:
-        refuse_given(context, ("between",), "one run has none after it; give --repeat")
+        refuse_options(context, ("between",), "one run has none after it; give --repeat")
     if not port:
         raise InputError("--port is empty, must be a device or a URL; drft hils ports lists them")
     from drftjax.common.jax_config import configure_jax

@@ -98,7 +98,7 @@ class StatusReader:
 
 
 class RecentMessages:
-    """The last sentences that were told, each as one short line of printable text."""
+    """The last sentences that were told, each as one short line of replace_unprintable text."""
 
     def __init__(self):
         self._kept: deque[str] = deque(maxlen=MOST_WORDS)

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from drftjax.common.errors import InputError
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from identify.cluster.store import FinishedFit, FitStore
 from identify.cluster.worker import FitOptions, fit_logs, fit_replies
 
@@ -435,4 +435,4 @@ def _finite(pair: tuple[float, float]) -> tuple[float | None, float | None]:
 
 
 def _first_line(problem: BaseException) -> str:
-    return printable((str(problem) or type(problem).__name__).splitlines()[0])
+    return replace_unprintable((str(problem) or type(problem).__name__).splitlines()[0])

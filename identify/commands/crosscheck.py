@@ -52,7 +52,7 @@ def crosscheck(
     import dataclasses
 
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import printable
+    from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.prepared_run import PreparedRun, prepare_run
     from drftjax.runlog.record import RunLog
@@ -74,7 +74,7 @@ def crosscheck(
 
     def say(text: str) -> None:
         # File names may hold brackets, and are to be copied from one line.
-        console.print(printable(text), style="yellow", markup=False, soft_wrap=True)
+        console.print(replace_unprintable(text), style="yellow", markup=False, soft_wrap=True)
 
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("reading runs", total=None)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
@@ -30,7 +30,7 @@ The result is out/design.toml (the run to make), out/design.json and out/design.
 
 
 @app.command(epilog=EXAMPLES)
-@leaves_no_empty_folder
+@remove_empty_folders
 def design(
     setup: Annotated[
         Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)

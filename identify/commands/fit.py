@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import leaves_no_empty_folder
+from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import stem_of
 
@@ -46,7 +46,7 @@ NAME` simulates a fitted run again.
 
 
 @app.command(epilog=EXAMPLES)
-@leaves_no_empty_folder
+@remove_empty_folders
 def fit(
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
@@ -132,12 +132,12 @@ def fit(
 
     configure_jax(devices=os.cpu_count())
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import printable
+    from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
     from drftjax.recorded.prepared_run import names_of, prepare_run
     from drftjax.runlog.check import require_no_recording
-    from drftjax.runlog.files import each_once, run_files
+    from drftjax.runlog.files import drop_repeated_files, run_files
     from drftjax.runlog.record import CHANNELS
     from drftjax.setups.setup import read_setup
     from identify.design.required_speed import add_required_speeds
@@ -177,7 +177,7 @@ def fit(
         alone = FitOptions(
             parameter_specs(fitted), noise, start_zeta, method, step, keep_rest, channels
         )
-        kept, left_out = each_once(run_files(runs))
+        kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
         fit_on_cluster(cluster, named, alone, stem, left_out)
         return
@@ -186,7 +186,9 @@ def fit(
 
     def say(text: str, style: str | None = None) -> None:
         # File names may hold brackets, and are to be copied from one line.
-        console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
+        )
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:

@@ -18,7 +18,7 @@ from rich.progress import (
 )
 
 from drftjax.common.errors import InputError
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from identify.cluster.scheduler import (
     LocalWorkers,
     LogFile,
@@ -202,4 +202,6 @@ def _summary(result: "FitResult") -> list[str]:
 
 
 def _say(console: Console, text: str, style: str | None = None) -> None:
-    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+    console.print(
+        replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
+    )

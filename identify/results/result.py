@@ -16,7 +16,7 @@ from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, make_folder, replace_file
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.common.structured_files import as_json
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.recorded.observation import SHOWN
 from drftjax.runlog.hdf5.api import write_result
 from drftjax.runlog.schema import UNITS
@@ -128,7 +128,7 @@ class FitResult:
         for run in self.runs:
             values = [run.values[n].cell() for n in own]
             compared = cells(run.rmse(False), run.rmse())
-            table.add_row(escape(printable(run.name)), run.status, *values, *compared)
+            table.add_row(escape(replace_unprintable(run.name)), run.status, *values, *compared)
         table.add_section()
         table.add_row("all runs", "", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
         return table

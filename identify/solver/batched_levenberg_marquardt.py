@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.common.memory import piece_bytes
+from drftjax.common.memory import chunk_bytes
 from identify.parameters.parameter import Parameter
 from identify.solver.problem import Coordinates, Problem, normal_equations
 from identify.solver.settings import BATCHED_SETTINGS, BatchedSolverSettings
@@ -84,7 +84,7 @@ class BatchedLevenbergMarquardt:
         self.shared, self.own = len(problem.shared), len(problem.own)
         size = max(1, weight.size * (self.shared + self.own + 1) * 8)
         # Powers, so that few programs are compiled as what is free comes and goes.
-        fitting = max(1.0, piece_bytes(CHUNK_BYTES) / size)
+        fitting = max(1.0, chunk_bytes(CHUNK_BYTES) / size)
         self.chunk = CHUNK_GROWTH ** math.floor(math.log(fitting, CHUNK_GROWTH))
 
     @property

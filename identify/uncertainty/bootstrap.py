@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drftjax.common.errors import InputError
-from drftjax.common.memory import piece_bytes
+from drftjax.common.memory import chunk_bytes
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
 from identify.solver.problem import linearize, normal_equations
 from identify.uncertainty.covariance import regularized_inverse
@@ -179,7 +179,7 @@ def noise_chunks(
         Weighted residuals of noise alone, shape (draws, runs, channels, samples).
     """
     size = 8 * DRAWN_TOGETHER * max(estimate.noise_residual.size, 1)
-    step = DRAWN_TOGETHER * max(1, int(piece_bytes(CHUNK_BYTES) / size))
+    step = DRAWN_TOGETHER * max(1, int(chunk_bytes(CHUNK_BYTES) / size))
     for begin in range(0, count, step):
         end = min(count, begin + step)
         yield np.concatenate(
@@ -332,7 +332,7 @@ def predictive_bands(
             off = estimate.model_error.get(channel, 0.0)
             noise = np.sqrt(np.mean((residual[run, row, here] / weight[run, row, here]) ** 2))
             low, high = np.full(length, np.nan), np.full(length, np.nan)
-            step = max(1, int(piece_bytes(CHUNK_BYTES) / (8 * max(len(mine), 1))))
+            step = max(1, int(chunk_bytes(CHUNK_BYTES) / (8 * max(len(mine), 1))))
             for begin in range(0, len(here), step):
                 some = here[begin : begin + step]
                 scale = weight[run, row, some]

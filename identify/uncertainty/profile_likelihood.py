@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drftjax.common.errors import InputError
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from identify.parameters.bijector import Interval, Positive
 from identify.parameters.parameter import PHASES, SHORT_NAMES, Parameter
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
@@ -81,7 +81,7 @@ class ProfileLikelihood:
 
     def table(self) -> Table:
         """Return places and rises as a table."""
-        table = Table(title=escape(printable(f"profile of {self.label}")))
+        table = Table(title=escape(replace_unprintable(f"profile of {self.label}")))
         table.add_column(escape(f"{self.label} [{self.unit}]"), justify="right")
         table.add_column("rise of the sum of squares", justify="right")
         for value, rise in zip(self.value, self.rise, strict=True):

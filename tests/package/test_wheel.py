@@ -90,4 +90,4 @@ def test_mypy_sees_the_types_of_an_installed_wheel(wheel, tmp_path):
         "identify.parameters.parameter.Parameter",
     ], answer.stdout
     errors = [line for line in answer.stdout.splitlines() if ": error: " in line]
-    assert ["arg-type", "attr-defined"] == sorted(each.split("[")[-1][:-1] for each in errors)
+    assert sorted(each.split("[")[-1][:-1] for each in errors) == ["arg-type", "attr-defined"]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.common.structured_files import HDF5
-from drftjax.common.text import printable
+from drftjax.common.text import replace_unprintable
 from drftjax.runlog import recording_lock
 from drftjax.runlog.content import Attribute, Content, Dataset, Found, Group, Level, Violation
 from drftjax.runlog.hdf5.checksum import checksum_matches
@@ -71,9 +71,9 @@ def survey(
         with h5py.File(path, "r") as file:
             content, found = _Survey(file).content(schema, version)
     except _LIBRARY_ERRORS as error:
-        return None, [Violation(str(path), "/", printable(_open_failure(error)))]
+        return None, [Violation(str(path), "/", replace_unprintable(_open_failure(error)))]
     identity = list(identify(content, schema, version))
-    return content, named(path, identity or [*found, *find(content)])
+    return content, with_file_name(path, identity or [*found, *find(content)])
 
 
 def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
@@ -93,16 +93,16 @@ def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
             rows = committed_rows(file)
             content, found = _Survey(file, rows).content(SCHEMA, SCHEMA_VERSION)
     except _LIBRARY_ERRORS as error:
-        return None, [Violation(str(path), "/", printable(_open_failure(error)))]
+        return None, [Violation(str(path), "/", replace_unprintable(_open_failure(error)))]
     identity = list(identify(content, SCHEMA, SCHEMA_VERSION))
     content = _without_bookkeeping(content, rows)
-    return content, named(path, identity or [*found, *examine(content)])
+    return content, with_file_name(path, identity or [*found, *examine(content)])
 
 
-def named(path: Path, found: Iterable[Found]) -> list[Violation]:
+def with_file_name(path: Path, found: Iterable[Found]) -> list[Violation]:
     """Findings with the file's name, fit to be printed."""
     return [
-        Violation(str(path), printable(place), printable(reason), level)
+        Violation(str(path), replace_unprintable(place), replace_unprintable(reason), level)
         for place, reason, level in found
     ]
 

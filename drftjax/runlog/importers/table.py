@@ -78,7 +78,7 @@ class Table:
             raise InputError(f"{place}: {column} is {cell!r}, it must be a finite number")
         return values
 
-    def taken(self, rows: Sequence[int]) -> "Table":
+    def select_rows(self, rows: Sequence[int]) -> "Table":
         """Some of the rows, in the order given."""
         chosen = ([self.rows[i] for i in rows], [self.lines[i] for i in rows])
         return Table(self.path, self.headings, *chosen)
@@ -183,7 +183,7 @@ def _selected(table: Table, mapping: Mapping) -> Table:
     if not keep.any():
         chosen = " and ".join(mapping.select) or "any condition"
         raise InputError(f"{table.path}: no row is selected by {chosen}")
-    return table.taken([int(row) for row in np.flatnonzero(keep)])
+    return table.select_rows([int(row) for row in np.flatnonzero(keep)])
 
 
 def _meets(table: Table, column: str, condition: Condition) -> NDArray[np.bool_]:
@@ -209,7 +209,7 @@ def _equals(table: Table, column: str, wanted: float | str) -> NDArray[np.bool_]
 def _runs(table: Table, mapping: Mapping) -> Iterator[Table]:
     """The rows of each run, runs in the order of their first rows."""
     if mapping.rows == "steady":
-        yield from (table.taken([row]) for row in range(len(table.rows)))
+        yield from (table.select_rows([row]) for row in range(len(table.rows)))
         return
     keys = zip(*(table.cells(column) for column in mapping.group_by), strict=True)
     groups: dict[tuple[str, ...], list[int]] = {}
@@ -217,7 +217,7 @@ def _runs(table: Table, mapping: Mapping) -> Iterator[Table]:
         groups[()] = list(range(len(table.rows)))
     for row, key in enumerate(keys):
         groups.setdefault(key, []).append(row)
-    yield from map(table.taken, groups.values())
+    yield from map(table.select_rows, groups.values())
 
 
 def _run(table: Table, mapping: Mapping, mapping_path: Path) -> ImportedRun:
@@ -310,7 +310,7 @@ def _values(table: Table, source: Source, place: str, wanted: str) -> Reals:
         if not isinstance(source.constant, str) and source.divide_by is None:
             of = units.Unit(of.factor, units.unit(wanted).powers)
     if source.divide_by is not None:
-        of = units.over(of, units.quantity(source.divide_by))
+        of = units.divide(of, units.quantity(source.divide_by))
     values = source.sign * raw * _in_unit(place, of, wanted, None)
     if source.average:
         values = np.full_like(values, values.mean())

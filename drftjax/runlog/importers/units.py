@@ -121,7 +121,7 @@ def quantity(given: float | str) -> Unit:
     return Unit(value * of.factor, of.powers)
 
 
-def over(top: Unit, bottom: Unit) -> Unit:
+def divide(top: Unit, bottom: Unit) -> Unit:
     """One divided by the other."""
     if bottom.factor == 0:
         raise InputError("a division by 0 is asked for")

@@ -1,10 +1,12 @@
 """Pieces of a computation are as large as memory allows, and draw the same whatever their size."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from drftjax.common import memory
-from drftjax.common.memory import LEAST, free_bytes, piece_bytes
+from drftjax.common.memory import CHUNK_MEMORY, ChunkMemory, chunk_bytes, free_bytes
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
 from identify.uncertainty.bootstrap import noise_chunks
@@ -34,13 +36,14 @@ def test_free_memory_is_what_machine_and_container_leave(machine):
     memory.MEMINFO.unlink()
     machine[0].write_text("max\n")
     assert free_bytes() is None
-    assert piece_bytes(1e8) == 1e8
+    assert chunk_bytes(1e8) == 1e8
 
 
 def test_a_piece_is_a_share_of_what_is_free(monkeypatch):
-    for free, piece in ((0.0, LEAST), (8e8, 5e7), (1e12, 1e8)):
+    for free, piece in ((0.0, CHUNK_MEMORY.minimum), (8e8, 5e7), (1e12, 1e8)):
         monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
-        assert piece_bytes(1e8) == piece
+        assert chunk_bytes(1e8) == piece
+    assert chunk_bytes(1e12, ChunkMemory(share=0.5)) == 5e11
 
 
 def test_pieces_of_any_size_draw_the_same(monkeypatch):
@@ -49,9 +52,10 @@ def test_pieces_of_any_size_draw_the_same(monkeypatch):
     ]
     result = fit(runs, [own("zeta"), shared("lambda")])
     found, pieces = [], []
+    small = partial(chunk_bytes, settings=ChunkMemory(minimum=1.0))
+    monkeypatch.setattr("identify.uncertainty.bootstrap.chunk_bytes", small)
     for free in (1e12, 0.0):
         monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
-        monkeypatch.setattr(memory, "LEAST", 1.0)
         random = np.random.default_rng(2)
         pieces.append([len(each) for each in noise_chunks(result.estimate, 45, random)])
         found.append(result.bootstrap(45, seed=2).bootstraps[0])

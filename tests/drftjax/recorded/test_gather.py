@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from drftjax.recorded.gather import gather
-from drftjax.runlog.files import each_once, run_files
+from drftjax.runlog.files import drop_repeated_files, run_files
 from drftjax.runlog.hdf5.api import read_run, write_run
-from drftjax.runlog.plausibility import doubts
+from drftjax.runlog.plausibility import plausibility_warnings
 from drftjax.runlog.record import RecordedCommand
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
 
@@ -26,7 +26,9 @@ def folder(tmp_path) -> Path:
 
 def test_a_copy_or_a_file_given_twice_counts_once(folder):
     first, copy, other = folder / "a.h5", folder / "copy.h5", RUNS / "slow_b.h5"
-    kept, left_out = each_once([first, first, copy, other, folder / "gone.h5", folder / "gone.h5"])
+    kept, left_out = drop_repeated_files(
+        [first, first, copy, other, folder / "gone.h5", folder / "gone.h5"]
+    )
     assert kept == [first, other, folder / "gone.h5", folder / "gone.h5"]
     assert left_out == {
         str(first): f"{first}: is given twice; it counts once",
@@ -76,5 +78,5 @@ def test_likely_slips_of_unit_are_told(tmp_path):
     write_run(path, dataclasses.replace(run, command=command))
     told: list[str] = []
     gather([path], tell=told.append)
-    assert told == [f"note: {path}: {doubt}" for doubt in doubts(read_run(path))]
+    assert told == [f"note: {path}: {doubt}" for doubt in plausibility_warnings(read_run(path))]
     assert "rad/s" in told[0]
