@@ -170,9 +170,7 @@ def test_repeats_of_a_channel_are_those_that_have_it(whole):
         ),
     )
     runs = [whole, lacking, whole]
-    case = SimpleNamespace(
-        runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time
-    )
+    case = SimpleNamespace(runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time)
     residual = [np.zeros((2, len(whole.observation.time))) for _ in runs]
     residual[2][0] = 1e-3
     own = {"x": 0.0, "z": 0.0}
@@ -198,9 +196,7 @@ def test_samples_that_one_of_two_repeats_lost_are_not_compared(whole, lost, shor
     time = whole.observation.time
     kept = [np.ones(len(time), bool), np.ones(len(time), bool)]
     kept[shorter] = lost(time)
-    case = SimpleNamespace(
-        runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]]
-    )
+    case = SimpleNamespace(runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]])
     residual = [1e-3 * np.sin(5 * time[each])[None] for each in kept]
     response = lambda run: np.ones((1, int(kept[run].sum())))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
@@ -324,9 +320,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
     random = np.random.default_rng(5)
     observation = dataclasses.replace(whole.observation, noise=np.full(2, noise))
     told = dataclasses.replace(whole, observation=observation)
-    case = SimpleNamespace(
-        runs=[told, told], channels=("z",), time=lambda run: time + run * delay
-    )
+    case = SimpleNamespace(runs=[told, told], channels=("z",), time=lambda run: time + run * delay)
     residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
     response = lambda run: np.zeros((1, len(time)))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
