@@ -6,25 +6,33 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 MCL_CURRENT = 1
-
-
-# Priorities from 1 to 99; the middle leaves room for the kernel's own threads above.
-FIFO_PRIORITY = 50
 
 
 # A child does not inherit a priority: a recorder at this one would fight the loop.
 RESET_ON_FORK = getattr(os, "SCHED_RESET_ON_FORK", 0)
 
 
-# How long one thread may keep Python to itself while another waits [s].
-SWITCH_INTERVAL = 1e-4
+@dataclass(frozen=True)
+class RealtimeSettings:
+    """Requests to the operating system.
+
+    Attributes:
+        fifo_priority: Of SCHED_FIFO, 1 to 99; the middle leaves room for the kernel's own threads
+            above.
+        switch_interval: Time that one thread may keep Python to itself while another waits [s].
+        timer_slack: Rounding of a thread's timers [ns], by default 50000.
+    """
+
+    fifo_priority: int = 50
+    switch_interval: float = 1e-4
+    timer_slack: int = 1
 
 
-# Timers of a thread are rounded up by this much [ns], by default 50000.
-TIMER_SLACK = 1
+DEFAULT_REALTIME = RealtimeSettings()
 
 
 PR_SET_TIMERSLACK = 29
@@ -46,7 +54,9 @@ def answer_at_once() -> None:
 
 
 @contextmanager
-def timely(fifo: bool = True, one_core: bool = True) -> Iterator[list[str]]:
+def timely(
+    fifo: bool = True, one_core: bool = True, settings: RealtimeSettings = DEFAULT_REALTIME
+) -> Iterator[list[str]]:
     """Context in which the process runs as timely as it is allowed to.
 
     No garbage is collected, memory stays in place, and where the system allows it the process goes
@@ -54,25 +64,26 @@ def timely(fifo: bool = True, one_core: bool = True) -> Iterator[list[str]]:
     Python at a time, and handing it over to another core costs more than the rest of a short tick.
 
     Args:
-        fifo: Whether to ask for SCHED_FIFO.
-        one_core: Whether threads that have it share a core.
+        fifo: True to ask for SCHED_FIFO.
+        one_core: True to let threads that have it share a core.
+        settings: Requests.
 
     Yields:
-        What was granted, in words.
+        The requests that were granted, in words.
     """
     granted = ["no garbage collection"]
     with ExitStack() as undo:
         switch = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_INTERVAL)
+        sys.setswitchinterval(settings.switch_interval)
         undo.callback(sys.setswitchinterval, switch)
-        if _sharp_timers():
+        if _sharp_timers(settings.timer_slack):
             granted.append("sharp timers")
-        if _locked():
+        if _lock_memory():
             granted.append("memory locked")
-            undo.callback(_unlocked)
-        if fifo and _first_in(undo):
-            core = _on_one_core(undo) if one_core else ""
-            granted.append(f"SCHED_FIFO {FIFO_PRIORITY}{core}")
+            undo.callback(_unlock_memory)
+        if fifo and _set_fifo(undo, settings.fifo_priority):
+            core = _hold_to_one_core(undo) if one_core else ""
+            granted.append(f"SCHED_FIFO {settings.fifo_priority}{core}")
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -88,26 +99,26 @@ def _libc() -> ctypes.CDLL | None:
         return None
 
 
-def _sharp_timers() -> bool:
+def _sharp_timers(slack: int) -> bool:
     libc = _libc()
     prctl = getattr(libc, "prctl", None)
-    return prctl is not None and prctl(PR_SET_TIMERSLACK, TIMER_SLACK, 0, 0, 0) == 0
+    return prctl is not None and prctl(PR_SET_TIMERSLACK, slack, 0, 0, 0) == 0
 
 
-def _locked() -> bool:
+def _lock_memory() -> bool:
     """Keep what is in memory there; not what comes later, which a small limit would refuse."""
     libc = _libc()
     mlockall = getattr(libc, "mlockall", None)
     return mlockall is not None and mlockall(MCL_CURRENT) == 0
 
 
-def _unlocked() -> None:
+def _unlock_memory() -> None:
     libc = _libc()
     if libc is not None:
         libc.munlockall()
 
 
-def _first_in(undo: ExitStack) -> bool:
+def _set_fifo(undo: ExitStack, priority: int) -> bool:
     """SCHED_FIFO for every thread of this process: the loop's, and the link's that feeds it."""
     if not hasattr(os, "sched_setscheduler"):
         return False
@@ -115,36 +126,36 @@ def _first_in(undo: ExitStack) -> bool:
     for thread in _threads():
         with suppress(OSError):
             before = os.sched_getscheduler(thread), os.sched_getparam(thread)
-            param = os.sched_param(FIFO_PRIORITY)
+            param = os.sched_param(priority)
             os.sched_setscheduler(thread, os.SCHED_FIFO | RESET_ON_FORK, param)
-            undo.callback(_restore, thread, *before)
+            undo.callback(_restore_schedule, thread, *before)
             done = True
     return done
 
 
-def _restore(thread: int, kind: int, param: os.sched_param) -> None:
+def _restore_schedule(thread: int, kind: int, param: os.sched_param) -> None:
     with suppress(OSError):  # the thread may have ended
         # Who has no privileges may not take RESET_ON_FORK away again.
         os.sched_setscheduler(thread, kind | RESET_ON_FORK, param)
 
 
-def _on_one_core(undo: ExitStack) -> str:
+def _hold_to_one_core(undo: ExitStack) -> str:
     """Hold every thread of this process to one core; which, in words."""
     if not hasattr(os, "sched_setaffinity"):
         return ""
     # The first cores answer most interrupts; the last are the slow ones on some machines.
-    core = max(os.sched_getaffinity(0), key=lambda each: (_pace(each), each))
+    core = max(os.sched_getaffinity(0), key=lambda each: (_clock_rate(each), each))
     held = ""
     for thread in _threads():
         with suppress(OSError):
             before = os.sched_getaffinity(thread)
             os.sched_setaffinity(thread, {core})
-            undo.callback(_let_go, thread, before)
+            undo.callback(_restore_cores, thread, before)
             held = f" on core {core}"
     return held
 
 
-def _pace(core: int) -> int:
+def _clock_rate(core: int) -> int:
     """Highest clock rate of a core [kHz]; 0 where the system does not tell."""
     try:
         return int(Path(CLOCK_RATE.format(core)).read_text())
@@ -152,7 +163,7 @@ def _pace(core: int) -> int:
         return 0
 
 
-def _let_go(thread: int, cores: set[int]) -> None:
+def _restore_cores(thread: int, cores: set[int]) -> None:
     with suppress(OSError):  # the thread may have ended
         os.sched_setaffinity(thread, cores)
 

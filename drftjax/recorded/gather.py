@@ -56,7 +56,7 @@ def gather(
                 if sinkage:
                     each.observation.sinkage()
                 prepared.append(each)
-                for doubt in doubts(drop_refused(run)):
+                for doubt in plausibility_warnings(drop_refused(run)):
                     tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
                     are = (

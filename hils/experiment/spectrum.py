@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from drftjax.common.errors import InputError
 
 # The spectrum is drawn so much finer than 1 / duration, so that a peak can be read off.
-FINER = 8
+OVERSAMPLING = 8
 
 
 # A Hann window's main lobe reaches so many 1 / duration from its peak.
-LOBE = 2.0
+LOBE_WIDTH = 2.0
 
 
 # Least amplitude of which a logarithm is taken.
-TINY = 1e-300
+MIN_AMPLITUDE = 1e-300
 
 
 class SpectralLine(NamedTuple):
@@ -59,7 +59,7 @@ class Spectrum(NamedTuple):
 
     def _line(self, place: int) -> SpectralLine:
         """The top of the parabola through a peak and its neighbours, in decibels."""
-        low, top, high = np.log(np.maximum(self.amplitude[place - 1 : place + 2], TINY))
+        low, top, high = np.log(np.maximum(self.amplitude[place - 1 : place + 2], MIN_AMPLITUDE))
         bend = low - 2 * top + high
         shift = 0.0 if bend >= 0 else 0.5 * (low - high) / bend
         step = self.frequency[1]
@@ -83,9 +83,11 @@ def spectrum(values: NDArray[np.floating], interval: float) -> Spectrum:
     time = np.linspace(-1.0, 1.0, len(values))
     slow = np.polynomial.Polynomial.fit(time, values, 2)
     window = np.hanning(len(values))
-    length = FINER * len(values)
+    length = OVERSAMPLING * len(values)
     amplitude = 2 * np.abs(np.fft.rfft((values - slow(time)) * window, length)) / window.sum()
-    return Spectrum(np.fft.rfftfreq(length, interval), amplitude, LOBE / (len(values) * interval))
+    return Spectrum(
+        np.fft.rfftfreq(length, interval), amplitude, LOBE_WIDTH / (len(values) * interval)
+    )
 
 
 def order(frequency: float, omega: float) -> float:

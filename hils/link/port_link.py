@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 
 from hils.clock import AbstractClock, MonotonicClock
 from hils.link.link import AbstractLink, Arrival, Inbox, LinkLost, LinkQuality, quality_of
@@ -12,18 +13,6 @@ from hils.link.ports import AbstractPort
 from hils.link.send_queue import SendQueue
 
 CHUNK = 4096  # read at once [bytes]
-
-
-STALL = 1.0  # a line that takes nothing for so long is lost [s]
-
-
-IDLE = 0.5  # longest wait of the thread, for what `wake` may have missed [s]
-
-
-LAST_WORDS = 0.25  # for what is still to be sent when the link is closed [s]
-
-
-JOIN = 5.0  # the thread never waits longer than a port's own time-out [s]
 
 
 NUMBERS_PER_SECOND = 2000
@@ -39,6 +28,26 @@ def first_number(time_of_day: float) -> int:
     return int(time_of_day * NUMBERS_PER_SECOND) % (1 << 31) or 1
 
 
+@dataclass(frozen=True)
+class PortLinkSettings:
+    """Patience of a link with its line.
+
+    Attributes:
+        stall_time: A line that takes nothing for so long is lost [s].
+        idle_time: Longest wait of the thread, for what `wake` may have missed [s].
+        flush_time: For frames still to be sent when the link is closed [s].
+        join_time: For the end of the thread [s]; it never waits longer than a port's own time-out.
+    """
+
+    stall_time: float = 1.0
+    idle_time: float = 0.5
+    flush_time: float = 0.25
+    join_time: float = 5.0
+
+
+DEFAULT_PORT_LINK = PortLinkSettings()
+
+
 class PortLink(AbstractLink):
     """A link over a port.
 
@@ -47,8 +56,9 @@ class PortLink(AbstractLink):
 
     Args:
         port: The port, which the link then owns.
-        clock: What arrivals are timed by; it must run with real time.
+        clock: Of the arrivals; it must run with real time.
         started: Called in the thread when it starts, as to give it a priority.
+        settings: Patience with the line.
     """
 
     def __init__(
@@ -56,10 +66,11 @@ class PortLink(AbstractLink):
         port: AbstractPort,
         clock: AbstractClock | None = None,
         started: Callable[[], None] | None = None,
+        settings: PortLinkSettings = DEFAULT_PORT_LINK,
     ):
         self._port = port
         self._clock = clock if clock is not None else MonotonicClock()
-        self._started = started
+        self._started, self._settings = started, settings
         self._inbox, self._outbox = Inbox(), SendQueue(first_number(time.time()))
         self._changed = threading.Condition()
         self._rest = b""
@@ -118,9 +129,9 @@ class PortLink(AbstractLink):
     def close(self) -> None:
         with self._changed:
             if self._closing is None:
-                self._closing = time.monotonic() + LAST_WORDS
+                self._closing = time.monotonic() + self._settings.flush_time
         self._port.wake()
-        self._thread.join(JOIN)
+        self._thread.join(self._settings.join_time)
         self._lose(f"{self.name} was let go")
         with suppress(LinkLost):
             self._port.close()
@@ -136,8 +147,9 @@ class PortLink(AbstractLink):
                 now = time.monotonic()
                 if self._write() or not self._rest:
                     progress = now
-                elif now - progress > STALL:
-                    raise LinkLost(f"{self.name} is lost: for {STALL:g} s it has taken nothing")
+                elif now - progress > self._settings.stall_time:
+                    stall = self._settings.stall_time
+                    raise LinkLost(f"{self.name} is lost: for {stall:g} s it has taken nothing")
                 self._port.wait(True, bool(self._rest), self._latest(now))
                 self._read()
         except LinkLost as lost:
@@ -147,7 +159,7 @@ class PortLink(AbstractLink):
             self._lose(f"{self.name} is lost: {type(error).__name__} {error}")
 
     def _write(self) -> bool:
-        """Send what the line takes now; whether it took anything."""
+        """Send as much as the line takes now; True where it took anything."""
         took = False
         while True:
             if not self._rest:
@@ -170,7 +182,8 @@ class PortLink(AbstractLink):
 
     def _latest(self, now: float) -> float:
         closing = self._closing
-        return now + IDLE if closing is None else min(closing, now + IDLE)
+        latest = now + self._settings.idle_time
+        return latest if closing is None else min(closing, latest)
 
     def _finished(self) -> bool:
         with self._changed:

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
@@ -20,32 +21,38 @@ from urllib.parse import urlsplit
 from drftjax.common.errors import InputError
 from hils.link.link import LinkLost
 
-# Two commands: more in the driver would be older than the newest by the time it is sent.
-BACKLOG = 64
-
-
 # URLs of pyserial's that open a device of this computer.
 DEVICE_URLS = ("hwgrep://", "spy://", "alt://")
 
 
-# How often a full driver, or a port without a descriptor, is looked at again [s].
-GLANCE = 1e-3
-
-
-# Of a socket [bytes], for the same reason; the kernel counts its own bookkeeping with it.
-SEND_BUFFER = 4096
-
-
-CONNECT_TIMEOUT = 5.0
-
-
-WRITE_TIMEOUT = 1.0
-
-
-LEAVE_TIME = 0.1  # for the last bytes to leave a port that is closed [s]
-
-
 LARGEST_BAUD = 12_000_000
+
+
+@dataclass(frozen=True)
+class PortSettings:
+    """Buffers and time-outs of a port.
+
+    Attributes:
+        backlog: Bytes in the driver over which nothing is added; two commands, for more would be
+            older than the newest by the time they are sent.
+        send_buffer: Of a socket [bytes], for the same reason; the kernel counts its own
+            bookkeeping with it.
+        poll_interval: From one look at a full driver, or at a port without a descriptor, to the
+            next [s].
+        connect_time: For a socket to connect [s].
+        write_time: For a write of pyserial's [s].
+        leave_time: For the last bytes to leave a port that is closed [s].
+    """
+
+    backlog: int = 64
+    send_buffer: int = 4096
+    poll_interval: float = 1e-3
+    connect_time: float = 5.0
+    write_time: float = 1.0
+    leave_time: float = 0.1
+
+
+DEFAULT_PORT = PortSettings()
 
 
 class AbstractPort(abc.ABC):
@@ -139,10 +146,10 @@ def _cause(error: Exception) -> str:
 class SerialPort(AbstractPort):
     """A serial device that pyserial has opened and set up, used by its descriptor."""
 
-    def __init__(self, device: Any, name: str):
+    def __init__(self, device: Any, name: str, settings: PortSettings = DEFAULT_PORT):
         import termios
 
-        self._device, self._name = device, name
+        self._device, self._name, self._settings = device, name, settings
         self._descriptor = device.fileno()
         self._full = False
         with _as_link_lost(name):
@@ -173,7 +180,7 @@ class SerialPort(AbstractPort):
     def write(self, data: bytes) -> int:
         with _as_link_lost(self._name):
             queued = self._queued()
-            self._full = queued > 0 and queued + len(data) > BACKLOG
+            self._full = queued > 0 and queued + len(data) > self._settings.backlog
             if self._full:
                 return 0
             try:
@@ -184,7 +191,10 @@ class SerialPort(AbstractPort):
     def wait(self, readable: bool, writable: bool, deadline: float) -> None:
         if writable and self._full:
             # The driver would take more, so it cannot tell when its queue is short again.
-            writable, deadline = False, min(deadline, time.monotonic() + GLANCE)
+            writable, deadline = (
+                False,
+                min(deadline, time.monotonic() + self._settings.poll_interval),
+            )
         with _as_link_lost(self._name):
             _poll(self._descriptor, self._waker, readable, writable, deadline)
 
@@ -193,9 +203,9 @@ class SerialPort(AbstractPort):
 
     def close(self) -> None:
         with suppress(Exception):
-            leave = time.monotonic() + LEAVE_TIME
+            leave = time.monotonic() + self._settings.leave_time
             while self._queued() and time.monotonic() < leave:
-                time.sleep(GLANCE)
+                time.sleep(self._settings.poll_interval)
             # Without this, closing waits up to 30 s for a device that takes nothing.
             self._device.reset_output_buffer()
         with suppress(Exception):
@@ -213,11 +223,16 @@ class SerialPort(AbstractPort):
 class SocketPort(AbstractPort):
     """A connected stream socket, or one end of a socket pair."""
 
-    def __init__(self, connected: socket.socket, name: str = "the socket"):
+    def __init__(
+        self,
+        connected: socket.socket,
+        name: str = "the socket",
+        settings: PortSettings = DEFAULT_PORT,
+    ):
         self._socket, self._name = connected, name
         with _as_link_lost(name):
             connected.setblocking(False)
-            connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, settings.send_buffer)
             if connected.family in (socket.AF_INET, socket.AF_INET6):
                 connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._waker = Waker()
@@ -259,8 +274,8 @@ class SocketPort(AbstractPort):
 class UrlPort(AbstractPort):
     """Any other port of pyserial's, `loop://` among them; it is looked at each millisecond."""
 
-    def __init__(self, device: Any, name: str):
-        self._device, self._name = device, name
+    def __init__(self, device: Any, name: str, settings: PortSettings = DEFAULT_PORT):
+        self._device, self._name, self._poll_interval = device, name, settings.poll_interval
         self._woken = threading.Event()
 
     @property
@@ -279,7 +294,7 @@ class UrlPort(AbstractPort):
         with _as_link_lost(self._name):
             while not (writable or (readable and self._device.in_waiting)):
                 left = deadline - time.monotonic()
-                if left <= 0.0 or self._woken.wait(min(left, GLANCE)):
+                if left <= 0.0 or self._woken.wait(min(left, self._poll_interval)):
                     break
         self._woken.clear()
 
@@ -301,13 +316,16 @@ def require_baud_rate(baud: int) -> None:
         raise InputError(f"baud rate is {baud}, must lie between 1 and {LARGEST_BAUD}")
 
 
-def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
+def open_port(
+    name: str, baud: int, exclusive: bool = True, settings: PortSettings = DEFAULT_PORT
+) -> AbstractPort:
     """Open a port.
 
     Args:
         name: A device, or a URL of pyserial's: socket://host:port, loop://.
         baud: Rate of a serial line [bit/s].
         exclusive: Refuse a device that another program holds, and hold it against others.
+        settings: Buffers and time-outs.
 
     Raises:
         InputError: the rate cannot be, or socket:// does not name a host and a port.
@@ -315,11 +333,12 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
     """
     require_baud_rate(baud)
     if name.lower().startswith("socket://"):
-        return _closed_on_failure(_connected(name), name, SocketPort)
+        connected = _connected(name, settings.connect_time)
+        return _closed_on_failure(connected, name, SocketPort, settings)
     import serial
 
     # A write must have a deadline; without waiting at all, pyserial loses what does not fit.
-    options: dict[str, Any] = {"timeout": 0.0, "write_timeout": WRITE_TIMEOUT}
+    options: dict[str, Any] = {"timeout": 0.0, "write_timeout": settings.write_time}
     if "://" not in name or name.lower().startswith(DEVICE_URLS):
         options["exclusive"] = exclusive
     try:
@@ -330,15 +349,18 @@ def open_port(name: str, baud: int, exclusive: bool = True) -> AbstractPort:
         # A URL that cannot be ends in whatever its handler stumbles over: KeyError, re.error.
         raise LinkLost(f"{name} cannot be opened: {_cause(error)}") from error
     if os.name == "posix" and isinstance(device, serial.Serial):
-        return _closed_on_failure(device, name, SerialPort)
-    return UrlPort(device, name)
+        return _closed_on_failure(device, name, SerialPort, settings)
+    return UrlPort(device, name, settings)
 
 
 def _closed_on_failure(
-    opened: Any, name: str, kind: Callable[[Any, str], AbstractPort]
+    opened: Any,
+    name: str,
+    kind: Callable[[Any, str, PortSettings], AbstractPort],
+    settings: PortSettings,
 ) -> AbstractPort:
     try:
-        return kind(opened, name)
+        return kind(opened, name, settings)
     except BaseException:
         opened.close()
         raise
@@ -358,7 +380,7 @@ def _refusal(error: Any, name: str) -> str:
     return _cause(error)
 
 
-def _connected(url: str) -> socket.socket:
+def _connected(url: str, connect_time: float) -> socket.socket:
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
@@ -367,7 +389,7 @@ def _connected(url: str) -> socket.socket:
     if not host or port is None:
         raise InputError(f"{url} cannot be opened: it must be socket://host:port")
     try:
-        return socket.create_connection((host, port), CONNECT_TIMEOUT)
+        return socket.create_connection((host, port), connect_time)
     except (OSError, UnicodeError) as error:
         raise LinkLost(f"{url} cannot be opened: {_cause(error)}") from error
 

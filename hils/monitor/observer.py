@@ -1,13 +1,15 @@
-"""Sees what a run says and records, and tells the live view about it, at most ten times a second.
+"""Publish the state of a run to the live view at up to 10 Hz, by wrapping row sink and prompts.
 
-It wraps where the rows go and whom the procedure talks to, so neither knows of it:
+Neither the recorder nor the procedure knows of it:
 
     rows, prompts = observer.rows(recorder), observer.prompts(terminal)
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,30 +19,44 @@ from hils.control.stop_request import StopRequest
 from hils.events import Event, Phase, TickFlag
 from hils.link.link import AbstractLink, LinkQuality
 from hils.monitor.live_view import LiveView
-from hils.monitor.status import INTERVAL, RecentMessages, RunStatus, finite_or_none, printable_line
+from hils.monitor.status import (
+    INTERVAL,
+    MOST_MESSAGES,
+    RunStatus,
+    finite_or_none,
+    printable_line,
+)
 from hils.procedure.active_runs import ActiveRun
 from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure
 from hils.recording.row_stream import OnlineRow
 from hils.recording.sinks import RowSink
 
-# A wheel that rolls slower has no slip worth telling [m/s].
-ROLLING = 1e-3
-
-
-# Frames are counted over this time [s].
-COUNTED = 1.0
-
-
 RAMPING, REFUSED = int(TickFlag.RAMPING), int(TickFlag.REFUSED)
 
 
-class RunInfo(NamedTuple):
-    """What does not change over a run.
+@dataclass(frozen=True)
+class ObserverSettings:
+    """Numbers of the view that are computed here.
 
     Attributes:
-        title: What people call it.
-        port, output: Where the rig is, and the run log.
+        min_rolling_speed: Speed of the rim under which there is no slip worth showing [m/s].
+        counting_time: Time over which frames are counted [s].
+    """
+
+    min_rolling_speed: float = 1e-3
+    counting_time: float = 1.0
+
+
+DEFAULT_OBSERVER = ObserverSettings()
+
+
+class RunInfo(NamedTuple):
+    """Facts that do not change over a run.
+
+    Attributes:
+        title: Of the run.
+        port, output: Of the rig, and the run log.
         duration: Of the profile [s].
         radius: Of the wheel [m].
     """
@@ -53,14 +69,15 @@ class RunInfo(NamedTuple):
 
 
 class RunObserver:
-    """Tells a run's scenes.
+    """Publishes the status of a run.
 
     Args:
-        run: What does not change.
-        show: Takes a scene, without waiting.
+        run: Facts that do not change.
+        show: Takes a status, without waiting.
         clock: Of the loop.
         quality: Of the link.
-        stop: Whether the run is to end.
+        stop: Requests to end the run.
+        settings: Of the slip and the traffic.
     """
 
     def __init__(
@@ -70,7 +87,9 @@ class RunObserver:
         clock: AbstractClock,
         quality: Callable[[], LinkQuality],
         stop: StopRequest,
+        settings: ObserverSettings = DEFAULT_OBSERVER,
     ):
+        self._settings = settings
         self._run, self._show, self._clock = run, show, clock
         self._named = {
             name: printable_line(getattr(run, name)) for name in ("title", "port", "output")
@@ -78,7 +97,7 @@ class RunObserver:
         self._quality, self._stop = quality, stop
         self._on = False
         self._due = -math.inf
-        self._words, self._later = RecentMessages(), list[str]()
+        self._words, self._later = deque[str](maxlen=MOST_MESSAGES), list[str]()
         self._phase, self._time = Phase.CHECKING, math.nan
         self._start = math.nan
         self._counted: LinkQuality | None = None
@@ -90,66 +109,66 @@ class RunObserver:
         self._latest = 0.0
 
     def rows(self, rows: RowSink) -> RowSink:
-        """Rows that are recorded as before, and seen."""
+        """Wrap a sink: rows are recorded as before, and observed."""
         return _ObservedRows(rows, self)
 
     def prompts(self, prompts: AbstractPrompts) -> AbstractPrompts:
-        """A prompts that is held on the view while that is there."""
+        """Wrap prompts: they appear on the view while that has the terminal."""
         return _ObservedPrompts(prompts, self)
 
     @property
     def is_showing(self) -> bool:
-        """Whether the view has the terminal."""
+        """True while the view has the terminal."""
         return self._on
 
     def begin(self) -> None:
         """Let the view have the terminal."""
         self._on = True
-        self._tell()
+        self._publish()
 
     def end(self) -> list[str]:
-        """The view has given it back.
+        """Note that the view has given it back.
 
         Returns:
-            What was told meanwhile.
+            Messages that came meanwhile.
         """
         self._on = False
         later, self._later = self._later, []
         return later
 
-    # What is seen -------------------------------------------------------------------------------
+    # Observation -------------------------------------------------------------------------------
 
     def on_phase(self, phase: Phase, lasts: float = math.nan) -> None:
-        """The run has come to this phase."""
+        """Take over a phase of the run, which lasts so long [s]."""
         self._phase = phase
         if phase is Phase.COUNTDOWN:
             self._start, self._time = self._clock.now() + lasts, -lasts
-        self._tell()
+        self._publish()
 
     def on_message(self, text: str) -> None:
-        """Something was said."""
-        self._words.add(text)
+        """Take over a message."""
+        self._words.append(printable_line(text))
         self._later.append(text)
-        self._tell()
+        self._publish()
 
     def on_command(self, time: float, omega: float, vx: float | None) -> None:
-        """The loop has asked this of the rig; the one thing that comes on each tick."""
+        """Take over a command; it is the one thing that comes on each tick."""
         self._time, self._omega, self._vx = time, omega, math.nan if vx is None else vx
-        self._tell_in_time(self._clock.now())
+        self._publish_if_due(self._clock.now())
 
     def on_sinkage(self, sinkage: float) -> None:
-        """The wheel is measured so deep before the loop begins."""
+        """Take over a sinkage measured before the loop begins [m]."""
         self._real, now = sinkage, self._clock.now()
         if self._phase is Phase.COUNTDOWN:
             self._time = now - self._start
-        self._tell_in_time(now)
+        self._publish_if_due(now)
 
     def on_measurement(self, z: float) -> None:
-        """A reading came."""
+        """Take over a height measured [m]."""
         self._real = -z
 
     def on_tick(self, row: OnlineRow) -> None:
-        """The loop has made a tick."""
+        """Take over a tick."""
         self._online = row
         self._latest = max(self._latest, row.late)
         if row.flags & REFUSED:
@@ -158,7 +177,7 @@ class RunObserver:
             self._phase = Phase.RAMPING
 
     def on_event(self, code: int, arg: float) -> None:
-        """Something beside the ticks."""
+        """Take over an event."""
         if code == Event.STARTED:
             self._phase = Phase.RUNNING
         elif code == Event.OVERRUN:
@@ -167,14 +186,14 @@ class RunObserver:
         elif code == Event.TICKS_SKIPPED:
             self._missed += max(int(arg) - 1, 0)
 
-    # What is told -------------------------------------------------------------------------------
+    # Publication -------------------------------------------------------------------------------
 
-    def _tell_in_time(self, now: float) -> None:
+    def _publish_if_due(self, now: float) -> None:
         if now >= self._due:
             self._due = now + INTERVAL
-            self._tell()
+            self._publish()
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         if not self._on:
             return
         sent, received, dropped = self._traffic()
@@ -199,29 +218,31 @@ class RunObserver:
                 received=received,
                 dropped=dropped,
                 stopping="" if wish is None else printable_line(wish.reason),
-                words=self._words.list(),
+                words=list(self._words),
             )
         )
 
     def _slip(self) -> float:
         rolling = self._run.radius * self._omega
-        return 1 - self._vx / rolling if abs(rolling) > ROLLING else math.nan
+        return (
+            1 - self._vx / rolling if abs(rolling) > self._settings.min_rolling_speed else math.nan
+        )
 
     def _traffic(self) -> tuple[float | None, float | None, int]:
         """Frames sent and received a second over the last while, and those dropped."""
         quality = self._quality()
         counted = self._counted or quality
         span = quality.time - counted.time
-        if span >= COUNTED:
+        if span >= self._settings.counting_time:
             self._sent = (quality.sent - counted.sent) / span
             self._received = (quality.received - counted.received) / span
-        if span >= COUNTED or self._counted is None:
+        if span >= self._settings.counting_time or self._counted is None:
             self._counted = quality
         return self._sent, self._received, quality.dropped
 
 
 class _ObservedRows:
-    """Rows that an observer sees."""
+    """Row sink that an observer sees."""
 
     def __init__(self, rows: RowSink, observer: RunObserver):
         self._rows, self._observer = rows, observer
@@ -262,25 +283,25 @@ class _ObservedRows:
 
 
 class _ObservedPrompts(AbstractPrompts):
-    """A prompts that goes to the view while that has the terminal."""
+    """Prompts that go to the view while that has the terminal."""
 
     def __init__(self, prompts: AbstractPrompts, observer: RunObserver):
-        self._dialogue, self._observer = prompts, observer
+        self._prompts, self._observer = prompts, observer
 
     def say(self, text: str) -> None:
         if self._observer.is_showing:
             self._observer.on_message(text)
         else:
-            self._dialogue.say(text)
+            self._prompts.say(text)
 
     def say_if_free(self, text: str) -> None:
         if self._observer.is_showing:
             self._observer.on_message(text)
         else:
-            self._dialogue.say_if_free(text)
+            self._prompts.say_if_free(text)
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
-        self._dialogue.confirm(text, meanwhile)
+        self._prompts.confirm(text, meanwhile)
 
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         self._observer.on_phase(phase, lasts)
@@ -290,7 +311,7 @@ class _ObservedPrompts(AbstractPrompts):
 
 
 class ObservedRun(NamedTuple):
-    """Where a run's rows and words go.
+    """Row sink and prompts of a run.
 
     Attributes:
         rows, prompts: To give to the run.
@@ -303,7 +324,7 @@ class ObservedRun(NamedTuple):
 
 
 def without_observer(rows: RowSink, prompts: AbstractPrompts) -> ObservedRun:
-    """Nobody looks on."""
+    """Run without a live view."""
     return ObservedRun(rows, prompts, lambda: None)
 
 
@@ -318,9 +339,9 @@ def with_live_view(
     prompts: AbstractPrompts,
     stop: StopRequest,
 ) -> Iterator[ObservedRun]:
-    """Within this there is a live view.
+    """Context of a run with a live view.
 
-    What is told while the view has the terminal is told to the prompts at the end.
+    Messages that come while the view has the terminal are said again at the end.
     """
     setup = procedure.loop.setup
     command = setup.command.build()

@@ -1,12 +1,11 @@
-"""What is to be seen of a run at one moment, as the control program tells its live view.
+"""Status of a run at one moment, as the control program sends it to its live view.
 
-Each scene says all there is to say, so that it does no harm when some are lost on the way. One is a
-line of JSON; a number that is not known is null.
+Each status is complete, so that it does no harm when some are lost on the way. One is a line of
+JSON; a number that is not known is null.
 """
 
 import math
 import select
-from collections import deque
 from typing import Final
 
 import msgspec
@@ -16,26 +15,26 @@ from hils.events import Phase
 INTERVAL: Final = 0.1
 
 
-"""From one scene to the next while the loop runs [s]."""
+"""From one status to the next while the loop runs [s]."""
 
 
 # A write of at most so many bytes into a pipe is done whole or not at all.
 WHOLE: Final[int] = getattr(select, "PIPE_BUF", 512)
 
 
-# Sentences that are told, and what is shown of one.
-MOST_WORDS, LONGEST_WORD = 3, 160
+# Sentences that are sent, and characters of one that are shown.
+MOST_MESSAGES, LONGEST_MESSAGE = 3, 160
 
 
 class RunStatus(msgspec.Struct, frozen=True, kw_only=True):
     """A run at one moment.
 
     Attributes:
-        phase: Where it is.
+        phase: Of the run.
         time: From the start; below 0 before it [s].
         duration: Of the profile [s].
-        title: What people call the run.
-        port, output: Where the rig is, and the run log.
+        title: Of the run.
+        port, output: Of the rig, and the run log.
         real, simulated: Sinkage [m].
         zeta: In use [-].
         slip: By the commands [-].
@@ -45,8 +44,8 @@ class RunStatus(msgspec.Struct, frozen=True, kw_only=True):
         missed, refused: Deadlines and readings so far.
         sent, received: Frames a second.
         dropped: Frames that did not count, so far.
-        stopping: Why the run is being ended; empty where it is not.
-        words: What was last told.
+        stopping: Reason why the run is being ended; empty where it is not.
+        words: Last sentences.
     """
 
     phase: Phase = Phase.CHECKING
@@ -72,7 +71,7 @@ class RunStatus(msgspec.Struct, frozen=True, kw_only=True):
     words: list[str] = []
 
     def line(self) -> bytes:
-        """The scene as it is sent; what is told is left out where it would be too long."""
+        """The status as it is sent; its sentences are left out where it would be too long."""
         line = _ENCODER.encode(self) + b"\n"
         if len(line) > WHOLE:
             line = _ENCODER.encode(msgspec.structs.replace(self, words=[], title="")) + b"\n"
@@ -80,13 +79,13 @@ class RunStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StatusReader:
-    """Bytes from a pipe into scenes; what is no scene is passed over."""
+    """Reads statuses from a pipe; a line that is none is passed over."""
 
     def __init__(self):
         self._rest = b""
 
     def feed(self, data: bytes) -> list[RunStatus]:
-        """The scenes that are complete with these bytes."""
+        """Statuses that are complete with these bytes."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         found = []
         for line in lines:
@@ -97,26 +96,11 @@ class StatusReader:
         return found
 
 
-class RecentMessages:
-    """The last sentences that were told, each as one short line of replace_unprintable text."""
-
-    def __init__(self):
-        self._kept: deque[str] = deque(maxlen=MOST_WORDS)
-
-    def add(self, text: str) -> None:
-        """One more."""
-        self._kept.append(printable_line(text))
-
-    def list(self) -> list[str]:
-        """The oldest first."""
-        return list(self._kept)
-
-
 def printable_line(text: str) -> str:
-    """A line without anything that a terminal could take for an order."""
+    """A line without anything that a terminal could take for a control sequence."""
     line = " ".join(text.split())
     line = "".join(each if each.isprintable() else "?" for each in line)
-    return line if len(line) <= LONGEST_WORD else line[: LONGEST_WORD - 1] + "…"
+    return line if len(line) <= LONGEST_MESSAGE else line[: LONGEST_MESSAGE - 1] + "…"
 
 
 def finite_or_none(value: float) -> float | None:

@@ -1,6 +1,6 @@
-"""The live view: a process that draws what the control program tells it, and takes the stop key.
+"""The live view: a process that draws the state of a run, and takes the stop key.
 
-It has the terminal from the first scene until the control program closes the pipe or dies, and
+It has the terminal from the first status until the control program closes the pipe or dies, and
 then gives it back. The stop key does what `drft hils stop` does.
 """
 
@@ -11,124 +11,128 @@ import signal
 import sys
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
+from rich.console import Console
+from rich.live import Live
 
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL
 from hils.monitor.dashboard import Dashboard
 from hils.monitor.status import StatusReader
-from hils.monitor.terminal import ENTER, LEAVE, Keyboard, write
+from hils.monitor.terminal import Keyboard
 from hils.procedure.active_runs import ActiveRun, send_signal
 
-STOP, EMERGENCY = b"sSqQ ", b"eE"
-
-
-# The picture is drawn no more often than this [s].
-DRAWN: Final = 0.15
-
-
-# Without news the picture is drawn anew so often [s].
-PAUSE: Final = 0.25
-
-
-_HOME, _LINE_END, _REST = b"\x1b[H", b"\x1b[K", b"\x1b[J"
-
+STOP_KEYS, EMERGENCY_KEYS = b"sSqQ ", b"eE"
 
 # Arrows and function keys, which hold letters.
 _SEQUENCE: Final = re.compile(rb"\x1b(?:\[[0-9;?]*[@-~]|O.|.)?", re.DOTALL)
 
-
 _INPUT, _OUTPUT = 0, 1
 
 
+@dataclass(frozen=True)
+class ViewSettings:
+    """Rhythm of the drawing.
+
+    Attributes:
+        shortest_interval: From one picture to the next, at least [s].
+        longest_interval: From one picture to the next without news [s].
+    """
+
+    shortest_interval: float = 0.15
+    longest_interval: float = 0.25
+
+
+DEFAULT_VIEW = ViewSettings()
+
+
 class StopKey:
-    """What keys ask for. A key that is held down asks for one stop, never for two."""
+    """Signals that keys ask for. A key that is held down asks for one stop, never for two."""
 
     def __init__(self):
-        self._asked = False
+        self._pressed = False
 
     def press(self, typed: bytes) -> list[signal.Signals]:
         """Signals for the control program."""
-        wanted = []
+        signals = []
         for key in _SEQUENCE.sub(b"", typed):
-            if key in EMERGENCY:
-                wanted.append(EMERGENCY_SIGNAL)
-            elif key in STOP and not self._asked:
-                self._asked = True
-                wanted.append(STOP_SIGNAL)
-        return wanted
+            if key in EMERGENCY_KEYS:
+                signals.append(EMERGENCY_SIGNAL)
+            elif key in STOP_KEYS and not self._pressed:
+                self._pressed = True
+                signals.append(STOP_SIGNAL)
+        return signals
 
 
 class View:
-    """Draws scenes from a pipe until it ends.
+    """Draws the state of a run from a pipe until that ends.
 
     Args:
-        scenes: The pipe's reading end.
-        run: What the stop key ends.
+        pipe: Reading end of the pipe.
+        run: Run that the stop key ends.
+        settings: Rhythm of the drawing.
     """
 
-    def __init__(self, scenes: int, run: ActiveRun):
-        self._pipe, self._run = scenes, run
-        self._keyboard, self._key = Keyboard(_INPUT), StopKey()
-        self._heard = [scenes]
-        self._scenes, self._picture = StatusReader(), Dashboard()
-        self._on = False
-        self._drawn = 0.0
+    def __init__(self, pipe: int, run: ActiveRun, settings: ViewSettings = DEFAULT_VIEW):
+        self._pipe, self._run, self._settings = pipe, run, settings
+        self._keyboard, self._key, self._sources = Keyboard(_INPUT), StopKey(), [pipe]
+        self._reader, self._dashboard = StatusReader(), Dashboard(self._keyboard.is_available)
+        output = os.fdopen(_OUTPUT, "w", encoding="utf-8", errors="replace", closefd=False)
+        self._live = Live(
+            self._dashboard,
+            console=Console(file=output, force_terminal=True, legacy_windows=False),
+            screen=True,
+            auto_refresh=False,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
 
     def run(self) -> None:
-        """Until the pipe ends; the terminal is given back whatever happens."""
+        """Draw until the pipe ends; the terminal is given back whatever happens."""
+        drawn = 0.0
         try:
-            while self._look():
+            while self._read():
                 now = time.monotonic()
-                if self._on and now - self._drawn >= DRAWN:
-                    self._drawn = now
-                    self._draw(now)
+                if self._live.is_started and now - drawn >= self._settings.shortest_interval:
+                    drawn = now
+                    with suppress(OSError):  # the terminal is gone
+                        self._live.refresh()
         finally:
-            if self._on:
-                self._keyboard.release()
-                write(_OUTPUT, LEAVE)
+            self._keyboard.release()
+            with suppress(OSError):
+                self._live.stop()
 
-    def _look(self) -> bool:
-        """Take what has come; whether there may be more."""
-        ready, _, _ = select.select(self._heard, [], [], PAUSE)
+    def _read(self) -> bool:
+        """Take keys and news; True where more may come."""
+        ready, _, _ = select.select(self._sources, [], [], self._settings.longest_interval)
         if _INPUT in ready:
             self._take_keys()
         if self._pipe not in ready:
             return True
         data = os.read(self._pipe, 2**16)
-        for scene in self._scenes.feed(data):
-            self._begin()
-            self._picture.add(scene, time.monotonic())
+        for status in self._reader.feed(data):
+            self._dashboard.add(status, time.monotonic())
+            if not self._live.is_started:
+                self._begin()
         return bool(data)
 
     def _begin(self) -> None:
-        if self._on:
-            return
-        self._on = True
         self._keyboard.read_by_key()
-        write(_OUTPUT, ENTER)
+        with suppress(OSError):
+            self._live.start()
         if self._keyboard.is_available:
-            self._heard.append(_INPUT)
+            self._sources.append(_INPUT)
 
     def _take_keys(self) -> None:
         typed = b""
         with suppress(OSError):
             typed = os.read(_INPUT, 1024)
         if not typed:  # the terminal is gone
-            self._heard.remove(_INPUT)
+            self._sources.remove(_INPUT)
         for kind in self._key.press(typed):
             send_signal(self._run, kind)
-
-    def _draw(self, now: float) -> None:
-        try:
-            width, height = os.get_terminal_size(_OUTPUT)
-        except OSError:
-            return
-        width, height = max(width, 20), max(height, 4)
-        lines = self._picture.lines(width, height, now, self._keyboard.is_available)
-        text = (_LINE_END + b"\r\n").join(line.encode("utf-8", "replace") for line in lines)
-        write(_OUTPUT, _HOME + text + _LINE_END + _REST)
 
 
 def main() -> None:

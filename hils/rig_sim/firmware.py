@@ -8,6 +8,7 @@ an emergency stop or the end of the session leads to, is left only by a new HELL
 import math
 import struct
 from collections import Counter
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -40,10 +41,28 @@ from hils.link.messages import (
 )
 from hils.link.timing import LEAST_WATCHDOG_US, watchdog_ms, watchdog_us
 
-SILENCE = 0.02  # without a command, a measurement goes out this often [s]
+
+@dataclass(frozen=True)
+class FirmwareSettings:
+    """Rhythm of the firmware.
+
+    Attributes:
+        clock_interval: From one look at its clock to the next, at most [s].
+        measurement_interval: From one measurement to the next without a command [s]; 20 ms by
+            docs/wire.md.
+        stop_tries: Times that an emergency stop is sent until the host answers; five by
+            docs/wire.md.
+        stop_interval: From one of them to the next [s]; 50 ms by docs/wire.md. Frames of another
+            session are answered no more often either.
+    """
+
+    clock_interval: float = 0.002
+    measurement_interval: float = 0.02
+    stop_tries: int = 5
+    stop_interval: float = 0.05
 
 
-REPEATS, REPEAT_AFTER = 5, 0.05  # of an emergency stop, until the host answers [s]
+DEFAULT_FIRMWARE = FirmwareSettings()
 
 
 class RigIdentity(msgspec.Struct, frozen=True):
@@ -86,16 +105,25 @@ class RigProtocol:
     Args:
         identity: What HELLO_ACK tells, and the slew limits.
         start: The clock's reading at power-up [s].
+        settings: Rhythm.
 
     Attributes:
         state: IDLE, ARMED, RUNNING, SAFE or FAULT.
-        reason: Why it was last changed.
-        demand: What the motors are to do now.
+        reason: Of its last change.
+        demand: Set-point of the motors now.
     """
 
-    def __init__(self, identity: RigIdentity, start: float = 0.0):
-        self._identity = identity
-        self._omega_max, self._vx_max = _single(identity.omega_max), _single(identity.vx_max)
+    def __init__(
+        self,
+        identity: RigIdentity,
+        start: float = 0.0,
+        settings: FirmwareSettings = DEFAULT_FIRMWARE,
+    ):
+        self._identity, self._settings = identity, settings
+        self._omega_max, self._vx_max = (
+            _as_float32(identity.omega_max),
+            _as_float32(identity.vx_max),
+        )
         self._splitter = FrameSplitter()
         self._drops: Counter[Drop] = Counter()
         self.state = RigState.IDLE
@@ -103,21 +131,21 @@ class RigProtocol:
         self.demand = self._target = MotorDemand(0.0, 0.0, False)
         self._session: int | None = None
         self._last_heard, self._next_seq = 0, 1
-        self._greeted = False
+        self._hello_received = False
         self._watchdog = LEAST_WATCHDOG_US * 1e-6
-        self._commanded = self._lapses = math.inf
+        self._last_command = self._command_expires = math.inf
         self._now = self._measured = start
-        self._answered = -math.inf
+        self._foreign_answered = -math.inf
         self._ack_seq, self._z, self._x, self._omega, self._fault = 0, 0, 0, 0.0, 0
         self._repeats: list[float] = []
         self._stop_reason = 0
         self._out = b""
 
     def advance(self, now: float, data: bytes) -> bytes:
-        """Live up to this time, take these bytes then; the bytes that have come out."""
-        self._live(now)
+        """Advance to this time [s], take these bytes then; return the bytes that have come out."""
+        self._advance_to(now)
         for packet in self._splitter.packets(data):
-            self._hear(packet)
+            self._receive(packet)
         out, self._out = self._out, b""
         return out
 
@@ -133,40 +161,43 @@ class RigProtocol:
 
     def emergency_stop(self, reason: int, now: float) -> bytes:
         """Somebody pressed the rig's own button: rest at once, SAFE, and tell the host."""
-        return self._halt(RigState.SAFE, reason, 0, now)
+        return self._stop_at_once(RigState.SAFE, reason, 0, now)
 
     def fail(self, reason: int, fault: int, now: float) -> bytes:
         """The rig found a fault of its own: rest at once, FAULT until power-up, tell the host."""
-        return self._halt(RigState.FAULT, reason, fault, now)
+        return self._stop_at_once(RigState.FAULT, reason, fault, now)
 
     # What happens by itself ------------------------------------------------------------------
 
-    def _live(self, now: float) -> None:
+    def _advance_to(self, now: float) -> None:
         now = max(now, self._now)
         while self.state in READY:
-            starved = self._commanded + self._watchdog
-            if min(starved, self._lapses) > now:
+            starved = self._last_command + self._watchdog
+            if min(starved, self._command_expires) > now:
                 break
-            if self._lapses < starved:
-                self._ramp(self._lapses)
-                self._target, self._lapses = self._rest(), math.inf
+            if self._command_expires < starved:
+                self._ramp(self._command_expires)
+                self._target, self._command_expires = self._rest(), math.inf
             else:
                 self._ramp(starved)
                 self._go_safe(Reason.WATCHDOG)
         self._ramp(now)
         while self._repeats and self._repeats[0] <= now:
             self._repeats.pop(0)
-            self._say(EmergencyStop(self._stop_reason))
-        if self._session is not None and now >= self._measured + SILENCE:
+            self._send(EmergencyStop(self._stop_reason))
+        interval = self._settings.measurement_interval
+        if self._session is not None and now >= self._measured + interval:
             # Someone who calls late gets one measurement, not all that were due.
-            late = now - self._measured >= 2 * SILENCE
-            self._tell_measurement(now if late else self._measured + SILENCE)
+            late = now - self._measured >= 2 * interval
+            self._send_measurement(now if late else self._measured + interval)
 
     def _ramp(self, now: float) -> None:
         elapsed, self._now = max(0.0, now - self._now), max(now, self._now)
         target, limits = self._target, self._identity
-        omega = _towards(self.demand.omega, target.omega, limits.omega_slew * elapsed)
-        vx = _towards(self.demand.vx, target.vx, limits.vx_slew * elapsed) if target.driven else 0.0
+        omega = _approach(self.demand.omega, target.omega, limits.omega_slew * elapsed)
+        vx = (
+            _approach(self.demand.vx, target.vx, limits.vx_slew * elapsed) if target.driven else 0.0
+        )
         self.demand = MotorDemand(omega, vx, target.driven)
 
     def _rest(self) -> MotorDemand:
@@ -174,7 +205,7 @@ class RigProtocol:
 
     # What the host says ----------------------------------------------------------------------
 
-    def _hear(self, packet: bytes) -> None:
+    def _receive(self, packet: bytes) -> None:
         frame = decode(packet)
         if isinstance(frame, Drop):
             self._drop(frame)
@@ -184,13 +215,13 @@ class RigProtocol:
             if isinstance(frame.message, Hello):
                 self._open(frame, frame.message)
             else:
-                self._hear_stranger(frame)
+                self._answer_foreign(frame)
         elif not is_newer(frame.seq, self._last_heard):
             self._drop(Drop.ORDER)
         else:
-            self._obey(frame)
+            self._handle(frame)
 
-    def _obey(self, frame: Frame) -> None:
+    def _handle(self, frame: Frame) -> None:
         self._last_heard = frame.seq
         match frame.message:
             case Hello() as hello:
@@ -200,15 +231,15 @@ class RigProtocol:
             case Drive() as command:
                 self._command(command, frame.seq)
             case Stop():
-                self._target, self._lapses = self._rest(), math.inf
+                self._target, self._command_expires = self._rest(), math.inf
                 if self.state is RigState.RUNNING:
-                    self._turn(RigState.ARMED, Reason.HOST_STOPPED)
-                self._tell_state()
+                    self._set_state(RigState.ARMED, Reason.HOST_STOPPED)
+                self._send_state()
             case EmergencyStop():
                 self._repeats.clear()
                 self._go_safe(Reason.HOST_STOPPED, at_once=True)
             case Bye():
-                self._bid_farewell()
+                self._end_session()
 
     def _open(self, frame: Frame, hello: Hello) -> None:
         if self.state in READY:
@@ -216,15 +247,15 @@ class RigProtocol:
         understood = hello.schema == SCHEMA
         possible = hello.tick_us > 0 and watchdog_ms(hello.tick_us) <= U16
         if understood and not possible:
-            self._say(StateReport(self.state, Reason.HELLO_REFUSED, self._identity.boot_id), frame)
+            self._send(StateReport(self.state, Reason.HELLO_REFUSED, self._identity.boot_id), frame)
             return
         if understood:
-            self._session, self._last_heard, self._greeted = frame.session, frame.seq, True
+            self._session, self._last_heard, self._hello_received = frame.session, frame.seq, True
             self._watchdog = watchdog_us(hello.tick_us) * 1e-6
             self._measured, self._ack_seq = self._now, 0
             self._repeats.clear()
         me = self._identity
-        self._say(
+        self._send(
             HelloAck(
                 *(me.rig_id, me.boot_id, me.z_scale, me.x_scale, me.omega_max, me.vx_max),
                 watchdog_ms(hello.tick_us) if possible else 0,
@@ -235,13 +266,13 @@ class RigProtocol:
 
     def _arm(self) -> None:
         if self.state in (RigState.IDLE, RigState.SAFE):
-            if self._greeted:
-                self._turn(RigState.ARMED, Reason.NONE)
-                self._target, self._lapses = self._rest(), math.inf
-                self._commanded = self._now
+            if self._hello_received:
+                self._set_state(RigState.ARMED, Reason.NONE)
+                self._target, self._command_expires = self._rest(), math.inf
+                self._last_command = self._now
             else:
                 self.reason = Reason.HELLO_NEEDED
-        self._tell_state()
+        self._send_state()
 
     def _command(self, command: Drive, seq: int) -> None:
         self._ack_seq = seq
@@ -251,33 +282,33 @@ class RigProtocol:
                 self._target = MotorDemand(
                     command.omega, command.vx if command.driven else 0.0, command.driven
                 )
-                self._commanded = self._now
-                self._lapses = self._now + command.valid_ms * 1e-3
+                self._last_command = self._now
+                self._command_expires = self._now + command.valid_ms * 1e-3
                 if self._target[:2] != (0.0, 0.0):
-                    self._turn(RigState.RUNNING, Reason.NONE)
+                    self._set_state(RigState.RUNNING, Reason.NONE)
             else:
                 self.reason = Reason.COMMAND_REFUSED
-                self._tell_state()
-        self._tell_measurement(self._now)
+                self._send_state()
+        self._send_measurement(self._now)
 
-    def _bid_farewell(self) -> None:
+    def _end_session(self) -> None:
         if self.state in READY:
             self._target = self._rest()
-            self._turn(RigState.IDLE, Reason.BYE)
-        self._greeted = False
+            self._set_state(RigState.IDLE, Reason.BYE)
+        self._hello_received = False
         self._repeats.clear()
-        self._tell_state()
+        self._send_state()
         self._session = None
 
-    def _hear_stranger(self, frame: Frame) -> None:
+    def _answer_foreign(self, frame: Frame) -> None:
         self._drop(Drop.SESSION)
         if self.state in READY:
             self._go_safe(Reason.ANOTHER_SESSION, isinstance(frame.message, EmergencyStop))
-            self._answered = -math.inf
+            self._foreign_answered = -math.inf
         # Told which boot this is, a host sees that the rig was reset under it.
-        if self._now - self._answered >= REPEAT_AFTER:
-            self._answered = self._now
-            self._say(
+        if self._now - self._foreign_answered >= self._settings.stop_interval:
+            self._foreign_answered = self._now
+            self._send(
                 StateReport(self.state, Reason.ANOTHER_SESSION, self._identity.boot_id), frame
             )
 
@@ -286,43 +317,44 @@ class RigProtocol:
 
     # What follows from it --------------------------------------------------------------------
 
-    def _turn(self, state: RigState, reason: int) -> None:
+    def _set_state(self, state: RigState, reason: int) -> None:
         self.state, self.reason = state, reason
 
     def _go_safe(self, reason: int, at_once: bool = False) -> None:
         """Latch SAFE: the wheel ramps to rest, or stops at once; the carriage always does."""
         if self.state is not RigState.FAULT:
-            self._turn(RigState.SAFE, reason)
+            self._set_state(RigState.SAFE, reason)
         self._target = self._rest()
         omega = 0.0 if at_once else self.demand.omega
         self.demand = MotorDemand(omega, 0.0, self._target.driven)
-        self._greeted = False
-        self._tell_state()
+        self._hello_received = False
+        self._send_state()
 
-    def _halt(self, state: RigState, reason: int, fault: int, now: float) -> bytes:
-        self._live(now)
+    def _stop_at_once(self, state: RigState, reason: int, fault: int, now: float) -> bytes:
+        self._advance_to(now)
         self._fault = fault or self._fault
         self._stop_reason = reason
-        self._say(EmergencyStop(reason))
-        self._repeats = [self._now + REPEAT_AFTER * each for each in range(1, REPEATS)]
+        self._send(EmergencyStop(reason))
+        interval, tries = self._settings.stop_interval, self._settings.stop_tries
+        self._repeats = [self._now + interval * each for each in range(1, tries)]
         if state is RigState.FAULT:
-            self._turn(state, reason)
+            self._set_state(state, reason)
         self._go_safe(reason, at_once=True)
         out, self._out = self._out, b""
         return out
 
     # What the rig says -----------------------------------------------------------------------
 
-    def _tell_state(self) -> None:
-        self._say(StateReport(self.state, self.reason, self._identity.boot_id))
+    def _send_state(self) -> None:
+        self._send(StateReport(self.state, self.reason, self._identity.boot_id))
 
-    def _tell_measurement(self, due: float) -> None:
+    def _send_measurement(self, due: float) -> None:
         self._measured = due
-        self._say(
+        self._send(
             Measurement(self._ack_seq, self._z, self._x, self._omega, self.state, self._fault)
         )
 
-    def _say(self, message: Message, asker: Frame | None = None) -> None:
+    def _send(self, message: Message, asker: Frame | None = None) -> None:
         session = self._session if asker is None else asker.session
         if session is None:  # nobody has said HELLO yet
             return
@@ -330,7 +362,7 @@ class RigProtocol:
         self._next_seq = (self._next_seq + 1) & U32
 
 
-def _single(value: float) -> float:
+def _as_float32(value: float) -> float:
     """The value as its 32-bit field on the wire holds it."""
     return struct.unpack("<f", struct.pack("<f", value))[0]
 
@@ -340,5 +372,5 @@ def _counts(value: int) -> int:
     return max(-(1 << 31), min((1 << 31) - 1, value))
 
 
-def _towards(value: float, target: float, most: float) -> float:
+def _approach(value: float, target: float, most: float) -> float:
     return value + max(-most, min(most, target - value))

@@ -6,6 +6,7 @@ touch-down; it is then let down on a damper, slowly enough that it stands where 
 """
 
 import dataclasses
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -31,12 +32,20 @@ from hils.rig_sim.firmware import MotorDemand
 CHANNELS = ("time", "x", "z", "vx", "vz", "omega", "fx", "fz", "zeta")
 
 
-# The damper lets the wheel down at this speed until the sand bears it [m/s].
-LOWERING_SPEED = 0.06
+@dataclass(frozen=True)
+class LoweringSettings:
+    """Damper that lets the wheel down onto the sand.
+
+    Attributes:
+        speed: Of the wheel, until the sand bears it [m/s].
+        time: From the release to when the damper lets go, the wheel having stood for a second [s].
+    """
+
+    speed: float = 0.06
+    time: float = 1.5
 
 
-# It lets go this long after the release, when the wheel has stood for a second [s].
-LOWERING_TIME = 1.5
+DEFAULT_LOWERING = LoweringSettings()
 
 
 class RigMotion(NamedTuple):
@@ -127,10 +136,13 @@ class RigPhysics:
     Args:
         simulator: Every number of wheel, sand and rig; its carriage is not used.
         step: Integrator step [s].
+        lowering: Damper that lets the wheel down.
     """
 
-    def __init__(self, simulator: Simulator, step: float):
-        self.step = step
+    def __init__(
+        self, simulator: Simulator, step: float, lowering: LoweringSettings = DEFAULT_LOWERING
+    ):
+        self.step, self.lowering = step, lowering
         simulator = simulator.prepared()
         self.lowest = -float(simulator.wheel.cut().sinkage_limit)
         self._weight = float(simulator.rig.mass_z * simulator.rig.gravity)
@@ -180,7 +192,7 @@ class RigPhysics:
             packed: State before.
             steps: Integrator steps to make.
             start, end: Demand at either end of the block; the carriage is as `end` says.
-            lowering: Whether the damper still lets the wheel down.
+            lowering: True while the damper still lets the wheel down.
             firmness: Factor of the bed on zeta [-].
         """
         if steps < 1:
@@ -193,7 +205,7 @@ class RigPhysics:
                 start.vx,
                 (end.vx - start.vx) / steps,
                 end.driven,
-                lowering * self._weight / LOWERING_SPEED,
+                lowering * self._weight / self.lowering.speed,
                 firmness,
             ],
             self._held.dtype,

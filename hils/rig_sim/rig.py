@@ -21,14 +21,16 @@ from hils.link.messages import READY, U32, VIRTUAL_RIG, HelloAck, Reason, RigSta
 from hils.rig_sim.config import VirtualSetUp
 from hils.rig_sim.fault_injection import FaultInjector
 from hils.rig_sim.faults import FaultScript, split_frames
-from hils.rig_sim.firmware import SILENCE, MotorDemand, RigIdentity, RigProtocol
-from hils.rig_sim.physics import LOWERING_TIME, REST, RigMotion, RigPhysics
+from hils.rig_sim.firmware import (
+    DEFAULT_FIRMWARE,
+    FirmwareSettings,
+    MotorDemand,
+    RigIdentity,
+    RigProtocol,
+)
+from hils.rig_sim.physics import REST, RigMotion, RigPhysics
 from hils.rig_sim.sensors import RandomStream, SensorNoise
 from hils.rig_sim.serial_line import INSTANT, DelayedPacket, SerialLine
-
-# The firmware looks at its clock at least this often [s].
-LOOK = 0.002
-
 
 # Fragments longer than any frame pass as they are.
 LONGEST_FRAGMENT = 256
@@ -61,17 +63,18 @@ class RigStateChange(NamedTuple):
 
 
 class VirtualRig:
-    """A rig that lives in whatever time it is told.
+    """A rig that is advanced in time by its caller.
 
     Args:
         setup: Its numbers.
         physics: Of the same set-up, compiled; made anew where none is given.
-        script: What shall go wrong.
+        script: Its faults.
         seed: Of noise, bed preparation and boot numbers.
         baud: Bits a second on the wire, both ways; 0 for no pacing.
         latency: The host's USB adapter's latency timer [s].
         start: Time at power-up by the host's clock [s].
-        boots: How often it has had power before; another number gives other boot numbers.
+        boots: Count of power-ups before; another number gives other boot numbers.
+        firmware: Rhythm of the firmware.
     """
 
     def __init__(
@@ -84,17 +87,18 @@ class VirtualRig:
         latency: float = 0.0,
         start: float = 0.0,
         boots: int = 0,
+        firmware: FirmwareSettings = DEFAULT_FIRMWARE,
     ):
         setup.check()
-        self._setup, self._seed = setup, seed
+        self._setup, self._seed, self._firmware = setup, seed, firmware
         self._physics = physics or setup.build()
         self._faults = FaultInjector(script or FaultScript())
         self._noise = SensorNoise(seed)
         self._inward, self._outward = SerialLine(baud), SerialLine(baud, latency)
         self._fragment = b""
-        self._start = self._now = self._heard = self._said = start
+        self._start = self._now = self._heard = self._sent_at = start
         self._boots = boots
-        self._place(self._physics.held())
+        self._set_physics_state(self._physics.held())
         self._beds, self._firmness = 0, 1.0
         self._released: float | None = None
         self._synced = start  # the physics has come this far
@@ -143,10 +147,10 @@ class VirtualRig:
 
     def advance_unplugged(self, now: float, data: bytes = b"") -> bytes:
         """As `advance`; while the plug is out, nothing passes and nothing is raised."""
-        self._hear(data, max(now, self._now))
+        self._receive(data, max(now, self._now))
         while (event := self._next_own()) < now - INSTANT:
-            self._live_to(event)
-        self._live_to(max(now, self._now))
+            self._advance_to(event)
+        self._advance_to(max(now, self._now))
         return self._outward.take(self._now)
 
     def next_event(self) -> float:
@@ -155,10 +159,11 @@ class VirtualRig:
 
     def _next_own(self) -> float:
         """Time at which something next happens in the rig, past the present [s]."""
-        times = [self._inward.next_event(), self._faults.next_edge(self._now), self._now + LOOK]
+        times = [self._inward.next_event(), self._faults.next_edge(self._now)]
+        times.append(self._now + self._firmware.clock_interval)
         return max(min(times), math.nextafter(self._now, math.inf))
 
-    def _hear(self, data: bytes, now: float) -> None:
+    def _receive(self, data: bytes, now: float) -> None:
         """Bytes that the host sends now set out, in frames where they make some."""
         if not data or self._faults.is_unplugged(now):
             return
@@ -170,7 +175,7 @@ class VirtualRig:
         self._fragment = rest
         self._inward.send(packets)
 
-    def _live_to(self, now: float) -> None:
+    def _advance_to(self, now: float) -> None:
         self._now = now
         if self._faults.is_unplugged(now):
             self._inward.clear()
@@ -187,17 +192,18 @@ class VirtualRig:
         if data:
             self._heard = now
         before, out = protocol.state, b""
-        if data or now >= self._said + SILENCE - LOOK:  # something may go out
+        look, silence = self._firmware.clock_interval, self._firmware.measurement_interval
+        if data or now >= self._sent_at + silence - look:  # something may go out
             self._sync(now, protocol.demand)
             self._measure(protocol, now)
             out = self._own_faults(protocol, now)
         out += protocol.advance(self._rig_time(now), data)
-        self._note(protocol, before, now)
+        self._follow_state(protocol, before, now)
         if not out:
-            if now >= self._said + SILENCE + LOOK:
-                self._said = now
+            if now >= self._sent_at + silence + look:
+                self._sent_at = now
             return
-        self._said = now
+        self._sent_at = now
         frames, _ = split_frames(b"", out)
         if any(len(frame) == wire_bytes(HelloAck) for frame in frames):
             self._faults.mark("hello", now)
@@ -206,7 +212,7 @@ class VirtualRig:
         if not self._faults.is_unplugged(now):
             self._outward.send(self._faults.packets(frames, "host", now))
 
-    def _note(self, protocol: RigProtocol, before: RigState, now: float) -> None:
+    def _follow_state(self, protocol: RigProtocol, before: RigState, now: float) -> None:
         """Follow a change of the firmware's state: occasions of faults, release of the wheel."""
         if protocol.demand.omega != 0:
             self._faults.mark("motion", now)
@@ -237,7 +243,7 @@ class VirtualRig:
             omega_slew=limits.omega_slew,
             vx_slew=limits.vx_slew,
         )
-        self._protocol = RigProtocol(identity, self._rig_time(self._now))
+        self._protocol = RigProtocol(identity, self._rig_time(self._now), self._firmware)
         motion = self.motion
         self._zero = motion.z, motion.x
         self.changes.append(
@@ -254,7 +260,7 @@ class VirtualRig:
         """Somebody lifts the wheel to touch-down, and prepares the bed where it has stood in it."""
         if self._beds and self._released is None:
             return
-        self._place(self._physics.held())
+        self._set_physics_state(self._physics.held())
         self._released, self._drive = None, REST
         self._firmness = self._setup.bed.firmness(self._seed, self._beds)
         self._beds += 1
@@ -268,7 +274,7 @@ class VirtualRig:
             return
         while self._synced < now:
             # The damper lets go between two blocks.
-            lowered = self._released + LOWERING_TIME
+            lowered = self._released + self._physics.lowering.time
             lowering = self._synced < lowered - INSTANT  # whole steps end a rounding beside it
             end = min(now, lowered) if lowering else now
             steps = math.floor((end - self._synced) / self._physics.step + 1e-6)
@@ -277,7 +283,7 @@ class VirtualRig:
             if steps < 1:
                 return
             given = self._faults.demand(demand, now)
-            self._place(
+            self._set_physics_state(
                 self._physics.advance(
                     self._packed, steps, self._drive, given, lowering, self._firmness
                 )
@@ -285,7 +291,7 @@ class VirtualRig:
             self._drive = given
             self._synced += steps * self._physics.step
 
-    def _place(self, packed: Float[Array, " packed"]) -> None:
+    def _set_physics_state(self, packed: Float[Array, " packed"]) -> None:
         self._packed, self._motion = packed, self._physics.motion(packed)
 
     def _measure(self, protocol: RigProtocol, now: float) -> None:

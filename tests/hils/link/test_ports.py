@@ -18,7 +18,7 @@ from drftjax.common.errors import InputError
 from hils.link.link import LinkLost
 from hils.link.messages import Arm, Drop, Frame, Measurement, RigState, encode
 from hils.link.port_link import PortLink
-from hils.link.ports import BACKLOG, SerialPort, SocketPort, UrlPort, list_ports, open_port
+from hils.link.ports import DEFAULT_PORT, SerialPort, SocketPort, UrlPort, list_ports, open_port
 from tests.helpers.link_endpoints import (
     BAUD,
     PATIENCE,
@@ -80,10 +80,10 @@ class SlowDriver:
 def test_a_driver_is_not_filled_with_commands_that_grow_old(ends):
     device = SlowDriver(os.open(ends.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
     port = SerialPort(device, ends.name)
-    device.out_waiting = BACKLOG
+    device.out_waiting = DEFAULT_PORT.backlog
     assert port.write(b"old") == 0
     port.wait(True, True, time.monotonic() + 60.0)  # looks again soon, though there is room
-    device.out_waiting = BACKLOG - 3  # the whole frame must find room
+    device.out_waiting = DEFAULT_PORT.backlog - 3  # the whole frame must find room
     assert port.write(b"new") == 3
     assert ends.received(3) == b"new"
     port.close()
@@ -208,7 +208,7 @@ def test_a_socket_that_cannot_be_set_up_leaves_nothing_open(monkeypatch):
             raise OSError(92, "Protocol not available")
 
     monkeypatch.setattr(
-        "hils.link.ports._connected", lambda url: made.append(Stubborn()) or made[-1]
+        "hils.link.ports._connected", lambda url, time: made.append(Stubborn()) or made[-1]
     )
     made: list[socket.socket] = []
     before = descriptors()

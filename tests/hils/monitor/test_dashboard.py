@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from rich.text import Text
 
 from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
@@ -221,11 +222,19 @@ def test_no_scene_is_longer_than_a_pipe_takes_whole():
 # The picture --------------------------------------------------------------------------------------
 
 
-def picture(**changes) -> Dashboard:
-    drawn = Dashboard()
+def drawn(dashboard: Dashboard, width: int, height: int) -> list[str]:
+    """The picture as lines of text, as rich draws it into such a window."""
+    console = Console(width=width, height=height, force_terminal=True, legacy_windows=False)
+    with console.capture() as capture:
+        console.print(dashboard, end="")
+    return capture.get().split("\n")
+
+
+def picture(now: float = 10.0, keys: bool = True, **changes) -> Dashboard:
+    dashboard = Dashboard(keys, lambda: now)
     for each in range(100):
         time = each * INTERVAL
-        drawn.add(
+        dashboard.add(
             RunStatus(
                 phase=Phase.RUNNING,
                 time=time,
@@ -241,7 +250,7 @@ def picture(**changes) -> Dashboard:
             ),
             time,
         )
-    return drawn
+    return dashboard
 
 
 def text(lines: list[str]) -> str:
@@ -249,7 +258,7 @@ def text(lines: list[str]) -> str:
 
 
 def test_picture_says_the_numbers_and_the_keys():
-    said = text(picture().lines(100, 30, 10.0, keys=True))
+    said = text(drawn(picture(), 100, 30))
     for each in ("RUNNING", "H_sim 15.50 mm", "zeta 0.7823", "slip 0.123", "late at most 2.50 ms"):
         assert each in said
     assert "deadlines missed 3" in said
@@ -259,7 +268,7 @@ def test_picture_says_the_numbers_and_the_keys():
 
 
 def test_picture_says_that_news_stopped_and_that_keys_cannot_be_read():
-    said = text(picture().lines(100, 30, 15.0, keys=False))
+    said = text(drawn(picture(now=15.0, keys=False), 100, 30))
     assert "has said nothing for 5 s" in said
     assert "drft hils stop" in said
 
@@ -267,7 +276,7 @@ def test_picture_says_that_news_stopped_and_that_keys_cannot_be_read():
 @pytest.mark.parametrize("width", [20, 40, 79, 200])
 @pytest.mark.parametrize("height", [4, 8, 13, 24, 70])
 def test_picture_fits_any_window_and_keeps_the_stop_key(width, height):
-    lines = picture(stopping="").lines(width, height, 10.0, keys=True)
+    lines = drawn(picture(stopping=""), width, height)
     assert len(lines) <= height
     assert max(map(len, text(lines).split("\n"))) <= width
     assert "STOP" in text(lines)
@@ -292,9 +301,9 @@ def test_hostile_words_give_the_terminal_no_orders():
     )
     observer.begin()
     observer.on_message("\x1b]0;title\x07 and\nmore")
-    drawn = Dashboard()
-    drawn.add(scenes[-1], 0.0)
-    escapes = re.findall("\x1b[^m]{0,12}.", "".join(drawn.lines(100, 30, 0.0, keys=True)))
+    dashboard = Dashboard(keys=True, clock=lambda: 0.0)
+    dashboard.add(scenes[-1], 0.0)
+    escapes = re.findall("\x1b[^m]{0,12}.", "".join(drawn(dashboard, 100, 30)))
     assert all(re.match("\x1b\\[[0-9;]*m", each) for each in escapes)
 
 

@@ -9,10 +9,10 @@ import sys
 
 import pytest
 
-from hils.monitor.terminal import ENTER, LEAVE
 from tests.helpers.pseudo_terminal import PseudoTerminal, soon
 
-ENTERED, LEFT = ENTER[:8].decode(), LEAVE[-8:].decode()
+# To the other screen and back, as a terminal understands it.
+ENTERED, LEFT = "\x1b[?1049h", "\x1b[?1049l"
 
 # A control program that shows scenes until it is asked to stop; what it says goes to a file.
 HOST = """

@@ -27,7 +27,7 @@ from hils.link.messages import (
     Stop,
     encode,
 )
-from hils.rig_sim.firmware import REPEATS, RigIdentity, RigProtocol
+from hils.rig_sim.firmware import DEFAULT_FIRMWARE, RigIdentity, RigProtocol
 
 # A demand is a sum of slews over ticks of a clock that is rounded to 1e-13 s.
 ROUNDING = 1e-9
@@ -400,7 +400,7 @@ def test_the_rigs_own_button_is_told_until_the_host_answers():
     assert EmergencyStop(12) in heard
     assert bench.rig.demand[:2] == (0.0, 0.0)
     assert bench.rig.state is RigState.SAFE
-    assert stops(bench.pause(1.0)) == REPEATS - 1
+    assert stops(bench.pause(1.0)) == DEFAULT_FIRMWARE.stop_tries - 1
     bench.rig.emergency_stop(12, bench.now)
     assert stops(bench.pause(0.06)) == 1
     bench.say(EmergencyStop(0))

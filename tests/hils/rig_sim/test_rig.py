@@ -45,7 +45,7 @@ from hils.rig_sim.faults import (
     Window,
 )
 from hils.rig_sim.in_process import QUICK, SoftRig, rig_physics, soft_rig
-from hils.rig_sim.physics import LOWERING_TIME, REST, MotorDemand
+from hils.rig_sim.physics import DEFAULT_LOWERING, REST, MotorDemand
 from hils.rig_sim.rig import RigFault
 from hils.rig_sim.sensors import Instruments, RigClock, SensorNoise
 
@@ -104,7 +104,7 @@ def settled(setup: VirtualSetUp | None = None, *faults: Fault, **line: float) ->
     """A rig whose wheel has been let down."""
     soft = opened(setup, *faults, **line)
     soft.link.send(Arm())
-    drive(soft, LOWERING_TIME + 0.1)
+    drive(soft, DEFAULT_LOWERING.time + 0.1)
     return soft
 
 
@@ -116,7 +116,7 @@ def test_wheel_let_down_stands_where_statics_says():
     simulator = quick().simulator()
     packed = physics.held()
     assert physics.motion(packed).z == 0.0
-    packed = physics.advance(packed, round(LOWERING_TIME / physics.step), REST, REST, True)
+    packed = physics.advance(packed, round(DEFAULT_LOWERING.time / physics.step), REST, REST, True)
     stands = -physics.motion(packed).z
     assert stands == pytest.approx(float(sinkage_under_load(simulator, 0.7823)), abs=LET_DOWN)
     assert abs(physics.motion(packed).vz) < LET_DOWN
@@ -207,7 +207,7 @@ def test_next_session_finds_the_bed_prepared_anew():
     assert soft.rig.is_held
     assert abs(measured(soft).z * SCALE.z_scale) < 6 * SCALE.z_noise
     soft.link.send(Arm())
-    drive(soft, LOWERING_TIME + 0.1)
+    drive(soft, DEFAULT_LOWERING.time + 0.1)
     again = drive(soft, 1.0, FULL_SPEED)[-1].z
     # Beds that scatter by 5 % of zeta, 1 mm of sinkage: another one, and no other rig.
     assert 0.3e-3 < abs(first - again) * SCALE.z_scale < 10e-3
