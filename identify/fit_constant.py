@@ -44,7 +44,7 @@ from identify.uncertainty.priors import (
 )
 
 # Constant error of the simulation over a phase of the command [m, N, N m]: what its plates and step
-# leave open in sinkage (docs/integrator.md), and the same share of the rest.
+# leave open in sinkage (docs/theory/integrator.md), and the same share of the rest.
 MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import remove_empty_folders, refuse_options
+from drftjax.commands.options import refuse_options, remove_empty_folders
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:

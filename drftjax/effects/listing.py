@@ -53,7 +53,7 @@ def effect_table() -> Table:
 
 
 def effect_markdown() -> str:
-    """All effects, for docs/effects.md."""
+    """All effects, for docs/theory/effects.md."""
     lines = [
         "| stage | effect | formula | typical numbers | what happens |",
         "|---|---|---|---|---|",

@@ -2,7 +2,7 @@
 
 A step solves (m - dt A) dv = dt F(v) for the change of velocity dv. Any A gives a first-order
 scheme; A decides what happens where the force turns over, within `REST_SPEED` of rest.
-`docs/integrator.md` has the study that the default step was chosen from.
+`docs/theory/integrator.md` has the study that the default step was chosen from.
 """
 
 import abc

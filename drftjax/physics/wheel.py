@@ -1,7 +1,7 @@
 """Wheels as closed outlines in the x-z plane, cut into plates.
 
 Positions are relative to the axle, x forward and z up; a wheel angle phi > 0 turns the wheel
-forward, so that the lowest point moves backward. `docs/model.md` has the picture.
+forward, so that the lowest point moves backward. `docs/theory/model.md` has the picture.
 """
 
 import abc

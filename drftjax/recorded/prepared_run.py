@@ -27,7 +27,7 @@ from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
 from drftjax.simulation.trial import Trial
 
-# Fits step with the method that keeps its derivatives bounded at rest; docs/integrator.md.
+# Fits step with the method that keeps its derivatives bounded at rest; docs/theory/integrator.md.
 FIT_METHOD = "held pace"
 
 

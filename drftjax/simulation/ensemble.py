@@ -2,7 +2,8 @@
 
 A run steps plates that fill the vector units of a core by themselves, so a core is best kept busy
 with whole runs. The CPU counts as one device unless a program splits it before its first
-computation, as by `jax.config.update("jax_num_cpu_devices", 4)`; `docs/speed.md` has the flags
+computation, as by `jax.config.update("jax_num_cpu_devices", 4)`;
+`docs/results/speed.md` has the flags
 that make a step fast.
 """
 

@@ -1,7 +1,7 @@
 r"""Kalman filter for zeta of the real sand, by the simulator's own derivative.
 
 It sees one number, the error $e = H_{real} - H_{sim}$, and moves one, zeta. Less sinkage takes
-stronger sand, so zeta moves against the error. `docs/hils-tuners.md` compares the tuners.
+stronger sand, so zeta moves against the error. `docs/theory/hils-tuners.md` compares the tuners.
 """
 
 from dataclasses import dataclass

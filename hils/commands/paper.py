@@ -16,7 +16,8 @@ Examples:
 
   drft hils paper --rig rig.toml --tick 0.005 -o out/
 
-Written are paper.json, paper.md (its tables), fig7.png, fig8.png and ripple.png; docs/hils-paper.md
+Written are paper.json, paper.md (its tables), fig7.png, fig8.png and ripple.png;
+docs/results/hils-paper.md
 tells what they show. Ten runs of either kind take a minute or two, in virtual time.
 """
 

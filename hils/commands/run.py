@@ -44,7 +44,7 @@ def run(
     tuner: Annotated[
         str,
         typer.Option(
-            help="How zeta is moved: step (eq. 7's fixed step), pi, kalman (docs/hils-tuners.md), "
+            help="Tuner: step (eq. 7's fixed step), pi, kalman (docs/theory/hils-tuners.md), "
             "or one that an installed package adds."
         ),
     ] = "step",

@@ -40,7 +40,7 @@ class FrameSplitter:
 
 
 class Receiver:
-    """Receiving end: frames that count, and the causes of those that do not (docs/wire.md).
+    """Receiving end: frames that count, and causes of those that do not (docs/reference/wire.md).
 
     Args:
         accepts: Message types that this end takes: `hils.link.messages.FROM_RIG` at the host.

@@ -4,7 +4,7 @@
 
 Numbers are little-endian; the CRC is zlib's, over header and payload; the header is version u8,
 type u8, session u16, sequence number u32 and the sender's clock u32 [us], which wraps. The page
-`docs/wire.md` says what each message means.
+`docs/reference/wire.md` says what each message means.
 """
 
 import enum
@@ -49,7 +49,7 @@ VIRTUAL_RIG = 0x56495254
 
 
 class RigState(enum.IntEnum):
-    """State of the rig; SAFE is latched (docs/wire.md)."""
+    """State of the rig; SAFE is latched (docs/reference/wire.md)."""
 
     IDLE = 0
     ARMED = 1
@@ -267,7 +267,7 @@ _BY_NUMBER = {layout.number: layout for layout in _LAYOUTS.values()}
 
 
 def message_name(kind: type) -> str:
-    """A message type's name in the table of `docs/wire.md`."""
+    """A message type's name in the table of `docs/reference/wire.md`."""
     return _LAYOUTS[kind].name
 
 

@@ -1,4 +1,4 @@
-"""Watchdog time and minimum baud rate for a given control period (docs/wire.md)."""
+"""Watchdog time and minimum baud rate for a given control period (docs/reference/wire.md)."""
 
 from drftjax.common.errors import InputError
 from hils.link.messages import BITS_PER_BYTE, Drive, Measurement, wire_bytes

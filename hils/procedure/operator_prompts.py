@@ -80,7 +80,7 @@ class TerminalPrompts(AbstractPrompts):
 
     Args:
         poll_interval: From one look at the rig to the next while a question is open [s]: a rig
-            sends ESTOP five times, 50 ms apart (docs/wire.md).
+            sends ESTOP five times, 50 ms apart (docs/reference/wire.md).
     """
 
     def __init__(self, poll_interval: float = POLL_INTERVAL):

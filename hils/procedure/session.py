@@ -35,8 +35,8 @@ class SessionSettings:
 
     Attributes:
         tries: Times that a message is sent before its answer counts as missing; five by
-            docs/wire.md.
-        interval: From one try to the next [s]; 50 ms by docs/wire.md.
+            docs/reference/wire.md.
+        interval: From one try to the next [s]; 50 ms by docs/reference/wire.md.
         max_scale: Metres a count over which a rig's scale cannot be right.
     """
 
@@ -82,7 +82,7 @@ class Session:
         self._rig_stop: EmergencyStop | None = None
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
-        """Open a session: HELLO up to five times, 50 ms apart (docs/wire.md).
+        """Open a session: HELLO up to five times, 50 ms apart (docs/reference/wire.md).
 
         Args:
             hello: The first message of the session.

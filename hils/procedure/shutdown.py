@@ -94,7 +94,7 @@ class Shutdown:
 
     def bring_to_rest(self) -> bool:
         """Send STOP; where the rig is not seen to rest, or its stop is urgent, ESTOP; BYE in any
-        case (docs/wire.md).
+        case (docs/reference/wire.md).
 
         Returns:
             True where it was seen to rest.

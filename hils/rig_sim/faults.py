@@ -8,7 +8,7 @@
 
 Each fault is a pure function of what passes it and of random numbers: a wire's turns one packet
 into those that come instead, a reading's one set of counts into another, a drive's one demand into
-another. docs/hils-faults.md lists the kinds.
+another. docs/reference/hils-faults.md lists the kinds.
 """
 
 import math

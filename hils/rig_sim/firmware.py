@@ -49,11 +49,11 @@ class FirmwareSettings:
     Attributes:
         clock_interval: From one look at its clock to the next, at most [s].
         measurement_interval: From one measurement to the next without a command [s]; 20 ms by
-            docs/wire.md.
+            docs/reference/wire.md.
         stop_tries: Times that an emergency stop is sent until the host answers; five by
-            docs/wire.md.
-        stop_interval: From one of them to the next [s]; 50 ms by docs/wire.md. Frames of another
-            session are answered no more often either.
+            docs/reference/wire.md.
+        stop_interval: From one of them to the next [s]; 50 ms by docs/reference/wire.md. Frames
+            of another session are answered no more often either.
     """
 
     clock_interval: float = 0.002

@@ -243,7 +243,7 @@ def _require_method(method: str, start_zeta: float | None) -> None:
     from drftjax.physics.terrain import LARGEST_ZETA
 
     if method not in METHODS:
-        why = "; explicit steps are wrong by a millimetre (docs/integrator.md)"
+        why = "; explicit steps are wrong by a millimetre (docs/theory/integrator.md)"
         raise InputError(
             f"--method is {method!r}, must be one of {', '.join(METHODS)}"
             + (why if method == "explicit" else "")

@@ -363,7 +363,7 @@ def value_and_gradient(
     """The objective [-] and its exact gradient, forward over forward: a sweep for each coordinate.
 
     It is a slope to follow where the trial's stress law is rounded
-    (`drftjax.physics.stress.Rounded`); `docs/design.md` has what it is otherwise.
+    (`drftjax.physics.stress.Rounded`); `docs/guide/design.md` has what it is otherwise.
     """
 
     def along(way: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:

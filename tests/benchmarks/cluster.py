@@ -1,6 +1,7 @@
 """Throughput of fits on a local cluster against one process, on many short synthetic runs.
 
-`python -m tests.benchmarks.cluster` prints the table of docs/cluster.md. One process fits the first
+`python -m tests.benchmarks.cluster` prints the table of docs/guide/cluster.md.
+One process fits the first
 runs of the same files by the same function that a worker calls, and also by plain `fit`; the
 largest difference between the numbers is printed too. Every process has fitted a run before its
 clock starts, so that no program is compiled while it runs.

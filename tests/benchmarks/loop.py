@@ -98,7 +98,7 @@ def main() -> None:
         f"{f'{cores} processes that compute beside it' if given.busy else 'nothing beside it'}, "
         f"over a {'pty' if given.pty else 'socketpair'}"
     )
-    # At 1 kHz one step a tick: docs/integrator.md has what that costs in accuracy, hardly anything.
+    # At 1 kHz one step a tick: docs/theory/integrator.md has the cost in accuracy.
     if given.tick <= 1e-3:
         setup.integrator.step = given.tick
     command = setup.command

@@ -1,4 +1,4 @@
-"""Every scripted fault in every phase of a run; docs/hils-faults.md states what follows.
+"""Every scripted fault in every phase of a run; docs/reference/hils-faults.md states what follows.
 
 Whatever the fault: nothing moves before ARM, only one sentence is raised, the wheel rests in the
 end, the recorder is told why, and no command was beyond the limits or not finite.
@@ -47,7 +47,7 @@ from hils.rig_sim.faults import (
 )
 from hils.rig_sim.in_process import SoftRig, soft_rig
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "hils-faults.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "hils-faults.md"
 LIMITS = CommandLimits(omega=2.0, vx=0.3)
 # No run of this profile may take longer, with every try and patience that there is [s].
 LONGEST = 30.0

@@ -1,4 +1,4 @@
-"""Faults of the wire in each phase of a run: docs/hils-faults.md states what follows."""
+"""Faults of the wire in each phase of a run: docs/reference/hils-faults.md states what follows."""
 
 import pytest
 

@@ -27,7 +27,7 @@ NINETY = 1.645
 
 # The structured Jacobian and the plain one are the same sums in another order.
 ROUNDING = 1e-10
-# Central differences of a simulation with corners (docs/integrator.md), at a step of 1e-7.
+# Central differences of a simulation with corners (docs/theory/integrator.md), at a step of 1e-7.
 DIFFERENCES = 1e-4
 # Compiled in two ways, a run that starts from rest agrees to some nanometres once it moves.
 SAME_RUN = 1e-8
@@ -389,7 +389,7 @@ def test_every_quantity_is_read_and_written_in_its_place(name):
 
 
 def test_every_quantity_is_in_the_documentation_and_in_a_set_up():
-    page = (Path(__file__).resolve().parents[2] / "docs" / "identification.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "guide" / "fit.md").read_text()
     setup = setup_of()
     for name, quantity in QUANTITIES.items():
         assert f"`{name}`" in page

@@ -7,7 +7,7 @@ from tests.studies.null_runs import left
 
 # The estimate's own spread over a thousand samples, and its rounding to 0.6 um.
 TOLD = 0.1
-# 10 % over the noise is asked where nothing is wrong; docs/identification.md has all runs.
+# 10 % over the noise is asked where nothing is wrong; docs/guide/fit.md has all runs.
 LEFT = 1.1
 # These begin to turn without the jump that some others of the plant make [mm].
 JUMP = 0.03

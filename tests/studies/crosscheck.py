@@ -2,7 +2,8 @@
 
     python -m tests.studies.crosscheck [-o out/crosscheck]
 
-Prints the tables of `docs/crosscheck.md`. The runs are simulated at half the fit's step with the
+Prints the tables of `docs/guide/crosscheck.md`. The runs are simulated at half the fit's step
+with the
 other integrator, and read with 20 um of noise. Some minutes.
 """
 

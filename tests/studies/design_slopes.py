@@ -2,7 +2,8 @@
 
     python -m tests.studies.design_slopes
 
-Prints the table of `docs/design.md`: how the logarithm of lambda's standard error changes with the
+Prints the table of `docs/guide/design.md`: how the logarithm of lambda's standard error changes
+with the
 free numbers of trapezoids, on plates of 8 mm, with corners as the model has them and rounded.
 """
 

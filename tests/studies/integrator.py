@@ -1,4 +1,4 @@
-"""Which integrator, and which step: the study behind `docs/integrator.md`.
+"""Which integrator, and which step: the study behind `docs/theory/integrator.md`.
 
     python -m tests.studies.integrator [-o docs/figures]
 

@@ -2,7 +2,8 @@
 
     python -m tests.studies.moving_zeta
 
-Prints the table of `docs/crosscheck.md`: the paper's profile on sand of 0.75 with one mechanism,
+Prints the table of `docs/guide/crosscheck.md`: the paper's profile on sand of 0.75
+with one mechanism,
 read at 50 Hz with 20 um of noise, and fitted with a reference model that has none. Some minutes.
 """
 

@@ -2,7 +2,8 @@
 
     python -m tests.studies.paper_rigs
 
-Prints a table of `docs/hils-paper.md`. Beds are alike and there is one run of each kind, so that
+Prints a table of `docs/results/hils-paper.md`. Beds are alike and there is one run of each kind, so
+that
 what is left comes from the rig. Two minutes.
 """
 

@@ -42,7 +42,7 @@ def readings(strengths, step: float):
 
 
 def main() -> None:
-    """Print the table of docs/integrator.md."""
+    """Print the table of docs/theory/integrator.md."""
     configure_jax()
     print("| strength | step, ms | x, derivative | x, difference | z, derivative | z, difference |")
     print("|---|---|---|---|---|---|")

@@ -2,7 +2,8 @@
 
     python -m tests.studies.ripple [-o docs/figures/hils_ripple.png]
 
-Prints the tables of `docs/hils-paper.md` on the ripple and draws its figure, in some minutes.
+Prints the tables of `docs/results/hils-paper.md` on the ripple and draws its figure,
+in some minutes.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The CMU single-wheel data (robomechanics/3d-terramechanics, MIT) against the simulator.
 
-The figures are of `python -m tests.studies.cmu`; `docs/measured.md` says what they mean.
+The figures are of `python -m tests.studies.cmu`; `docs/results/measured.md` says what they mean.
 """
 
 from pathlib import Path
@@ -14,11 +14,13 @@ from tests.studies import cmu_driving as driving
 from tests.studies import cmu_intrusion as intrusion
 from tests.studies.cmu import flatness, series_fit, summarise
 
-# The figures in docs/measured.md are repeatable to their last digit; these leave room for another
+# The figures in docs/results/measured.md are repeatable to their last digit; these leave room
+# for another
 # plate size (0.05 mm and 0.01 of zeta between plates of 2 mm and 0.5 mm) and no more.
 SINKAGE_MM = 0.1
 ZETA = 0.02
-# Of sinkages that one zeta is fitted to, or predicts, as docs/measured.md has them: to a fifth of
+# Of sinkages that one zeta is fitted to, or predicts, as docs/results/measured.md has them:
+# to a fifth of
 # a millimetre [m].
 LOW_SLIP, HIGH_SLIP, PLATES = 0.15e-3, 2.9e-3, 0.2e-3
 # Terms that go with the square of some centimetres a second, as shares of the stress or depth.
@@ -131,7 +133,7 @@ def test_force_on_a_plate_grows_faster_than_depth(folder):
     assert len(plates) == 6
     for run in plates:
         law = intrusion.power_law(run)
-        # docs/measured.md has 1.40 to 1.61.
+        # docs/results/measured.md has 1.40 to 1.61.
         assert 1.395 < law.n < 1.615
         assert law.n - 2 * law.n_error > 1
 

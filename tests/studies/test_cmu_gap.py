@@ -1,4 +1,4 @@
-"""Effects on the CMU data's grousered wheel; `docs/findings.md` says what the figures mean."""
+"""Effects on the CMU data's grousered wheel; `docs/results/findings.md` explains the figures."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +15,7 @@ from tests.studies.cmu_steady import held_sinkage
 ANGLES_MM = 0.05
 # Where the descent ends, of sinkages that are made with the same angles [mm].
 MADE_MM = 1e-4
-# Figures of docs/findings.md, to a unit of their last digit [mm].
+# Figures of docs/results/findings.md, to a unit of their last digit [mm].
 LAST_DIGIT = 0.01
 
 

@@ -2,7 +2,8 @@
 
     python -m tests.studies.tuners
 
-prints the tables of `docs/hils-tuners.md`, in a few minutes. The rig's sand, plates, step and
+prints the tables of `docs/theory/hils-tuners.md`, in a few minutes.
+The rig's sand, plates, step and
 carriage are its own (`hils.rig_sim.rig`); its scale counts in steps and is noisy; the loop sees a
 reading a tick late. Everything is in virtual time, so the tables come out the same each time.
 """

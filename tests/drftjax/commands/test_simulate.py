@@ -23,7 +23,7 @@ from tests.helpers.drft_command import Drft
 DATA = Path(__file__).parents[3] / "data"
 PAPER = DATA / "paper.toml"
 
-# docs/model.md gives these with three or four digits: half a unit of the last one.
+# docs/theory/model.md gives these with three or four digits: half a unit of the last one.
 SETTLED_MM, PLACE_M = 0.05, 0.0005
 
 # What a user may rely on against an independent implementation: a tenth of a millimetre of

@@ -25,7 +25,7 @@ from drftjax.setups.simulated_run import simulated_run
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 ROOT = Path(__file__).parents[3]
-PAGE = ROOT / "docs" / "effects.md"
+PAGE = ROOT / "docs" / "theory" / "effects.md"
 
 HEAD = """
 [wheel]

@@ -45,7 +45,7 @@ def test_trajectory_meets_the_independent_reference(shared, name):
 )
 def test_held_pace_meets_the_reference_at_four_times_the_step_while_the_wheel_turns(shared, name):
     # Without the two runs that begin with a drop onto the sand, whose bottom takes 0.2 s, and
-    # without what follows the stop, where a reference creeps on (docs/integrator.md).
+    # without what follows the stop, where a reference creeps on (docs/theory/integrator.md).
     run, z, x = reference(shared, name)
     rows = run.integrated_by(HeldPace()).rows(4 * DEFAULT_STEP)
     turning = np.asarray(rows.time) <= float(run.time[-1]) - (1 if name == "fast_300deg" else 0)

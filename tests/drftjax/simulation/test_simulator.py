@@ -104,7 +104,7 @@ def test_lifted_wheel_falls_freely_until_it_touches():
 
 @pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_dropped_wheel_comes_to_rest_where_it_lands(integrator):
-    # At longer steps a fall ends in chatter: docs/integrator.md has the table.
+    # At longer steps a fall ends in chatter: docs/theory/integrator.md has the table.
     rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=1e-4)
     landed = int(jnp.argmin(rows.z))
     # A fall of 50 mm takes 0.10 s, and of 100 mm 0.14; in the sand it takes longer.

@@ -52,7 +52,7 @@ from hils.rig_sim.sensors import Instruments, RigClock, SensorNoise
 DATA = Path(__file__).resolve().parents[3] / "data"
 TICK = 0.01
 FULL_SPEED = math.radians(30.0)
-# What coarse plates and steps cost, docs/speed.md: plates of 8 mm stand within 0.2 mm.
+# What coarse plates and steps cost, docs/results/speed.md: plates of 8 mm stand within 0.2 mm.
 COARSE = 0.2e-3
 SCALE = Instruments()
 # Statics pushes the wheel down at 10 mm/s; at rest the sand carries a little less, and the wheel,
