@@ -116,7 +116,7 @@ def test_samples_after_the_last_stop_are_left_out_unless_kept():
 
 def test_the_settings_decide_how_much_of_the_rest_is_the_start():
     run = recorded(setup_of(([0.0, 0.4, 0.5, 2.0], [0.0, 0.0, 2.0, 2.0])))
-    start = prepare_run("run", run, start_settings=StartSettings(window=0.1)).setup.start
+    start = prepare_run("run", run, start_settings=StartSettings(window=0.11)).setup.start
     assert start.x == run.measured.x[:6].mean()
     assert start.x != prepare_run("run", run).setup.start.x
 
