@@ -6,7 +6,7 @@ import pytest
 from drftjax.common.errors import InputError
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
-from identify.uncertainty.priors import CONTRADICT
+from identify.uncertainty.priors import PRIOR_SETTINGS
 from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
 LAMBDA, ZETA = "terrain.inertial_coefficient", "terrain.zeta"
@@ -63,7 +63,7 @@ def test_a_belief_that_runs_contradict_is_told_with_how_far_they_are_apart(runs)
     for far in (2.0, 10.0):
         prior = (zeta.value + far * np.sqrt(2) * zeta.error, zeta.error)
         told = [e for e in fit(runs[:1], [own("zeta", prior=prior)]).findings if "contradict" in e]
-        assert len(told) == (far > CONTRADICT)
+        assert len(told) == (far > PRIOR_SETTINGS.conflict)
         for each in told:
             assert each.startswith("zeta of run_0: its prior and the runs contradict each other")
             apart = float(each.split(" by ")[1].split()[0])

@@ -92,7 +92,7 @@ def test_the_program_runs_as_the_curve_does(stage, variable):
 
 
 def test_curves_of_a_stage_share_one_program():
-    kinds = [correction("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
+    kinds = [correction_class("zeta", v, PLACES[v]) for v in ("travel", "wheel angle", "vz")]
     kinds.append(in_modes(kinds[0], np.eye(4)[:, :2], 1.0))
     assert len({program_of(each).effect for each in kinds}) == 1
     assert len({AugmentedModel((each,)).program[0] for each in kinds}) == 1
