@@ -2,6 +2,7 @@
 
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,6 +13,7 @@ from drftjax.runlog.files import HDF5_ENDINGS
 from drftjax.runlog.hdf5.api import read_result
 from drftjax.runlog.result_file import FIT_SCHEMA, ResultGroup
 from drftjax.setups.setup import SetUp, read_setup
+from drftjax.setups.terrain_setup import drop_unused_numbers
 
 
 class FittedRun(msgspec.Struct):
@@ -69,7 +71,16 @@ def _from_json(path: Path) -> dict[str, SetUp]:
         raise InputError(
             f"{path}: schema_version {document.get('schema_version')} is not known here (1 is)"
         )
+    if isinstance(runs := document.get("runs"), list):
+        document = {**document, "runs": [_of_its_law(run) for run in runs]}
     return {each.name: each.setup for each in to_structure(document, FittedRuns, path).runs}
+
+
+def _of_its_law(run: Any) -> Any:
+    """A run's entry, its set-up without numbers of another stress law; anything else as it is."""
+    if not isinstance(run, dict) or not isinstance(run.get("setup"), dict):
+        return run
+    return {**run, "setup": drop_unused_numbers(run["setup"])}
 
 
 def _from_hdf5(path: Path) -> dict[str, SetUp]:
@@ -83,7 +94,8 @@ def _from_hdf5(path: Path) -> dict[str, SetUp]:
         }
         try:
             rest = msgspec.json.decode(str(group.attributes["setup"]))
-            fitted[name] = to_structure({**rest, "command": command}, SetUp, path)
+            table = drop_unused_numbers({**rest, "command": command})
+            fitted[name] = to_structure(table, SetUp, path)
         except (KeyError, TypeError, msgspec.DecodeError):
             raise InputError(f"{path}: the group {name} holds no set-up of a fitted run") from None
     return fitted

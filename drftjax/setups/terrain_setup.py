@@ -202,3 +202,21 @@ def with_law(document: dict[str, Any]) -> dict[str, Any]:
                 f"{name!r}, which has {', '.join(own)}"
             )
     return {**document, "terrain": {"law": name, **table}}
+
+
+def drop_unused_numbers(setup: dict[str, Any]) -> dict[str, Any]:
+    """A set-up as a program wrote it, its [terrain] without numbers that its law has not.
+
+    Results and run logs of before each law had a table of its own hold the dynamic law's numbers
+    beside any law, which never used them.
+
+    Args:
+        setup: Tables of a set-up by name.
+    """
+    table = setup.get("terrain")
+    if not isinstance(table, Mapping) or table.get("law") not in STRESS_LAWS:
+        return setup
+    own = STRESS_LAWS[table["law"]].__struct_fields__
+    others = {name for law in STRESS_LAWS.values() for name in law.__struct_fields__} - {*own}
+    kept = {name: value for name, value in table.items() if name not in others}
+    return {**setup, "terrain": kept}

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
 from drftjax.setups.setup import SetUp
+from drftjax.setups.terrain_setup import drop_unused_numbers
 from drftjax.simulation.simulator import Simulator
 from drftjax.tuning.registry import TunerSetUp
 from drftjax.tuning.step_tuner import tick_commands
@@ -79,7 +81,10 @@ class LoopRecord(msgspec.Struct, frozen=True):
             InputError: it is none.
         """
         try:
-            return msgspec.json.decode(text, type=cls)
+            record = msgspec.json.decode(text, type=dict[str, dict[str, Any]])
+            if isinstance(setup := record.get("loop", {}).get("setup"), dict):
+                record["loop"]["setup"] = drop_unused_numbers(setup)
+            return msgspec.convert(record, cls)
         except msgspec.DecodeError as error:
             raise InputError(f"the run's record of its loop cannot be read: {error}") from None
 

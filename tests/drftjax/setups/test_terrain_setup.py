@@ -1,5 +1,6 @@
 """Stress laws of set-up files: their own numbers, and laws that installed packages add."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +11,8 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.physics.stress import QuasiStatic
 from drftjax.runlog.hdf5.api import read_run
+from drftjax.runlog.result_file import FIT_SCHEMA
+from drftjax.setups.fitted_model import read_model
 from drftjax.setups.setup import CommandSetUp, SetUp, read_setup
 from drftjax.setups.setup_toml import setup_toml
 from drftjax.setups.simulated_run import with_believed_values
@@ -58,6 +61,17 @@ def test_numbers_of_another_law_are_refused_in_one_sentence(drft, tmp_path):
     assert said in drft("simulate", path).refusal
     inertial = drft("simulate", written(tmp_path, "law = 'quasi-static'"), "--lambda", "1").refusal
     assert "'quasi-static' has no inertial_coefficient; it has zeta, coefficients" in inertial
+
+
+@pytest.mark.parametrize("law", ["dynamic", "quasi-static"])
+def test_a_program_s_set_up_of_old_reads_though_it_holds_all_numbers(tmp_path, law):
+    """Results held the dynamic law's numbers beside any law, which did not use them."""
+    setup = read_setup(written(tmp_path, f"law = '{law}'\nzeta = 0.6"))
+    old = msgspec.to_builtins(setup)
+    old["terrain"] |= {"inertial_coefficient": 1.1, "bulk_density": 1490, "height_decrease": 1.0}
+    fit = {"schema": FIT_SCHEMA, "schema_version": 1, "runs": [{"name": "old", "setup": old}]}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    assert read_model(tmp_path / "fit.json", "old") == setup
 
 
 def test_an_unknown_law_is_refused_with_the_nearest_one(tmp_path):
