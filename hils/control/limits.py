@@ -16,7 +16,7 @@ from drftjax.common.errors import InputError
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class SensorMotionSettings:
     """Motion that must show in a sensor; without it a sensor that stands still is not stuck.
 
     Attributes:
@@ -28,7 +28,7 @@ class MotionSettings:
     min_vx: float = 5e-3
 
 
-DEFAULT_MOTION = MotionSettings()
+DEFAULT_SENSOR_MOTION = SensorMotionSettings()
 
 
 class Reading(NamedTuple):
@@ -122,7 +122,7 @@ def check_reading(
     reading: Reading,
     omega: float,
     vx: float = 0.0,
-    motion: MotionSettings = DEFAULT_MOTION,
+    motion: SensorMotionSettings = DEFAULT_SENSOR_MOTION,
 ) -> tuple[ReadingMonitor, Verdict]:
     """Judge a reading: outside of the limits, a jump, or used.
 

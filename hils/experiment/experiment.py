@@ -283,9 +283,7 @@ def run_experiment(
     time = np.arange(physics.ticks) * experiment.loop.tick
     # What was asked at a tick's start is the end of the tick before.
     omega = np.r_[0.0, physics.omega[:-1, -1]]
-    steady_stretch(
-        omega, experiment.loop.tick
-    )  # refuse a profile without a steady stretch before the runs
+    steady_stretch(omega, experiment.loop.tick)  # refuses a profile without one before the runs
     hils, free = [], []
     for number in range(experiment.runs):
         report_progress(f"HILS run {number + 1} of {experiment.runs}")
@@ -351,7 +349,7 @@ def steady_stretch(omega: Values, tick: float) -> tuple[slice, float]:
         tick: Control period [s].
 
     Raises:
-        InputError: where there is no such stretch of two seconds.
+        InputError: there is no such stretch of two seconds.
     """
     top = omega[np.argmax(np.abs(omega))]
     held = np.abs(omega - top) < 1e-9

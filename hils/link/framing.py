@@ -46,10 +46,10 @@ class Receiver:
         accepts: Message types that this end takes: `hils.link.messages.FROM_RIG` at the host.
 
     Attributes:
-        counted: Frames that counted.
-        stranger: The last state that came intact but did not count, of another session or out of
+        accepted: Frames that counted.
+        foreign_state: Last state that came intact but did not count, of another session or out of
             order: a rig that was reset says so in one.
-        halted: The last emergency stop that came so.
+        foreign_stop: Last emergency stop that came so.
     """
 
     def __init__(self, accepts: tuple[type, ...]):

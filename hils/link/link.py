@@ -54,9 +54,9 @@ class LinkQuality(msgspec.Struct, frozen=True):
         sent, received: Frames, only those that count.
         bytes_sent, bytes_received: All bytes.
         replaced: Commands that a newer one replaced before they were sent.
-        drops: What was received and did not count, by cause.
-        stranger: The last state that came intact from another session or out of order.
-        halted: The last emergency stop that came so.
+        drops: Count of packets that did not count, by cause.
+        foreign_state: Last state that came intact from another session or out of order.
+        foreign_stop: Last emergency stop that came so.
     """
 
     time: float

@@ -108,7 +108,7 @@ def test_a_port_in_use_is_left_alone(drft, terminal):
 
 
 def test_ports_are_listed_with_what_is_known_of_them(drft, monkeypatch):
-    monkeypatch.setattr(ports, "ports", lambda: [ListedPort("/dev/ttyX9", "USB, FTDI")])
+    monkeypatch.setattr(ports, "list_ports", lambda: [ListedPort("/dev/ttyX9", "USB, FTDI")])
     monkeypatch.setattr(ports, "latency_timer", lambda name: 16)
     answer = drft("hils", "ports", "--no-hello")
     assert answer.out.splitlines() == [
@@ -118,7 +118,7 @@ def test_ports_are_listed_with_what_is_known_of_them(drft, monkeypatch):
 
 
 def test_no_port_at_all_is_said(drft, monkeypatch):
-    monkeypatch.setattr(ports, "ports", list)
+    monkeypatch.setattr(ports, "list_ports", list)
     assert drft("hils", "ports").out == "there is no serial port\n"
 
 

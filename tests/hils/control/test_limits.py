@@ -12,6 +12,7 @@ from hils.control.limits import (
     ReadingLimits,
     ReadingMonitor,
     RigCommand,
+    SensorMotionSettings,
     Verdict,
     check_reading,
     limit_command,
@@ -173,3 +174,14 @@ def test_profile_that_cannot_be_commanded_is_refused(omega, said):
 def test_profile_that_changes_too_fast_is_refused():
     with pytest.raises(InputError, match=r"changes by 20 rad/s2 after 1 s, 5 rad/s2 are allowed"):
         require_profile(np.array([0, 1, 1.1]), np.array([0.0, 0.0, 2.0]), COMMANDS, "the loop")
+
+
+def test_a_wheel_that_turns_slower_than_is_set_need_not_show_it_in_its_height():
+    def stuck(motion: SensorMotionSettings) -> bool:
+        watch = START
+        for each in range(200):
+            watch, _ = check_reading(LIMITS, watch, reading(each * TICK, -0.0176), 0.5, 0.0, motion)
+        return watch.stuck
+
+    assert stuck(SensorMotionSettings())
+    assert not stuck(SensorMotionSettings(min_omega=0.6))

@@ -17,7 +17,7 @@ from hils.control.limits import CommandLimits
 from hils.control.loop_config import LoopSetUp
 from hils.control.stop_request import EMERGENCY_SIGNAL, STOP_SIGNAL, StopRequest
 from hils.events import Phase
-from hils.monitor.dashboard import Dashboard, Point, plot
+from hils.monitor.dashboard import Dashboard, DashboardSettings, Point, plot
 from hils.monitor.observer import RunInfo, RunObserver, with_live_view, without_observer
 from hils.monitor.status import INTERVAL, WHOLE, RunStatus, StatusReader
 from hils.monitor.view_process import StopKey
@@ -271,6 +271,19 @@ def test_picture_says_that_news_stopped_and_that_keys_cannot_be_read():
     said = text(drawn(picture(now=15.0, keys=False), 100, 30))
     assert "has said nothing for 5 s" in said
     assert "drft hils stop" in said
+
+
+def test_silence_and_plot_are_shown_by_the_numbers_that_are_set():
+    status, late = RunStatus(phase=Phase.RUNNING, time=1.0, real=0.016), lambda: 15.0
+    for settings, plotted in [
+        (DashboardSettings(silent_time=20.0), True),
+        (DashboardSettings(silent_time=20.0, min_plot=40, max_plot=40), False),
+    ]:
+        dashboard = Dashboard(keys=True, clock=late, settings=settings)
+        dashboard.add(status, 10.0)
+        words = text(drawn(dashboard, 100, 30))
+        assert "said nothing" not in words
+        assert ("sinkage [mm]" in words) == plotted
 
 
 @pytest.mark.parametrize("width", [20, 40, 79, 200])

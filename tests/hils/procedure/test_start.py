@@ -1,6 +1,7 @@
 """What comes before the first command: a wheel in the air, and a rig that stopped by itself."""
 
 import math
+import re
 import struct
 
 import numpy as np
@@ -9,10 +10,13 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import survey_run, write_run
 from hils.clock import VirtualClock
+from hils.control.measurements import ResponseSettings
 from hils.control.stop_request import StopRequest
 from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
+from hils.procedure.initial_state import StartLimits
 from hils.procedure.operator_prompts import POLL_INTERVAL, UnattendedPrompts
-from hils.procedure.procedure import Procedure, run
+from hils.procedure.procedure import Procedure, ProcedureSettings, run
+from hils.procedure.settling import SettlingSettings
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
 from tests.helpers.hils_runs import START, Cue, LoggedLink, loop_setup
@@ -185,3 +189,24 @@ def test_rig_that_is_safe_from_before_is_told_of_and_driven():
     run(given, soft.link, soft.clock, rows := InMemorySink(), Listener(quiet=True), StopRequest())
     assert rows.end_reason == "completed"
     assert told[0] == "The rig was SAFE before this run; ARM lets it move again."
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        (ProcedureSettings(start=StartLimits(min_sinkage=0.02)), "must lie between 20 and"),
+        (ProcedureSettings(settling=SettlingSettings(longest_time=0.5)), "to rest in 0.5 s"),
+    ],
+)
+def test_a_start_is_refused_by_the_numbers_that_are_set(settings, sentence):
+    soft = soft_rig()
+    given = Procedure(loop=loop_setup(), countdown=0.3, settings=settings)
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        run(given, soft.link, soft.clock, InMemorySink(), UnattendedPrompts(True), StopRequest())
+
+
+def test_patience_with_a_silent_rig_can_be_set():
+    patient = ResponseSettings(silent_time=1.0, stale_time=0.2)
+    assert patient.longest_silence(0.01) == 1.0
+    assert patient.longest_silence(1.0) == 5.0
+    assert patient.stale_age(0.01) == 0.2

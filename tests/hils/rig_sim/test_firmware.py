@@ -27,7 +27,7 @@ from hils.link.messages import (
     Stop,
     encode,
 )
-from hils.rig_sim.firmware import DEFAULT_FIRMWARE, RigIdentity, RigProtocol
+from hils.rig_sim.firmware import DEFAULT_FIRMWARE, FirmwareSettings, RigIdentity, RigProtocol
 
 # A demand is a sum of slews over ticks of a clock that is rounded to 1e-13 s.
 ROUNDING = 1e-9
@@ -40,8 +40,14 @@ STILL = Drive(0.0, 0.0, False, 1000)
 class Bench:
     """A host's hands on a rig: says things at its own pace and reads every answer."""
 
-    def __init__(self, session: int = 5, seq: int = 0, **identity):
-        self.rig = RigProtocol(RigIdentity(boot_id=BOOT, **identity))
+    def __init__(
+        self,
+        session: int = 5,
+        seq: int = 0,
+        settings: FirmwareSettings = DEFAULT_FIRMWARE,
+        **identity,
+    ):
+        self.rig = RigProtocol(RigIdentity(boot_id=BOOT, **identity), settings=settings)
         self.session, self.seq, self.now = session, seq, 0.0
 
     def say(self, message, *, session: int | None = None, seq: int | None = None) -> list:
@@ -405,6 +411,13 @@ def test_the_rigs_own_button_is_told_until_the_host_answers():
     assert stops(bench.pause(0.06)) == 1
     bench.say(EmergencyStop(0))
     assert stops(bench.pause(1.0)) == 0
+
+
+def test_the_rigs_own_button_is_told_as_often_as_is_set():
+    bench = Bench(settings=FirmwareSettings(stop_tries=2, stop_interval=0.3)).running()
+    bench.rig.emergency_stop(12, bench.now)
+    assert stops(bench.pause(0.25)) == 0
+    assert stops(bench.pause(1.0)) == 1
 
 
 def test_a_fault_is_left_by_nothing_that_a_host_says():
