@@ -176,7 +176,7 @@ def _mapping(given: str) -> Path:
 
 
 def _targets(output: Path, names: list[str]) -> list[Path]:
-    """Where each run goes: the file itself for one run, a folder of safe names for many."""
+    """Target of each run: the file itself for one run, a folder of safe names for many."""
     from drftjax.common.output_files import make_folder
     from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.importers.file_names import safe_names

@@ -1,4 +1,4 @@
-"""What commands share: options, groups of commands, folders of results."""
+"""Shared parts of commands: options, groups of commands, folders of results."""
 
 from collections.abc import Callable
 from contextlib import suppress

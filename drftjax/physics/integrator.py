@@ -1,4 +1,4 @@
-"""How a step linearises the sand's force in the velocity: the choice that makes rest stable.
+"""Linearisations of the sand's force in the velocity: the choice that makes rest stable.
 
 A step solves (m - dt A) dv = dt F(v) for the change of velocity dv. Any A gives a first-order
 scheme; A decides what happens where the force turns over, within `REST_SPEED` of rest.

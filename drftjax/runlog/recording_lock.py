@@ -1,4 +1,4 @@
-"""Whether a recording is at work on a file, or was cut off and left.
+"""Lock on a file that is recorded into: a recording at work, or one that was cut off.
 
 The recorder holds a POSIX lock on the file, which the system lets go when the recorder ends in
 whatever way. HDF5's own locks are of another kind (flock) and are not touched by it.
@@ -46,11 +46,11 @@ def require_room(place: Path | int, wanted: int) -> None:
 PART: str = ".part"
 
 
-"""What stands behind a run log's name while it is recorded."""
+"""Suffix of a run log's name while it is recorded."""
 
 
 def part_path(path: Path) -> Path:
-    """Where a run log stands while it is recorded."""
+    """Path of a run log while it is recorded."""
     return path.with_name(path.name + PART)
 
 
@@ -123,7 +123,7 @@ def hold_lock(handle: int, part: Path) -> None:
 
 
 def place_of(handle: int, part: Path) -> Path | None:
-    """Where the file of a recording is now: its folder may have been moved.
+    """Present path of the file of a recording: its folder may have been moved.
 
     Args:
         handle: The descriptor that it was claimed by.
@@ -150,7 +150,7 @@ def place_of(handle: int, part: Path) -> Path | None:
 
 
 def is_held(path: Path) -> bool:
-    """Whether another process records into the file now; no, on a system without such locks."""
+    """True if another process records into the file now; False on a system without such locks."""
     try:
         import fcntl
     except ImportError:

@@ -243,7 +243,7 @@ def _require_scheduler(address: str) -> None:
 
 
 def dashboard(client: "Client") -> str:
-    """Where to watch the cluster; without bokeh there are plain pages only."""
+    """Address of the dashboard of the cluster; without bokeh there are plain pages only."""
     try:
         link = client.dashboard_link or ""
     except KeyError:  # the scheduler serves none

@@ -159,7 +159,7 @@ class FitStore:
             os.fsync(self._handle)
 
     def _settings(self, line: bytes) -> dict[str, Any]:
-        """What the first line says of the fits below it."""
+        """Settings in the first line, of the fits below it."""
         try:
             header = msgspec.json.decode(_checked(line), type=StoreHeader)
         except ValueError:

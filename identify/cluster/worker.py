@@ -45,7 +45,7 @@ class ParameterSpec(msgspec.Struct, frozen=True):
 
 
 class FitOptions(msgspec.Struct, frozen=True):
-    """What the fits of one store have in common.
+    """Settings that the fits of one store have in common.
 
     Attributes:
         parameters: What is fitted.
@@ -77,7 +77,7 @@ class FitOptions(msgspec.Struct, frozen=True):
 
 
 class FitReply(msgspec.Struct, frozen=True):
-    """What became of one log.
+    """Outcome of the fit of one run log.
 
     Attributes:
         digest: Its name on the wire.
@@ -146,7 +146,7 @@ def fit_logs(settings: bytes, logs: Sequence[tuple[str, bytes]]) -> list[bytes]:
 
 
 def fit_replies(encoded: Sequence[bytes]) -> list[FitReply]:
-    """What `fit_logs` gave."""
+    """Replies of `fit_logs`, decoded."""
     return [msgspec.msgpack.decode(each, type=FitReply) for each in encoded]
 
 

@@ -295,7 +295,7 @@ def _fitted_parameters(
     path: bool,
     apart: bool,
 ) -> "list[Parameter]":
-    """What the options say is fitted.
+    """Parameters that the options name.
 
     Args:
         own, share, parameters: As for the command.

@@ -105,7 +105,7 @@ def compare_series(
 
 
 def lag(late: np.ndarray, early: np.ndarray, tick: float) -> tuple[float | None, float | None]:
-    """How long after `early` `late` does the same [s], and their correlation then.
+    """Delay of `late` behind `early` [s], and their correlation at that delay [-].
 
     None where one of them hardly changes, they are unlike, or the longest lags are as good.
     """

@@ -87,7 +87,7 @@ class RunCheck:
 
     @property
     def closer(self) -> str | None:
-        """Which of the two is closer to the truth, where it is known."""
+        """Name of the zeta that is closer to the truth, where that is known."""
         if self.offline_from_truth is None or self.tuner.from_truth is None:
             return None
         return "offline" if self.offline_from_truth < self.tuner.from_truth else "tuner"

@@ -20,7 +20,7 @@ MOST_SHOWN = 8
 
 
 def tables(result: "CrossCheck") -> "list[Table]":
-    """What is printed: both zetas of each run, the ticks, the sweep, and the truth if known."""
+    """Tables of a cross-check: both zetas of each run, ticks, sweep, and the truth if known."""
     made = [_beside(result), _ticks(result)]
     if any(run.truth is not None for run in result.runs):
         made.append(_truth(result))
@@ -116,7 +116,7 @@ def _sweep(result: "CrossCheck") -> "Table":
 
 
 def _varied(setting: "TunerSetting", base: "TunerSetting") -> str:
-    """What a setting has that the one asked for has not."""
+    """Numbers in which a setting differs from the one asked for."""
     if setting.tick != base.tick:
         return f"tick {setting.tick * MM:g} ms"
     if setting.zeta_step != base.zeta_step:

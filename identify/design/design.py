@@ -1,4 +1,4 @@
-"""Which run to make next, so that a named parameter becomes identifiable.
+"""Design of the next run, so that a named parameter becomes identifiable.
 
 The angular velocity over time, the load and the start angle are moved down the slope of the
 parameter's standard error, which comes of the Fisher information of the simulated run.
@@ -66,12 +66,12 @@ class Design:
 
     @property
     def identifiable(self) -> bool:
-        """Whether any run within the limits tells the parameter from its nuisances."""
+        """True if some run within the limits separates the parameter from its nuisances."""
         return math.isfinite(self.best.information.error)
 
     @property
     def factor(self) -> float:
-        """How many times smaller the standard error of the best run is [-]."""
+        """Standard error now over that with the best run added [-]."""
         return (
             self.given.information.error / self.best.information.error if self.identifiable else 1.0
         )
@@ -267,7 +267,7 @@ def evaluate_setup(
     nuisances: Sequence[str] | None = None,
     instrument: InstrumentNoise | None = None,
 ) -> RunOption:
-    """What one run of a set-up as it stands would tell of a parameter; see `design`."""
+    """Information on a parameter of one run of a set-up as it stands; see `design`."""
     instrument = instrument or InstrumentNoise()
     instrument.check()
     judge = RunEvaluator(setup, quantities_named(parameter_name, nuisances), instrument, Limits())
@@ -283,7 +283,7 @@ def search_objective(
     instrument: InstrumentNoise | None = None,
     search: DesignSettings | None = None,
 ) -> Objective:
-    """What a search goes down: the logarithm of a standard error, on coarse rounded plates.
+    """Objective of a search: the logarithm of a standard error, on coarse rounded plates.
 
     Args:
         setup, parameter_name, nuisances, limits, instrument, search: As for `design`.

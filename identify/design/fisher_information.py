@@ -1,4 +1,4 @@
-r"""How much one run tells of its parameters: the Fisher information of a trial, before it is made.
+r"""Fisher information of a trial on its parameters, before it is made.
 
 With the derivatives $J_c = \partial y_c / \partial\theta$ of each channel at its rows and white
 instrument noise $\sigma_c$, the information is $F = \sum_c J_c^\top J_c / \sigma_c^2$. What is left
@@ -48,7 +48,7 @@ FARTHEST = 1e9
 
 
 def parameter_scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
-    """What each parameter is measured in: its own size, or its unit where it is zero."""
+    """Scale of each parameter: its own size, or its unit where it is zero."""
     values = np.array([abs(float(each.read(trial))) for each in quantities])
     return np.where(values > 0, values, 1.0)
 
@@ -105,7 +105,7 @@ def log_error(fisher: Float[Array, "parameters parameters"]) -> Float[Array, ""]
 
 @dataclass(frozen=True)
 class ParameterInformation:
-    """What one run would tell of the first of its parameters.
+    """Information of one run on the first of its parameters.
 
     Attributes:
         value: The parameter's own value.
@@ -139,7 +139,7 @@ def parameter_information(
     value: float,
     scale: float,
 ) -> ParameterInformation:
-    """What a run's derivatives say of the first parameter.
+    """Information on the first parameter from the derivatives of a run.
 
     By a QR decomposition rather than the information, which has only half the digits.
 
@@ -185,7 +185,7 @@ def parameter_information(
 
 @dataclass(frozen=True)
 class InstrumentNoise:
-    """What is measured, and how finely.
+    """Measured channels and their noise.
 
     Attributes:
         noise: Standard deviation of each channel's white noise [m, N, N m].

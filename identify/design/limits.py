@@ -1,4 +1,4 @@
-"""What a rig can do: the bounds that a designed run keeps."""
+"""Limits of a rig, which a designed run keeps."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ ROUNDED = 1e-3
 
 @dataclass(frozen=True)
 class Limits:
-    """What the rig can do.
+    """Limits of the rig.
 
     Attributes:
         speed: Largest angular velocity [rad/s].
@@ -38,7 +38,7 @@ class Limits:
         return min(1.0, self.duration / 20)
 
     def violations(self, command: RecordedCommand, radius: float) -> list[str]:
-        """What of a profile goes beyond the rig, in words; nothing where it can be run.
+        """Violations of the limits by a profile, in words; none where it can be run.
 
         Args:
             command: The profile, with a wheel that is driven.

@@ -1,4 +1,4 @@
-"""What a run of a set-up would tell of a parameter, by its Fisher information."""
+"""Evaluation of candidate runs by their Fisher information on a parameter."""
 
 import copy
 from collections.abc import Sequence
@@ -104,7 +104,7 @@ class RunEvaluator:
         return self.base.rig.mass_z * self.base.rig.gravity
 
     def extra_sinkage(self, load: float) -> float:
-        """How much deeper a wheel under another load stands at the start [m]."""
+        """Additional sinkage at the start of a wheel under another load [m]."""
         simulator = self.base.trial().simulator
         zeta = simulator.terrain.zeta
         factor = float(getattr(zeta, "value", np.array([1.0])).ravel()[0])
@@ -112,7 +112,7 @@ class RunEvaluator:
         return depths[0] - depths[1]
 
     def evaluate(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[RunOption]:
-        """What a run of each set-up would tell, on the set-up's own plates."""
+        """Information of a run of each set-up, on the set-up's own plates."""
         finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
         longest = max(each.command.time[-1] - each.command.time[0] for each in setups)

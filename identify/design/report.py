@@ -128,7 +128,7 @@ def design_document(result: "Design") -> dict:
 
 
 def _numbers(knows: "ParameterInformation") -> dict[str, float | str | None]:
-    """What a run tells; None where it tells nothing, as JSON has no infinity."""
+    """Information of a run; None where it has none, as JSON has no infinity."""
     import math
 
     values = {name: getattr(knows, name) for name in ("value", "error", "alone", "share", "effect")}

@@ -34,7 +34,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """How hard is searched.
+    """Effort of the search.
 
     Attributes:
         knots: Speeds that are free, evenly in time.
@@ -73,7 +73,7 @@ def objective_of(
 
     Args:
         judge: Of the parameter.
-        search: How hard is searched.
+        search: Effort of the search.
         duration: Of the run [s]; all that the limits allow where none is given.
     """
     setup = copy.deepcopy(judge.base)
@@ -114,11 +114,11 @@ def objective_of(
 def local_optimum(
     judge: RunEvaluator, search: DesignSettings, starts: list[RunOption], report: Progress
 ) -> list[RunOption]:
-    """What each descent came to, where it came to anything; judged as it was at its start.
+    """Results of the descents that improved on their start, evaluated alike.
 
     Args:
         judge: Of the parameter.
-        search: How hard is searched.
+        search: Effort of the search.
         starts: Where descents begin.
         report: Called with what is being done.
     """

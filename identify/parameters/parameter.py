@@ -188,7 +188,7 @@ class Parameter(eqx.Module):
         return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
 
     def at_bound(self, coordinate: float, error: float) -> bool:
-        """Whether the value has run into one of its bounds.
+        """True if the value has run into one of its bounds.
 
         Near a bound a coordinate's unit is the way to it: a value whose error is less than one lies
         inside, however wide the bounds are.

@@ -110,7 +110,7 @@ def _compared(each: PreparedRun) -> set[str]:
 
 
 def has_phase_zeta(parameters: Sequence[Parameter]) -> bool:
-    """Whether any of them is the zeta of a phase."""
+    """True if any of them is the zeta of a phase."""
     return any(p.quantity.name.startswith(PHASE_PREFIX) for p in parameters)
 
 

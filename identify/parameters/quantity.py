@@ -36,7 +36,7 @@ SHORT_NAMES = {
 
 
 def is_zeta_name(name: str) -> bool:
-    """Whether a quantity's full name is that of zeta, of a whole run or of a phase of it."""
+    """True if a quantity's full name is that of zeta, of a whole run or of a phase of it."""
     return name == SHORT_NAMES["zeta"] or name.startswith(PHASE_PREFIX)
 
 
@@ -64,7 +64,7 @@ class Quantity(eqx.Module):
 
     @property
     def is_zeta(self) -> bool:
-        """Whether it says how strong the sand is, of a whole run or of a phase of it."""
+        """True for zeta, of a whole run or of a phase of it."""
         return is_zeta_name(self.name)
 
     def record(self, setup: SetUp, value: float) -> None:

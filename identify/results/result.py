@@ -1,4 +1,4 @@
-"""What a fit found: values with errors, residuals by run and channel, and the models as files."""
+"""Result of a fit: values with errors, residuals by run and channel, and models as files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -222,11 +222,11 @@ class FitResult:
 
     @property
     def bands(self) -> Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]]:
-        """Where readings are expected, by run and channel [m, N, N m]; needs a bootstrap."""
+        """Predictive bands of readings, by run and channel [m, N, N m]; needs a bootstrap."""
         return self.bootstraps[0].bands if self.bootstraps else {}
 
     def sentences(self) -> list[str]:
-        """What stands under the table: shared values, findings, and what was left out."""
+        """Sentences under the table: shared values, findings, and runs that were skipped."""
         told = [str(value) for value in self.shared.values()]
         told += [str(self.starts)] if self.starts else []
         told += [str(profile) for profile in self.profiles]

@@ -26,7 +26,7 @@ def with_checksum(data: bytes) -> bytes:
 
 
 def checksum_matches(path: Path) -> bool | None:
-    """Whether a file is what was sealed; None where it carries no seal."""
+    """True if a file is unchanged since it was sealed; None where it carries no checksum."""
     size = path.stat().st_size - _TRAILER.size
     if size < 0:
         return None

@@ -150,7 +150,7 @@ def _not_a_file(path: Path) -> str | None:
 
 
 def _signed(path: Path) -> bool:
-    """Whether a file begins as HDF5 does; the library would ask for locks of a recording."""
+    """True if a file begins as HDF5 does; the library would ask for locks of a recording."""
     try:
         with path.open("rb") as file:
             return file.read(len(HDF5)) == HDF5
@@ -347,7 +347,7 @@ class _Survey:
 
 
 def _address(node: Any) -> Any:
-    """Where an object stands in the file: two links to it lead to one address."""
+    """Address of an object in the file: two links to it lead to one address."""
     return cast(Any, h5py).h5o.get_info(node.id).addr
 
 
@@ -382,7 +382,7 @@ def _all_chunks_stored(node: h5py.Dataset) -> bool:
 
 
 def _scales(node: h5py.Dataset) -> tuple[bool, tuple[str, ...]]:
-    """Whether it is a dimension scale, and which scales its rows have."""
+    """Properties of a dataset as a dimension scale: is it one, and which scales its rows have."""
     try:
         if h5py.h5ds.is_scale(node.id):
             return True, ()

@@ -18,7 +18,7 @@ Quantity = float | str
 
 
 class Source(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where one channel or one number of the set-up comes from.
+    """Source of one channel or of one number of the set-up: a column, or a constant.
 
     Attributes:
         column: Heading of the column; or
@@ -42,7 +42,7 @@ class Source(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Condition(msgspec.Struct, forbid_unknown_fields=True, frozen=True, rename={"start": "from"}):
-    """Which rows are taken, by one column, in the column's own unit; bounds are included."""
+    """Condition on one column that selects rows, in its own unit; bounds are included."""
 
     equals: float | str | None = None
     one_of: list[float | str] | None = None
@@ -156,7 +156,7 @@ def sources(mapping: Mapping) -> dict[str, Source]:
 
 
 def _require_whole(mapping: Mapping) -> None:
-    """What the types cannot say."""
+    """Check the rules that the types do not express."""
     steady = mapping.rows == "steady"
     if steady and (mapping.duration is None or mapping.time is not None):
         raise InputError("steady rows need a duration and have no [time]")

@@ -55,7 +55,7 @@ class Table:
     lines: Sequence[int]
 
     def position(self, column: str) -> int:
-        """Where a column stands; an InputError names the nearest headings."""
+        """Position of a column; an InputError names the nearest headings."""
         if column not in self.headings:
             raise InputError(
                 f"{self.path}: there is no column {column!r}; {nearest(column, self.headings)}"

@@ -20,7 +20,7 @@ _NUMBER: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(
 
 @dataclass(frozen=True)
 class Unit:
-    """What one of it is in SI, and of which kind it is."""
+    """A unit: its factor to SI, and its kind."""
 
     factor: float
     powers: Powers
