@@ -1,4 +1,4 @@
-"""`drft effects`: the mechanisms beyond the reference model, listed, explained and drawn."""
+"""`drft effects`: list, explain and draw the mechanisms beyond the reference model."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`drft log`: look at run logs, check, draw and repair them, and make them from tables."""
+"""`drft log`: check, show, draw, repair and import run logs."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -161,7 +161,7 @@ def import_(
 
 
 def _mapping(given: str) -> Path:
-    """A mapping's file, given by its path or by the name of one that ships with the project."""
+    """Path of a mapping, given by its path or by the name of one that ships with the project."""
     from drftjax.common.packages import data_file, data_names
     from drftjax.runlog.validation import nearest
 
@@ -176,7 +176,7 @@ def _mapping(given: str) -> Path:
 
 
 def _targets(output: Path, names: list[str]) -> list[Path]:
-    """Target of each run: the file itself for one run, a folder of safe names for many."""
+    """Output file of each run: the path itself for one run, else safe names in a folder."""
     from drftjax.common.output_files import make_folder
     from drftjax.runlog.files import HDF5_ENDINGS
     from drftjax.runlog.importers.file_names import safe_names

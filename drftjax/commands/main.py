@@ -31,15 +31,15 @@ from drftjax.common.errors import InputError
 GROUP = "drft.commands"
 
 
-# An interrupt that was lost is raised again after this: not from where it would be lost again [s].
-AGAIN = 0.05
+INTERRUPT_REPEAT_DELAY = 0.05
+"""Time until a lost interrupt is raised again [s]: long enough for the garbage collection to end,
+inside which it would be lost once more."""
 
-
-INTERRUPTED = 128 + 2  # how a shell numbers a program that Ctrl-C ended
+INTERRUPTED = 128 + 2  # exit code by which shells report a program that Ctrl-C ended
 
 
 class PluginGroup(CommandGroup):
-    """A group whose subcommands are found among the installed packages, and loaded when named."""
+    """Group whose subcommands are the entry points of installed packages, loaded on use."""
 
     def __init__(self, **attributes: Any):
         super().__init__(**attributes)
@@ -47,12 +47,14 @@ class PluginGroup(CommandGroup):
         self.commands = dict.fromkeys(sorted(_plugins()))  # pyright: ignore[reportAttributeAccessIssue]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Load the command of that name; None where there is none."""
         points = _plugins().get(cmd_name)
         return _load(cmd_name, points) if points else None
 
 
 @cache
 def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
+    """Entry points of the subcommands by name."""
     found = defaultdict(list)
     for point in entry_points(group=GROUP):
         found[point.name].append(point)
@@ -61,7 +63,7 @@ def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
 
 @cache
 def _load(name: str, points: tuple[EntryPoint, ...]) -> Any:
-    """The command that an entry point gives, or one that says why there is none."""
+    """Command of an entry point, or one that says why it does not load."""
     try:
         if len(points) != 1:
             raise TypeError("several packages give it")
@@ -82,10 +84,12 @@ def _load(name: str, points: tuple[EntryPoint, ...]) -> Any:
 
 
 def _broken(name: str, points: tuple[EntryPoint, ...], error: BaseException) -> TyperCommand:
+    """Command that refuses to run because its entry point does not load."""
     origin = ", ".join(map(_origin, points))
     reason = " ".join(f"{type(error).__name__}: {error}".split())
 
     def refuse():
+        """Name the entry point and its error."""
         raise InputError(f"the subcommand {name!r} ({origin}) does not load: {reason}")
 
     return TyperCommand(
@@ -98,11 +102,13 @@ def _broken(name: str, points: tuple[EntryPoint, ...], error: BaseException) -> 
 
 
 def _origin(point: EntryPoint) -> str:
+    """Package and place of an entry point, in words."""
     package = f"{point.dist.name} {point.dist.version}: " if point.dist else ""
     return f"{package}{point.value}"
 
 
 def _show_version(wanted: bool) -> None:
+    """Print the version and exit."""
     if wanted:
         typer.echo(f"drft {drftjax.__version__}")
         raise typer.Exit
@@ -129,7 +135,7 @@ def root(
 
 
 def main() -> None:
-    """Run `drft`; what a user can mend is one sentence on stderr and exit code 2."""
+    """Run `drft`; an error that the user can correct is one sentence on stderr and exit code 2."""
     sys.unraisablehook = _lost
     try:
         code = _run()
@@ -151,12 +157,15 @@ def _lost(error: "sys.UnraisableHookArgs") -> None:
     elif signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # To that thread itself, so that a wait ends early too.
         main_thread = threading.main_thread().ident
-        again = threading.Timer(AGAIN, signal.pthread_kill, (main_thread, signal.SIGINT))
+        again = threading.Timer(
+            INTERRUPT_REPEAT_DELAY, signal.pthread_kill, (main_thread, signal.SIGINT)
+        )
         again.daemon = True  # a program that ends by itself is not kept, nor interrupted
         again.start()
 
 
 def _run() -> int | str | None:
+    """Run the command line, and return the exit code."""
     try:
         get_command(app)(prog_name="drft")
     except SystemExit as end:  # typer ends every command so, Ctrl-C with 130
@@ -173,11 +182,13 @@ def _run() -> int | str | None:
 
 
 def _refuse(sentence: str) -> int:
+    """Print a refusal, and return its exit code."""
     print(f"drft: {sentence}", file=sys.stderr)
     return 2
 
 
 def _os_sentence(error: OSError) -> str:
+    """Error of the operating system in words, with its file."""
     if error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return error.strerror or str(error)

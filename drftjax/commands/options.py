@@ -1,4 +1,4 @@
-"""Shared parts of commands: options, groups of commands, folders of results."""
+"""Options, groups of commands and result folders that commands share."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,12 +16,12 @@ def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> 
     """Refuse options that would be ignored.
 
     Args:
-        context: Of the command.
-        names: Of its arguments that are of no use here.
-        why: What they need, or what there is instead.
+        context: Context of the command.
+        names: Names of its parameters that have no effect here.
+        why: Condition under which they have, or an alternative.
 
     Raises:
-        InputError: names the options that were given all the same.
+        InputError: names those that were given.
     """
     given = [each for each in names if _on_command_line(context, each)]
     if given:
@@ -30,16 +30,17 @@ def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> 
 
 
 def _on_command_line(context: typer.Context, name: str) -> bool:
+    """True where a parameter was given on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
-# Longer than any sentence: the list wraps them.
 WHOLE = 1000
+"""Characters of a summary: more than any has, as the list wraps it."""
 
 
 class CommandGroup(TyperGroup):
-    """A group whose list of commands cuts no summary short; for `typer.Typer(cls=...)`."""
+    """Group whose list of commands shows whole summaries; for `typer.Typer(cls=...)`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write every shown command with its first sentence."""
@@ -55,7 +56,7 @@ class CommandGroup(TyperGroup):
 
 
 def remove_empty_folders(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, but a folder for its results that it made goes again if it stays empty."""
+    """Decorate a command to remove result folders that it created and left empty."""
 
     @wraps(command)
     def tidy(*given: object, **named: object) -> None:
@@ -71,4 +72,5 @@ def remove_empty_folders(command: Callable[..., None]) -> Callable[..., None]:
     return tidy
 
 
-USUAL_OMEGA_MAX = 2.0  # [rad/s]
+USUAL_OMEGA_MAX = 2.0
+"""Largest wheel speed that commands assume for a rig [rad/s]."""

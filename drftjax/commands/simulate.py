@@ -1,4 +1,4 @@
-"""`drft simulate`: a set-up file, or a recorded run, in; a run log out."""
+"""`drft simulate`: make a run log from a set-up file or from a recorded run."""
 
 from pathlib import Path
 from typing import Annotated

@@ -20,6 +20,7 @@ def lazy_attributes(
     """
 
     def get(name: str) -> Any:
+        """Import the module of a name, and keep the name in the package."""
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
         package[name] = getattr(import_module(homes[name]), name)

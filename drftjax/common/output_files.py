@@ -55,6 +55,7 @@ def put_new_file(path: Path, data: bytes) -> None:
     """
 
     def link(draft: Path) -> None:
+        """Give the draft its name, unless another file has it."""
         try:
             path.hardlink_to(draft)
         except FileExistsError:

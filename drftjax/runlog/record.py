@@ -317,5 +317,6 @@ def _column(column: Column, given: ArrayLike) -> NDArray[Any]:
 
 
 def _require(problems: Iterable[str]) -> None:
+    """Raise an InputError with the first problem."""
     for sentence in problems:
         raise InputError(sentence)

@@ -1,7 +1,8 @@
-"""Lock on a file that is recorded into: a recording at work, or one that was cut off.
+"""Lock of a recording, and free disk space before a recording.
 
-The recorder holds a POSIX lock on the file, which the system lets go when the recorder ends in
-whatever way. HDF5's own locks are of another kind (flock) and are not touched by it.
+The recorder holds a POSIX lock on its file, which the system releases when the recorder ends for
+whatever reason: an unlocked recording is one that was interrupted. HDF5's own locks are of another
+kind (flock) and do not interfere.
 """
 
 import errno
@@ -13,16 +14,14 @@ from typing import Final
 from drftjax.common.errors import InputError
 
 RESERVE: Final = 2**21
-
-
 """Room that is never used, for HDF5's own bookkeeping [bytes]."""
 
 
 def require_place(path: Path) -> None:
-    """Refuse a folder that a recording cannot be begun in.
+    """Refuse a folder in which no recording can begin.
 
     Raises:
-        InputError: It is not there, may not be written, or has no room.
+        InputError: it does not exist, is not writable, or its disk is full.
     """
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {path.parent}")
@@ -32,10 +31,14 @@ def require_place(path: Path) -> None:
 
 
 def require_room(place: Path | int, wanted: int) -> None:
-    """Refuse a disk with less room than so many bytes; by a name, or an open file.
+    """Refuse a disk with less free space than `wanted`.
+
+    Args:
+        place: Path or descriptor of a file or folder on the disk.
+        wanted: Free space that is needed [bytes].
 
     Raises:
-        InputError: how much is left.
+        InputError: names the free space.
     """
     facts = os.statvfs(place)
     free = facts.f_bavail * facts.f_frsize
@@ -44,9 +47,7 @@ def require_room(place: Path | int, wanted: int) -> None:
 
 
 PART: str = ".part"
-
-
-"""Suffix of a run log's name while it is recorded."""
+"""Suffix that is added to a run log's name while it is recorded."""
 
 
 def part_path(path: Path) -> Path:
@@ -55,10 +56,10 @@ def part_path(path: Path) -> Path:
 
 
 def require_free(path: Path) -> None:
-    """Refuse a run log's name that is taken, by a run log or by a recording of it.
+    """Refuse the name of a run log that exists, finished or as a recording.
 
     Raises:
-        InputError: says which file is there.
+        InputError: names the existing file.
     """
     part = part_path(path)
     if path.suffix != ".h5":
@@ -71,13 +72,13 @@ def require_free(path: Path) -> None:
 
 
 def claim_file(path: Path) -> int:
-    """Take a run log's name for a recording, so that no other recorder can.
+    """Reserve the name of a run log for a recording, so that no other recorder can take it.
 
     Args:
-        path: The final name.
+        path: Final name.
 
     Returns:
-        A descriptor of the file it is recorded into, which is empty and locked.
+        Descriptor of the file of the recording, which is empty and locked.
 
     Raises:
         InputError: the name is taken.
@@ -97,7 +98,7 @@ def claim_file(path: Path) -> int:
 
 
 def release_claim(handle: int, path: Path) -> None:
-    """Let go of a name that was claimed, and remove its recording."""
+    """Release a reserved name, and remove its recording."""
     with suppress(InputError):
         place = place_of(handle, part_path(path))
         if place is not None:
@@ -106,12 +107,12 @@ def release_claim(handle: int, path: Path) -> None:
 
 
 def hold_lock(handle: int, part: Path) -> None:
-    """Take the lock through a file descriptor that is open for writing, for as long as it is open.
+    """Lock a file through a descriptor that is open for writing, for as long as it is open.
 
-    The lock is also let go when this process closes any other descriptor of the same file.
+    The lock is also released when this process closes any other descriptor of the same file.
 
     Raises:
-        InputError: another process has it.
+        InputError: another process holds it.
     """
     import fcntl  # here, as not every system has it
 
@@ -123,17 +124,17 @@ def hold_lock(handle: int, part: Path) -> None:
 
 
 def place_of(handle: int, part: Path) -> Path | None:
-    """Present path of the file of a recording: its folder may have been moved.
+    """Present path of the file of a recording, whose folder may have been moved.
 
     Args:
-        handle: The descriptor that it was claimed by.
-        part: Where it was made.
+        handle: Descriptor from `claim_file`.
+        part: Path at which it was created.
 
     Returns:
         None where it was removed.
 
     Raises:
-        InputError: it was moved, and the system does not tell where to.
+        InputError: it was moved, and the system does not report its new path.
     """
     if not os.fstat(handle).st_nlink:
         return None
@@ -150,7 +151,7 @@ def place_of(handle: int, part: Path) -> Path | None:
 
 
 def is_held(path: Path) -> bool:
-    """True if another process records into the file now; False on a system without such locks."""
+    """True while another process records into the file; False on a system without such locks."""
     try:
         import fcntl
     except ImportError:
@@ -169,12 +170,14 @@ def is_held(path: Path) -> bool:
 
 
 def _is_file(handle: int, part: Path) -> bool:
+    """True where the path names the file of the descriptor."""
     with suppress(OSError):
         return os.path.samestat(os.fstat(handle), part.stat())
     return False
 
 
 def _taken(part: Path) -> InputError:
+    """Error for a name that is taken by a recording."""
     return InputError(
         f"{part} is already there, a recording at work or cut off; "
         f"drft log repair {part}, or move it away"

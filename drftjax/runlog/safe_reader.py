@@ -1,7 +1,7 @@
-"""Surveying files in a child process that may hang, crash or run out of memory.
+"""Reading of untrusted HDF5 files in a child process, which may hang, crash or run out of memory.
 
-Damage to HDF5's own bookkeeping can do all three to the library. The child imports neither JAX
-nor anything else heavy; one child serves many files and is replaced when it is lost.
+Damage to HDF5's own bookkeeping can cause all three. The child imports neither JAX nor other slow
+packages; one child reads many files and is replaced when it is lost.
 """
 
 import json
@@ -23,14 +23,10 @@ from drftjax.common.child_process import program
 from drftjax.runlog.content import Content, Dataset, Group, Level, Violation
 
 TIME_LIMIT: Final = 20.0
-
-
 """Time that one file may take [s]; an ordinary one takes milliseconds."""
 
 
 MEMORY_LIMIT: Final = 4 * 2**30
-
-
 """Address space of the child [bytes], where the system can limit it."""
 
 
@@ -41,18 +37,18 @@ Surveyed = tuple[Content | None, list[Violation]]
 
 
 class _Lost(Exception):
-    """The child gave no answer; the text says why."""
+    """The child gave no answer, for the reason in the text."""
 
 
 class GuardedReader:
-    """Surveys run logs in a child process. Use as a context manager."""
+    """Surveys run logs in a child process; a context manager."""
 
     def __init__(self, time_limit: float = TIME_LIMIT, values: bool = True):
-        """Start nothing yet.
+        """Start no child yet.
 
         Args:
-            time_limit: For each file [s].
-            values: Whether contents come back beside the violations.
+            time_limit: Time for each file [s].
+            values: True to return the contents beside the violations.
         """
         self._time_limit = time_limit
         self._values = values
@@ -70,11 +66,14 @@ class GuardedReader:
         self._stop()
 
     def survey(self, path: str | Path, cut_off: bool = False) -> Surveyed:
-        """A file's contents and everything that is wrong with it as a run log.
+        """Survey one file as a run log.
 
         Args:
             path: The file.
-            cut_off: Whether it is a recording, of which the committed rows are wanted.
+            cut_off: True for an interrupted recording, of which the committed rows are read.
+
+        Returns:
+            Contents, None where they cannot or need not be read; and all violations.
         """
         try:
             answer = self._ask(str(Path(path).absolute()), cut_off)
@@ -85,10 +84,11 @@ class GuardedReader:
         return _unpacked(answer[1]), list(found)
 
     def surveys(self, paths: Iterable[str | Path]) -> Iterator[Surveyed]:
-        """One file after the other."""
+        """Survey files one after the other."""
         return map(self.survey, paths)
 
     def _ask(self, path: str, cut_off: bool) -> Any:
+        """Send a question to the child, which is started if need be, and await the answer."""
         child = self._child = self._child or _start()
         assert child.stdin is not None
         question = json.dumps({"path": path, "values": self._values, "cut_off": cut_off}) + "\n"
@@ -102,6 +102,7 @@ class GuardedReader:
         return msgspec.msgpack.decode(self._take(child, length, deadline))
 
     def _take(self, child: "subprocess.Popen[bytes]", length: int, deadline: float) -> bytes:
+        """Read so many bytes of the answer before the deadline."""
         assert child.stdout is not None
         taken = bytearray()
         with selectors.DefaultSelector() as selector:
@@ -116,6 +117,7 @@ class GuardedReader:
         return bytes(taken)
 
     def _stop(self) -> None:
+        """Kill the child."""
         child, self._child = self._child, None
         if child is not None:
             child.kill()
@@ -123,7 +125,7 @@ class GuardedReader:
 
 
 def serve() -> None:
-    """The child: a question a line on stdin, a length and a packed answer each on stdout."""
+    """Answer questions of the parent: one per line of stdin, a packed survey each on stdout."""
     _limit_memory()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     sys.stdout = sys.stderr
@@ -143,6 +145,7 @@ def serve() -> None:
 
 def _start() -> "subprocess.Popen[bytes]":
     # Threads cost address space, and a plug-in would be code that the file chose.
+    """Start the child."""
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_PLUGIN_PATH": os.devnull}
     return subprocess.Popen(
         [sys.executable, "-I", "-c", _START],
@@ -154,6 +157,7 @@ def _start() -> "subprocess.Popen[bytes]":
 
 
 def _limit_memory() -> None:
+    """Limit the memory of this process, where the system can."""
     try:
         import resource
 
@@ -164,12 +168,14 @@ def _limit_memory() -> None:
 
 
 def _ending(code: int) -> str:
+    """Clause for a child that ended by itself."""
     if code < 0:
         return f"is damaged: the HDF5 library crashed reading it ({signal.Signals(-code).name})"
     return f"is damaged: its reader ended with code {code}"
 
 
 def _packed(content: Content) -> dict[str, Any]:
+    """Contents as plain values that msgpack can encode."""
     groups = {
         title: (
             dict(group.attributes),
@@ -184,15 +190,18 @@ def _packed(content: Content) -> dict[str, Any]:
 
 
 def _packed_values(dataset: Dataset) -> tuple[str, bytes] | None:
+    """Type and bytes of the values of a dataset."""
     values = dataset.values
     return None if values is None else (values.dtype.str, np.ascontiguousarray(values).tobytes())
 
 
 def _unpacked(packed: Any) -> Content | None:
+    """Contents from the values of `_packed`."""
     if packed is None:
         return None
 
     def dataset(values: Any, shape: list[int], attributes: Any) -> Dataset:
+        """Dataset from its packed values."""
         array = values and np.frombuffer(values[1], np.dtype(values[0])).reshape(shape)
         return Dataset(array, tuple(shape), attributes)
 

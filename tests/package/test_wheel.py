@@ -64,7 +64,6 @@ def test_the_wheel_names_its_commands_and_licence(wheel):
 
 
 def test_mypy_sees_the_types_of_an_installed_wheel(wheel, tmp_path):
-    pytest.importorskip("mypy", reason="mypy is not among the development dependencies")
     venv.create(tmp_path / "env", with_pip=False)
     (site,) = (tmp_path / "env").glob("lib/python*/site-packages")
     wheel.extractall(site)

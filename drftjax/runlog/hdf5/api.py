@@ -1,7 +1,7 @@
-"""Run logs and result files on disk. The only package that talks to the HDF5 library.
+"""Reading and writing of run logs and result files.
 
-A file is written as an image in memory and put in place whole, or, while a run is made, row by
-row by `recording`. It is surveyed by `reading` before anything is read.
+A file is written as an image in memory and put in place atomically, or, while a run is recorded,
+row by row by `recording`. It is surveyed by `reading` before any value is read.
 """
 
 from collections.abc import Mapping
@@ -34,27 +34,34 @@ Name = str | Path
 
 
 def read_run(path: Name) -> RunLog:
-    """Read a run log; an InputError names the file and the first reason to refuse it.
+    """Read a run log.
 
     Damage to HDF5's own metadata can hang or crash the library. For a file of unknown origin use
     `drftjax.runlog.check.read_run_guarded`.
+
+    Raises:
+        InputError: names the file and the first reason to refuse it.
     """
     content, violations = survey_run(path)
     return run_from_survey(content, violations)
 
 
 def survey_run(path: Name) -> tuple[Content | None, list[Violation]]:
-    """A file's contents and everything that is wrong with it as a run log."""
+    """Contents of a file, and its violations of the run-log format."""
     return survey(Path(path), SCHEMA, SCHEMA_VERSION, examine)
 
 
 def survey_cut_off(path: Name) -> tuple[Content | None, list[Violation]]:
-    """The committed rows of a recording that was cut off, and what is wrong with them."""
+    """Committed rows of an interrupted recording, and violations in them."""
     return survey_recording(Path(path))
 
 
 def write_run(path: Name, run: RunLog) -> None:
-    """Write a run log whole or not at all; a file of that name is replaced."""
+    """Write a run log atomically; an existing file of that name is replaced.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     replace_file(Path(path), with_checksum(image(to_content(run), AXES)))
 
 
@@ -65,21 +72,28 @@ def write_result(
     groups: Mapping[str, Columns],
     version: int = 1,
 ) -> None:
-    """Write a result file of another schema, with a run log's care.
+    """Write a result file of another schema, as carefully as a run log.
 
     Args:
-        path: Final name; what stood there is replaced.
+        path: Final name; an existing file is replaced.
         schema: Name of the kind of file, such as "drft-fit".
         attributes: Text, numbers and flat lists of either, on the root.
-        groups: Datasets as (array, unit) by group and name; a `ResultGroup` adds attributes.
-            Arrays of any rank; an infinite or absent number is allowed in a result.
+        groups: Datasets as (array, unit) by group and name; a `ResultGroup` adds attributes. Arrays
+            have any rank, and may hold infinite numbers and NaN.
         version: Version of that schema.
+
+    Raises:
+        InputError: a dataset does not hold real numbers, or the file cannot be written.
     """
     content = result_content(schema, version, attributes, groups)
     replace_file(Path(path), with_checksum(image(content, {})))
 
 
 def read_result(path: Name, schema: str, version: int = 1) -> ResultFile:
-    """Read a result file of this schema; an InputError names the file and the reason."""
+    """Read a result file of a schema.
+
+    Raises:
+        InputError: names the file and the reason to refuse it.
+    """
     content, violations = survey(Path(path), schema, version, lambda _: ())
     return result_from(require_readable(content, violations))

@@ -1,9 +1,9 @@
-"""A checksum of a whole file, appended where the HDF5 library does not look.
+"""Checksum of a whole file, appended where the HDF5 library does not look.
 
-fletcher32 guards the rows, but not the text of attributes, and a flipped bit in HDF5's own
-bookkeeping can hang the library. So a file written here ends with 20 bytes: the mark, the
-length and the CRC-32 of all that comes before. They are looked at before the library is let
-near the file. A program that edits the file cuts them off: it is then read without a seal.
+fletcher32 guards the rows but not the text of attributes, and a flipped bit in HDF5's own
+bookkeeping can hang the library. So a file written here ends with 20 bytes: a mark, and the length
+and CRC-32 of all bytes before. They are checked before the library opens the file. A program that
+edits the file removes them, and it is then read without this check.
 """
 
 import struct
@@ -21,12 +21,12 @@ _BLOCK: Final = 2**20
 
 
 def with_checksum(data: bytes) -> bytes:
-    """The file's bytes with the seal behind them."""
+    """Append the checksum to the bytes of a file."""
     return data + _TRAILER.pack(MARK, len(data), crc32(data))
 
 
 def checksum_matches(path: Path) -> bool | None:
-    """True if a file is unchanged since it was sealed; None where it carries no checksum."""
+    """Compare a file with its checksum; None for a file without one."""
     size = path.stat().st_size - _TRAILER.size
     if size < 0:
         return None

@@ -31,6 +31,7 @@ def from_content(content: Content) -> RunLog:
     """Run log that an examined file holds."""
 
     def columns(title: str) -> dict[str, Any]:
+        """Values of the columns that a group has, by name."""
         datasets = content.groups[title].datasets
         return {name: datasets[name].values for name in UNITS[title] if name in datasets}
 
@@ -104,6 +105,7 @@ def flag_table(numbers: str, meanings: Mapping[int, str]) -> dict[str, Attribute
 
 
 def _columns(title: str, record: Any) -> Group:
+    """Datasets of a record, with their units."""
     pairs = ((name, unit, getattr(record, name)) for name, unit in UNITS[title].items())
     return Group(
         {
@@ -133,4 +135,5 @@ def _meanings(attributes: Mapping[str, Attribute], numbers: str) -> dict[int, st
 
 
 def _text(value: Attribute | None) -> str | None:
+    """Attribute as text; None where it is absent."""
     return value if value is None or isinstance(value, str) else str(value)

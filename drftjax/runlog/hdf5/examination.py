@@ -103,6 +103,7 @@ def require_readable(content: Content | None, violations: list[Violation]) -> Co
 
 
 def _examine_root(content: Content) -> Iterator[Found]:
+    """Violations in the attributes of the root."""
     attributes = content.attributes
     if attributes.get("complete") == 0:
         yield (
@@ -125,6 +126,7 @@ def _examine_root(content: Content) -> Iterator[Found]:
 
 
 def _examine_setup(content: Content) -> Iterator[Found]:
+    """Violations in the numbers of the set-up."""
     setup = content.groups.get("setup")
     if setup is None:
         yield "/setup", "is missing; a run log has the group, empty if need be", Level.FORMAT
@@ -142,6 +144,7 @@ def _examine_setup(content: Content) -> Iterator[Found]:
 
 
 def _examine_group(title: str, group: Group, version: int) -> Iterator[Found]:
+    """Violations in one group of columns."""
     columns = {each.name: each for each in COLUMNS[title]}
     for column in columns.values():
         if column.name not in group.datasets and column.is_required(version):
@@ -165,6 +168,7 @@ def _examine_group(title: str, group: Group, version: int) -> Iterator[Found]:
 
 
 def _examine_online_numbers(group: Group) -> Iterator[Found]:
+    """Violations in the attributes of /online."""
     for name in ONLINE_NUMBERS:
         value = group.attributes.get(name)
         if not isinstance(value, int | float):
@@ -175,6 +179,7 @@ def _examine_online_numbers(group: Group) -> Iterator[Found]:
 
 
 def _examine_storage(title: str, column: Column, dataset: Dataset) -> Iterator[Found]:
+    """Violations in the unit, chunks, checksum and dimension scale of a column."""
     where, unit, axis = f"/{title}/{column.name}", column.unit, AXES[title]
     given = dataset.attributes.get("units")
     if given is None:
@@ -192,6 +197,7 @@ def _examine_storage(title: str, column: Column, dataset: Dataset) -> Iterator[F
 
 
 def _examine_flags(where: str, dataset: Dataset) -> Iterator[Found]:
+    """Violations in a flag table."""
     for name in ("flag_values", "flag_masks"):
         given = dataset.attributes.get(name, [])
         codes = given if isinstance(given, list) else [given]
@@ -201,6 +207,7 @@ def _examine_flags(where: str, dataset: Dataset) -> Iterator[Found]:
 
 
 def _examine_values(title: str, column: Column, group: Group) -> Iterator[Found]:
+    """Violations in the values of a column."""
     dataset, axis = group.datasets[column.name], AXES[title]
     where, is_axis = f"/{title}/{column.name}", column.name == axis
     values = real_column(dataset.values)
@@ -240,6 +247,7 @@ def _examine_plausibility(content: Content, limits: PlausibilityLimits) -> Itera
 
 
 def _integer_problems(values: NDArray[np.float64], kind: "np.iinfo[Any]") -> Iterator[str]:
+    """Violation by values that an integer type cannot hold."""
     inside = (values == np.round(values)) & (values >= kind.min) & (values <= kind.max)
     if not inside.all():
         yield f"it must hold whole numbers from {kind.min} to {kind.max}"

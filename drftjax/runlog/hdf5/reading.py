@@ -1,7 +1,7 @@
-"""An HDF5 file's contents, and everything that speaks against reading it.
+"""Survey of an HDF5 file: its contents, and the reasons not to read it.
 
-A file is surveyed before anything is read: links, external storage, virtual datasets, foreign
-types and sizes past a limit are found from headers alone.
+A file is surveyed before any value is read: links, external storage, virtual datasets, foreign
+types and sizes beyond a limit are found from headers alone.
 """
 
 import stat
@@ -24,20 +24,14 @@ from drftjax.runlog.hdf5.examination import examine, identify
 from drftjax.runlog.schema import COLUMNS, MANDATORY_GROUPS, SCHEMA, SCHEMA_VERSION
 
 SIZE_LIMIT: Final = 512 * 2**20
-
-
 """Most bytes that a file's datasets may declare together."""
 
 
 OBJECT_LIMIT: Final = 2000
-
-
 """Most objects in a file, and most rows of an attribute."""
 
 
 BUILT_IN_FILTERS: Final = 255
-
-
 """HDF5 numbers its own filters up to here; others need a plug-in, which is code."""
 
 
@@ -57,12 +51,16 @@ _NOT_READ: Final = ("CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENS
 def survey(
     path: Path, schema: str, version: int, find: Callable[[Content], Iterable[Found]]
 ) -> tuple[Content | None, list[Violation]]:
-    """A file's contents and everything that is wrong with it.
+    """Survey a file.
 
     Args:
         path: The file.
-        schema, version: What it must say that it is.
+        schema: Schema that its attributes must name.
+        version: Newest version of that schema that is read.
         find: Finds violations of that schema.
+
+    Returns:
+        Contents, None where the file cannot be opened; and all violations.
     """
     refusal = _not_openable(path)
     if refusal is not None:
@@ -77,7 +75,7 @@ def survey(
 
 
 def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
-    """The committed rows of a recording that was cut off, as an ordinary run log's contents."""
+    """Committed rows of an interrupted recording, as contents of a run log; and violations."""
     refusal = _not_a_file(path)
     if refusal is None and recording_lock.is_held(path):
         refusal = _AT_WORK
@@ -100,7 +98,7 @@ def survey_recording(path: Path) -> tuple[Content | None, list[Violation]]:
 
 
 def with_file_name(path: Path, found: Iterable[Found]) -> list[Violation]:
-    """Findings with the file's name, fit to be printed."""
+    """Add the file's name to violations, and make them safe to print."""
     return [
         Violation(str(path), replace_unprintable(place), replace_unprintable(reason), level)
         for place, reason, level in found
@@ -108,7 +106,7 @@ def with_file_name(path: Path, found: Iterable[Found]) -> list[Violation]:
 
 
 def _without_bookkeeping(content: Content, rows: Mapping[str, int]) -> Content:
-    """The contents without what only a recording has, and without what it did not come to."""
+    """Contents without the datasets of a recorder and without groups that got no row."""
     attributes = {key: value for key, value in content.attributes.items() if key != "complete"}
     groups = {
         title: group
@@ -119,6 +117,7 @@ def _without_bookkeeping(content: Content, rows: Mapping[str, int]) -> Content:
 
 
 def _not_openable(path: Path) -> str | None:
+    """Reason not to open a file as a finished run log; None where there is none."""
     refusal = _not_a_file(path)
     if refusal is not None:
         return refusal
@@ -136,6 +135,7 @@ def _not_openable(path: Path) -> str | None:
 
 
 def _not_a_file(path: Path) -> str | None:
+    """Reason why a path is no ordinary file with contents; None for such a file."""
     try:
         facts = path.stat()
     except OSError as error:
@@ -150,7 +150,7 @@ def _not_a_file(path: Path) -> str | None:
 
 
 def _signed(path: Path) -> bool:
-    """True if a file begins as HDF5 does; the library would ask for locks of a recording."""
+    """True where a file begins as HDF5 does; the library would ask for the locks of a recording."""
     try:
         with path.open("rb") as file:
             return file.read(len(HDF5)) == HDF5
@@ -159,6 +159,7 @@ def _signed(path: Path) -> bool:
 
 
 def _cut_off(path: Path) -> str:
+    """Clause that tells how to repair an interrupted recording."""
     return (
         "is a recording that was cut off; make an ordinary run log of its rows: "
         f"drft log repair {path}"
@@ -166,6 +167,7 @@ def _cut_off(path: Path) -> str:
 
 
 def _open_failure(error: Exception) -> str:
+    """Clause for an error of the HDF5 library."""
     text = str(error)
     if isinstance(error, MemoryError):
         return "is damaged: it asks for more memory than a reader is given"
@@ -182,14 +184,14 @@ def _open_failure(error: Exception) -> str:
 
 
 class _Survey:
-    """One pass over an open file: headers first, values only where nothing speaks against it."""
+    """One pass over an open file: headers first, then the values of datasets without a hazard."""
 
     def __init__(self, file: h5py.File, rows: Mapping[str, int] | None = None):
-        """Look at nothing yet.
+        """Survey nothing yet.
 
         Args:
             file: An open file.
-            rows: Of a recording, how many rows of each group to read.
+            rows: Number of rows to read by group, for a recording.
         """
         self.file = file
         self.rows = rows
@@ -200,6 +202,7 @@ class _Survey:
         self.readable: dict[str, h5py.Dataset] = {}
 
     def content(self, schema: str, version: int) -> tuple[Content, list[Found]]:
+        """Contents of the file, and violations found on the way."""
         root = Content(self._attributes("/", self.file))
         if any(identify(root, schema, version)):
             return root, []
@@ -213,10 +216,11 @@ class _Survey:
         return Content(root.attributes, groups, datasets), self.found
 
     def _refuse(self, where: str, reason: str) -> None:
+        """Note a violation for which the file is refused."""
         self.found.append((where, reason, Level.REFUSED))
 
     def _group(self, where: str, node: h5py.Group, groups: dict[str, Group]) -> dict[str, Dataset]:
-        """Survey a group's members; the groups below it are added to `groups`."""
+        """Survey the members of a group; groups below it are added to `groups`."""
         datasets: dict[str, Dataset] = {}
         for name in map(str, node):
             place = f"{where.rstrip('/')}/{name}"
@@ -241,6 +245,7 @@ class _Survey:
         groups: dict[str, Group],
         datasets: dict[str, Dataset],
     ) -> None:
+        """Survey one member of a group."""
         member = self._member(place, node, name)
         if isinstance(member, h5py.Group):
             title = place[1:]
@@ -251,7 +256,7 @@ class _Survey:
             datasets[name] = self._dataset(place, member)
 
     def _member(self, place: str, node: h5py.Group, name: str) -> Any:
-        """The object behind a plain link, seen for the first time; None with a finding else."""
+        """Object behind a plain link, seen for the first time; else None and a violation."""
         try:
             link = node.get(name, getlink=True)
         except TypeError:
@@ -271,6 +276,7 @@ class _Survey:
         return member
 
     def _dataset(self, where: str, node: h5py.Dataset) -> Dataset:
+        """Header of a dataset; its values are read later unless it has a hazard."""
         created = node.id.get_create_plist()
         chunked = created.get_layout() == h5py.h5d.CHUNKED
         filters = [created.get_filter(i)[0] for i in range(created.get_nfilters())]
@@ -289,12 +295,14 @@ class _Survey:
         return Dataset(None, shape, attributes, chunked, sealed, scale, scaled_by)
 
     def _filled(self, title: str, group: Group) -> Group:
+        """Group with the values of its datasets."""
         datasets = {
             name: self._with_values(title, name, each) for name, each in group.datasets.items()
         }
         return Group(datasets, group.attributes)
 
     def _with_values(self, title: str, name: str, dataset: Dataset) -> Dataset:
+        """Dataset with its values, of a recording the committed rows."""
         where = f"/{title}/{name}"
         if self.rows is None or title not in self.rows:
             return replace(dataset, values=self._values(where))
@@ -303,6 +311,7 @@ class _Survey:
         return replace(dataset, values=values, shape=shape)
 
     def _values(self, where: str, rows: int | None = None) -> NDArray[Any] | None:
+        """Values of a dataset; None, and a violation, where they cannot be read."""
         node = self.readable.get(where)
         if node is None:
             return None
@@ -319,6 +328,7 @@ class _Survey:
             return None
 
     def _attributes(self, where: str, node: Any) -> dict[str, Attribute]:
+        """Attributes of an object that are numbers or text; violations for others."""
         attributes: dict[str, Attribute] = {}
         for name in node.attrs:
             if name in _NOT_READ or name.startswith("_"):
@@ -347,11 +357,12 @@ class _Survey:
 
 
 def _address(node: Any) -> Any:
-    """Address of an object in the file: two links to it lead to one address."""
+    """Address of an object in the file; two links to one object have the same."""
     return cast(Any, h5py).h5o.get_info(node.id).addr
 
 
 def _hazards(node: h5py.Dataset, created: Any, filters: list[int]) -> Iterator[str]:
+    """Reasons not to read the values of a dataset."""
     if created.get_external_count():
         other = created.get_external(0)[0].decode(errors="replace")
         yield f"keeps its data in another file, {other}; a run log holds its own data"
@@ -373,7 +384,7 @@ def _hazards(node: h5py.Dataset, created: Any, filters: list[int]) -> Iterator[s
 
 
 def _all_chunks_stored(node: h5py.Dataset) -> bool:
-    """Every chunk is on disk with all its filters: no fill values, no skipped checksum."""
+    """True where every chunk is stored with all filters: no fill values, no lost checksum."""
     sides = cast(tuple[int, ...], node.chunks)
     wanted = prod(-(-extent // side) for extent, side in zip(node.shape, sides, strict=True))
     masks: list[int] = []
@@ -382,7 +393,7 @@ def _all_chunks_stored(node: h5py.Dataset) -> bool:
 
 
 def _scales(node: h5py.Dataset) -> tuple[bool, tuple[str, ...]]:
-    """Properties of a dataset as a dimension scale: is it one, and which scales its rows have."""
+    """True for a dimension scale, and the paths of the scales of a dataset's rows."""
     try:
         if h5py.h5ds.is_scale(node.id):
             return True, ()
@@ -394,7 +405,7 @@ def _scales(node: h5py.Dataset) -> tuple[bool, tuple[str, ...]]:
 
 
 def _plain(value: Any) -> Attribute:
-    """An attribute as Python text, numbers, or a list of them; bytes are text."""
+    """Attribute as Python text, numbers, or a list of them; bytes are text."""
     if isinstance(value, h5py.Empty):
         return ""
     if isinstance(value, bytes | np.bytes_):
@@ -415,23 +426,23 @@ GROUPS: Final = tuple(COLUMNS)
 
 
 def committed_rows(file: h5py.File) -> dict[str, int]:
-    """Rows that are committed, by group.
+    """Number of committed rows by group.
 
     Raises:
-        KeyError: The file is no recording.
+        KeyError: the file is not a recording.
     """
     counts = np.asarray(cast(h5py.Dataset, file[COMMITTED])[()])
     return {title: int(rows) for title, rows in zip(GROUPS, counts, strict=False) if title in file}
 
 
 def committed_values(node: h5py.Dataset, rows: int) -> NDArray[Any]:
-    """The first rows of a dataset.
+    """First rows of a dataset.
 
-    A kill can fall into the rewriting of the last chunk, so that its checksum fails. The rows
-    that were committed before are the same in the old and in the new chunk.
+    If the recorder is killed while it rewrites the last chunk, the checksum of that chunk fails.
+    The rows that were committed before are the same in the old and in the new chunk.
 
     Raises:
-        OSError: They cannot be read.
+        OSError: they cannot be read.
     """
     if node.shape[0] < rows:
         raise OSError(f"{node.shape[0]} rows of {rows} are there")

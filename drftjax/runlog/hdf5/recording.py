@@ -1,8 +1,8 @@
-"""A run log written row by row, that a reader can open at any time, also after a kill.
+"""Run log written row by row, readable at any time and after a kill.
 
-The file is kept in HDF5's single-writer-multiple-readers mode, so that what is on disk is whole
+The file is kept in HDF5's single-writer-multiple-readers mode, so that it is consistent on disk
 after each flush. `/n_committed` is written after the rows that it counts. When the recording is
-finished, its rows become an ordinary run log under the final name, put in place whole; until
+finished, its rows become an ordinary run log under the final name, put in place atomically; until
 then they stay where they are.
 """
 
@@ -29,31 +29,28 @@ from drftjax.runlog.recording_lock import RESERVE, require_room
 from drftjax.runlog.schema import AXES, SCHEMA, SCHEMA_VERSION, TEXTS, Column
 
 ROWS_IN_CHUNK: Final = 512
-
-
 """Rows that a kill within a write can reach: a chunk of float64 is a page of memory."""
 
 
 class Recording:
-    """A run log while it is recorded. One thread uses it.
+    """Run log while it is recorded; used by one thread.
 
     Attributes:
-        part: The file, until it is finished.
-        rows: Committed rows by group.
+        part: Path of the recording, until it is finished.
+        rows: Number of committed rows by group.
     """
 
     def __init__(self, part: Path, claimed: int, head: Head):
-        """Make the file, with a head and no rows.
+        """Create the file, with a header and no rows.
 
         Args:
-            part: Its name.
-            claimed: The descriptor that it was claimed by (`recording_lock.claim`); closed when
-                the recording ends.
-            head: Everything but the rows.
+            part: Path of the recording.
+            claimed: Descriptor from `recording_lock.claim_file`; closed when the recording ends.
+            head: Header of the run log.
 
         Raises:
-            InputError: There is no room for it, or the claimed file is no longer there.
-            OSError: It cannot be made.
+            InputError: there is no room for it, or the claimed file no longer exists.
+            OSError: it cannot be created.
         """
         self.part = part
         # HDF5 keeps a descriptor of its own; this one is for the lock, and to sync by.
@@ -77,15 +74,15 @@ class Recording:
         recording_lock.hold_lock(claimed, part)  # HDF5 let go of it when it opened the file
 
     def append(self, title: str, rows: NDArray[np.float64]) -> None:
-        """Take rows of one group, shape (rows, columns), in the format's order of its columns."""
+        """Take rows of one group, shape (rows, columns), columns as in `Head.columns`."""
         self._waiting[title].append(rows)
         self._waiting_bytes += rows.nbytes
 
     def commit(self) -> None:
-        """Write the rows that wait: after a kill of this process they are there.
+        """Write the waiting rows; from then on a kill of this process does not lose them.
 
         Raises:
-            InputError: There is no room for them, or the file was removed; nothing was written.
+            InputError: there is no room for them, or the file was removed; nothing was written.
         """
         if not self._waiting_bytes:
             return
@@ -102,20 +99,20 @@ class Recording:
         self._write_committed()
 
     def sync(self) -> None:
-        """Wait until what was committed is on the disk itself; any thread may call it."""
+        """Wait until the committed rows are on the disk itself; may be called by any thread."""
         os.fsync(self._handle)
 
     def finish(self, path: Path, end_reason: str) -> None:
-        """Put the committed rows in place as an ordinary run log, and remove the recording.
+        """Make an ordinary run log of the committed rows, and remove the recording.
 
         Args:
             path: Final name.
-            end_reason: Why the run ended.
+            end_reason: Reason why the run ended.
 
         Raises:
-            InputError: The rows are no run log, or cannot be written, or something stands there;
-                the recording is kept. Or it was moved: the run log is beside where it was then,
-                as the sentence says. Or it was removed.
+            InputError: the rows are no valid run log, cannot be written, or the final name is
+                taken; the recording is kept. Or it was moved: the run log then lies beside it, as
+                the message says. Or it was removed.
         """
         place = self._close()
         if place is None:
@@ -144,7 +141,7 @@ class Recording:
             place.unlink()
 
     def _close(self) -> Path | None:
-        """Let go of the file; where it is now."""
+        """Close the file, and return its present path; None where it was removed."""
         self._file.close()
         try:
             return recording_lock.place_of(self._handle, self.part)
@@ -152,6 +149,7 @@ class Recording:
             os.close(self._handle)
 
     def _write(self, title: str, rows: NDArray[np.float64]) -> None:
+        """Append rows to the datasets of a group."""
         start = self.rows[title]
         end = start + len(rows)
         for column, dataset in enumerate(self._columns[title]):
@@ -160,11 +158,12 @@ class Recording:
         self.rows[title] = end
 
     def _write_committed(self) -> None:
+        """Write the numbers of committed rows."""
         self._committed[:] = [self.rows.get(title, 0) for title in GROUPS]
         self._file.flush()
 
     def _require_room_for_rows(self) -> None:
-        """The rows that wait, and the finished file beside them, must fit."""
+        """Refuse to go on without room for the waiting rows and the finished file beside them."""
         new = 2 * self._waiting_bytes + RESERVE
         written = self._written_bytes + self._waiting_bytes
         require_room(self._handle, new + written)
@@ -178,14 +177,17 @@ class Recording:
 
 
 def _removed(part: Path) -> InputError:
+    """Error for a recording that was removed."""
     return InputError(f"{part} was removed while it was recorded; nothing is left of it")
 
 
 def _groups(head: Head) -> list[str]:
+    """Groups that a recording has."""
     return [each for each in GROUPS if each != "online" or head.online is not None]
 
 
 def _root_attributes(head: Head) -> dict[str, Attribute]:
+    """Attributes of the root of a recording."""
     texts = {name: getattr(head, name, None) for name in TEXTS}
     return {
         "schema": SCHEMA,
@@ -199,7 +201,7 @@ def _root_attributes(head: Head) -> dict[str, Attribute]:
 
 
 def _make_group(file: h5py.File, title: str, head: Head) -> list[h5py.Dataset]:
-    """An empty group; its datasets in the order of a row."""
+    """Create an empty group; its datasets in the order of a row."""
     node = file.create_group(title)
     more: dict[str, dict[str, Attribute]] = {"code": flag_table("flag_values", head.event_meanings)}
     if title == "online" and head.online is not None:
@@ -216,6 +218,7 @@ def _make_column(
 ) -> h5py.Dataset:
     # No packing and no shuffling: a chunk that grows is written again in its place, its first
     # bytes unchanged.
+    """Create an empty dataset that can grow."""
     made = node.create_dataset(
         column.name,
         (0,),

@@ -1,4 +1,4 @@
-"""A file's contents as the bytes of an HDF5 file.
+"""Contents of a file as the bytes of an HDF5 file.
 
 The file is made in memory, because the HDF5 library itself does not survive a full disk.
 """
@@ -16,7 +16,12 @@ ROWS_IN_CHUNK: Final = 16384
 
 
 def image(content: Content, axes: Mapping[str, str]) -> bytes:
-    """The bytes of an HDF5 file; format 1.10, whose metadata carry checksums."""
+    """Bytes of an HDF5 file of format 1.10, whose metadata carry checksums.
+
+    Args:
+        content: Contents of the file.
+        axes: Name of the dimension scale by group.
+    """
     with h5py.File(
         "image", "w", driver="core", backing_store=False, libver=("v110", "v110")
     ) as file:
@@ -33,6 +38,7 @@ def image(content: Content, axes: Mapping[str, str]) -> bytes:
 
 
 def _put_dataset(node: h5py.Group, name: str, dataset: Dataset) -> None:
+    """Write one dataset in checksummed chunks."""
     values = np.atleast_1d(cast(NDArray[Any], dataset.values))
     rows = max(1, min(values.shape[0], ROWS_IN_CHUNK))
     # Little-endian by name, so that a file does not depend on the machine that wrote it.
@@ -48,6 +54,7 @@ def _put_dataset(node: h5py.Group, name: str, dataset: Dataset) -> None:
 
 
 def put_attributes(node: Any, attributes: Mapping[str, Attribute]) -> None:
+    """Write attributes on a group, dataset or file."""
     for name, value in attributes.items():
         if isinstance(value, list) and value and isinstance(value[0], str):
             node.attrs.create(name, value, dtype=h5py.string_dtype())
@@ -56,6 +63,7 @@ def put_attributes(node: Any, attributes: Mapping[str, Attribute]) -> None:
 
 
 def scale_rows(node: h5py.Group, axis: str) -> None:
+    """Make one dataset of a group the dimension scale of the others."""
     scale = cast(h5py.Dataset, node[axis])
     scale.make_scale(axis)
     for name, each in node.items():

@@ -1,4 +1,4 @@
-"""File names for runs, from whatever a table calls them."""
+"""Safe file names for imported runs."""
 
 import re
 import unicodedata
@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-LONGEST: Final = 100
+MAX_LENGTH: Final = 100
 
 
 def safe_names(names: Sequence[str]) -> list[str]:
-    """One file name each, without the suffix: no path, no surprise to a shell, no two alike.
+    """File names without suffix: no folder, no character that a shell interprets, no duplicate.
 
-    Names that fall together are numbered in their order: drive, drive_2, drive_3.
+    Duplicates are numbered in their order: drive, drive_2, drive_3.
     """
     taken: set[str] = set()
     numbers: Counter[str] = Counter()
@@ -29,5 +29,6 @@ def safe_names(names: Sequence[str]) -> list[str]:
 
 
 def _safe(name: str) -> str:
+    """Name with only letters, digits and a few marks."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9.+-]+", "_", plain).strip("_.-")[:LONGEST] or "run"
+    return re.sub(r"[^A-Za-z0-9.+-]+", "_", plain).strip("_.-")[:MAX_LENGTH] or "run"

@@ -1,4 +1,4 @@
-"""The mapping language: a small TOML file that says what the columns of a table mean."""
+"""Mapping files (TOML), which define the meaning of the columns of a table."""
 
 import re
 import tomllib
@@ -12,23 +12,21 @@ from drftjax.common.structured_files import explain
 from drftjax.runlog.validation import nearest
 
 Quantity = float | str
-
-
 """A number in SI, or text with its unit such as "62.5 mm"."""
 
 
 class Source(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Source of one channel or of one number of the set-up: a column, or a constant.
+    """Origin of one channel or of one number of the set-up.
 
     Attributes:
         column: Heading of the column; or
         constant: one value for all rows.
-        unit: Of the column; SI's where it is not given.
-        sign: -1 where the table counts the other way.
-        divide_by: A radius under a rim speed, gravity under a weight.
+        unit: Unit of the column; SI where it is None.
+        sign: -1 where the table counts in the opposite direction.
+        divide_by: Divisor, such as the radius for a rim speed or gravity for a weight.
         offset: Added last, in the direction of the channel.
-        average: Whether every row gets the mean over the run's rows.
-        zero_at_first_row: Whether the run's first value is subtracted.
+        average: True where every row gets the mean over the run's rows.
+        zero_at_first_row: True where the run's first value is subtracted.
     """
 
     column: str | None = None
@@ -42,7 +40,7 @@ class Source(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Condition(msgspec.Struct, forbid_unknown_fields=True, frozen=True, rename={"start": "from"}):
-    """Condition on one column that selects rows, in its own unit; bounds are included."""
+    """Selection of rows by one column, in the column's own unit; limits are included."""
 
     equals: float | str | None = None
     one_of: list[float | str] | None = None
@@ -51,14 +49,14 @@ class Condition(msgspec.Struct, forbid_unknown_fields=True, frozen=True, rename=
 
 
 class CommandMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """/command; without vx the carriage ran free."""
+    """Columns of /command; without vx the carriage ran free."""
 
     omega: Source
     vx: Source | None = None
 
 
 class MeasuredMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """/measured; a channel that is not named was not measured."""
+    """Columns of /measured; None for a channel that was not measured."""
 
     x: Source | None = None
     z: Source | None = None
@@ -71,7 +69,7 @@ Given = Quantity | Source
 
 
 class SetupMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """/setup; each a quantity, or a source that is averaged over the run's rows."""
+    """Numbers of /setup, each a quantity, or a source whose mean over the run's rows is taken."""
 
     wheel_radius: Given | None = None
     wheel_width: Given | None = None
@@ -87,23 +85,26 @@ class SetupMap(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Mapping(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A whole mapping.
+    """Contents of a mapping file.
 
     Attributes:
-        rows: "samples" where the rows of a run follow one another in time; "steady" where each
-            row is the mean of a run of its own.
-        title: Title of a run; {heading} stands for that column's cell, {file} for the table's
-            name without its ending.
-        name: Name of a run's file, with the same braces; the title where it is not given.
-        files: Patterns of the tables that this mapping is for; any where it is empty.
-        source: Of the run log.
-        notes: Kept in every run.
-        separator: Between cells; a tab in .tsv and .txt, a comma else.
-        skip_lines: Lines above the headings.
-        group_by: Columns whose cells together tell one run from another.
-        duration: Of a steady run: so long the command is held, and the mean stands at its end.
-        select: Conditions by column; all must hold.
-        time: The time of a row; not for steady rows.
+        rows: "samples" where the rows of a run follow one another in time; "steady" where each row
+            is the mean of a run of its own.
+        title: Title of a run; {heading} is replaced by that column's cell, {file} by the table's
+            name without its suffix.
+        command: Columns of /command.
+        measured: Columns of /measured.
+        setup: Numbers of /setup.
+        name: Name of a run's file, with the same braces; the title where it is None.
+        files: Patterns of the names of the tables that this mapping is for; any where it is empty.
+        source: Source of the run log.
+        notes: Notes of every run.
+        separator: Character between cells; where it is None, a tab in .tsv and .txt, else a comma.
+        skip_lines: Number of lines above the headings.
+        group_by: Columns whose cells together identify a run.
+        duration: Time for which a steady run holds its command, and at whose end its mean is put.
+        select: Conditions by column, all of which must hold.
+        time: Time of a row; None for steady rows.
     """
 
     rows: Literal["samples", "steady"]
@@ -130,7 +131,11 @@ _UNKNOWN: Final = re.compile(r"unknown field `(.+?)`(?: - at `\$\.?(.*)`)?")
 
 
 def read_mapping(path: Path) -> Mapping:
-    """Read a mapping; an InputError names the file, the place in it and what must hold."""
+    """Read a mapping file.
+
+    Raises:
+        InputError: names the file, the place in it and what must hold.
+    """
     try:
         mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8-sig")), Mapping)
         _require_whole(mapping)
@@ -147,7 +152,7 @@ def read_mapping(path: Path) -> Mapping:
 
 
 def sources(mapping: Mapping) -> dict[str, Source]:
-    """Every source that is given, by its place in the mapping."""
+    """All given sources by their place in the mapping, such as "command.omega"."""
     found: dict[str, Any] = {"time": mapping.time}
     for title in ("command", "measured", "setup"):
         part = getattr(mapping, title)
@@ -156,7 +161,7 @@ def sources(mapping: Mapping) -> dict[str, Source]:
 
 
 def _require_whole(mapping: Mapping) -> None:
-    """Check the rules that the types do not express."""
+    """Check the rules of a mapping that its types do not express."""
     steady = mapping.rows == "steady"
     if steady and (mapping.duration is None or mapping.time is not None):
         raise InputError("steady rows need a duration and have no [time]")
@@ -183,6 +188,7 @@ def _require_whole(mapping: Mapping) -> None:
 
 
 def _explain(message: str) -> str:
+    """Rewrite msgspec's message, with the nearest keys for an unknown one."""
     unknown = _UNKNOWN.search(message)
     if unknown is None:
         return explain(message, Mapping)

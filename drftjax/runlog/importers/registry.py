@@ -52,6 +52,7 @@ def importer_for(path: Path) -> Importer:
 
 
 def _added() -> dict[str, list[EntryPoint]]:
+    """Entry points of installed packages by suffix."""
     found: dict[str, list[EntryPoint]] = {}
     for entry in entry_points(group=GROUP):
         found.setdefault(f".{entry.name.lower().lstrip('.')}", []).append(entry)

@@ -1,4 +1,4 @@
-"""Importing an experimenter's table as run logs, as a mapping says."""
+"""Import of CSV and TSV tables as run logs, by a mapping."""
 
 import csv
 import gzip
@@ -34,8 +34,6 @@ from drftjax.runlog.schema import SETUP_UNITS, UNITS
 from drftjax.runlog.validation import nearest
 
 ROW_LIMIT: Final = 5_000_000
-
-
 """Most rows of a table."""
 
 
@@ -47,7 +45,7 @@ _ENDING: Final = re.compile(r"(\.(csv|tsv|txt|dat))?(\.gz)?$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text, with the line of the file that each row stands on."""
+    """Cells of a table as text, with the line of the file for each row."""
 
     path: Path
     headings: tuple[str, ...]
@@ -55,7 +53,11 @@ class Table:
     lines: Sequence[int]
 
     def position(self, column: str) -> int:
-        """Position of a column; an InputError names the nearest headings."""
+        """Index of a column.
+
+        Raises:
+            InputError: there is no such heading; names the nearest ones.
+        """
         if column not in self.headings:
             raise InputError(
                 f"{self.path}: there is no column {column!r}; {nearest(column, self.headings)}"
@@ -63,12 +65,16 @@ class Table:
         return self.headings.index(column)
 
     def cells(self, column: str) -> list[str]:
-        """A column as text."""
+        """Cells of a column as text."""
         position = self.position(column)
         return [row[position] for row in self.rows]
 
     def numbers(self, column: str) -> Reals:
-        """A column as numbers; an InputError names the line of the first that is none."""
+        """Cells of a column as numbers, shape (rows,).
+
+        Raises:
+            InputError: names the line of the first cell that is not a finite number.
+        """
         cells = self.cells(column)
         values = np.array([_number(cell) for cell in cells])
         bad = np.flatnonzero(~np.isfinite(values))
@@ -79,7 +85,7 @@ class Table:
         return values
 
     def select_rows(self, rows: Sequence[int]) -> "Table":
-        """Some of the rows, in the order given."""
+        """Table of some of the rows, in the given order."""
         chosen = ([self.rows[i] for i in rows], [self.lines[i] for i in rows])
         return Table(self.path, self.headings, *chosen)
 
@@ -119,7 +125,16 @@ SEPARATORS = (";", "\t", ",", "|")
 
 
 def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) -> Table:
-    """Read a table's headings and cells."""
+    """Read the headings and cells of a table.
+
+    Args:
+        path: CSV or TSV file, also packed as .gz.
+        separator: Character between cells; by the suffix where it is None.
+        skip_lines: Number of lines above the headings.
+
+    Raises:
+        InputError: names the file, the line and what must hold.
+    """
     plain = path.name.removesuffix(".gz")
     separator = separator or ("\t" if plain.endswith((".tsv", ".txt")) else ",")
     opened = gzip.open if path.suffix == ".gz" else open
@@ -147,6 +162,7 @@ def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) ->
 
 
 def _parsed(path: Path, reader: "Iterator[list[str]]", skipped: int) -> Table:
+    """Table from the rows of a reader, all of which must have a cell for each heading."""
     headings = tuple(cell.strip() for cell in next(reader, []))
     if not any(headings):
         raise InputError(f"{path}: line {skipped + 1} must hold the headings, but it is empty")
@@ -177,6 +193,7 @@ def _parsed(path: Path, reader: "Iterator[list[str]]", skipped: int) -> Table:
 
 
 def _selected(table: Table, mapping: Mapping) -> Table:
+    """Rows that meet all conditions of the mapping."""
     keep = np.ones(len(table.rows), dtype=bool)
     for column, condition in mapping.select.items():
         keep &= _meets(table, column, condition)
@@ -187,6 +204,7 @@ def _selected(table: Table, mapping: Mapping) -> Table:
 
 
 def _meets(table: Table, column: str, condition: Condition) -> NDArray[np.bool_]:
+    """Truth of a condition by row."""
     meets = np.ones(len(table.rows), dtype=bool)
     wanted = list(condition.one_of or [])
     if condition.equals is not None:
@@ -201,13 +219,14 @@ def _meets(table: Table, column: str, condition: Condition) -> NDArray[np.bool_]
 
 
 def _equals(table: Table, column: str, wanted: float | str) -> NDArray[np.bool_]:
+    """Truth by row of equality to a text or a number."""
     if isinstance(wanted, str):
         return np.array([cell.strip() == wanted for cell in table.cells(column)], dtype=bool)
     return table.numbers(column) == wanted
 
 
 def _runs(table: Table, mapping: Mapping) -> Iterator[Table]:
-    """The rows of each run, runs in the order of their first rows."""
+    """Rows of each run, runs in the order of their first rows."""
     if mapping.rows == "steady":
         yield from (table.select_rows([row]) for row in range(len(table.rows)))
         return
@@ -221,6 +240,7 @@ def _runs(table: Table, mapping: Mapping) -> Iterator[Table]:
 
 
 def _run(table: Table, mapping: Mapping, mapping_path: Path) -> ImportedRun:
+    """Run log of the rows of one run."""
     try:
         title = _filled(mapping.title, table)
         made = RunLog(
@@ -240,11 +260,12 @@ def _run(table: Table, mapping: Mapping, mapping_path: Path) -> ImportedRun:
 
 
 def _filled(pattern: str, table: Table) -> str:
-    """A pattern with the first row's cells in the place of {heading}."""
+    """Pattern with each {heading} replaced by the cell of the first row."""
     cells = {name: table.rows[0][i].strip() for i, name in enumerate(table.headings)}
     cells |= {"file": _ENDING.sub("", table.path.name)}
 
     def cell(match: re.Match[str]) -> str:
+        """Cell of the heading in braces."""
         if match[1] not in cells:
             hint = nearest(match[1], tuple(cells))
             raise InputError(f"{pattern!r} names no column {match[1]!r}; {hint}")
@@ -254,6 +275,7 @@ def _filled(pattern: str, table: Table) -> str:
 
 
 def _command(table: Table, mapping: Mapping) -> RecordedCommand:
+    """Commands of a run; a steady one holds its command for its duration."""
     given, wanted = mapping.command, UNITS["command"]
     omega = _values(table, given.omega, "command.omega", wanted["omega"])
     vx = given.vx and _values(table, given.vx, "command.vx", wanted["vx"])
@@ -264,6 +286,7 @@ def _command(table: Table, mapping: Mapping) -> RecordedCommand:
 
 
 def _measured(table: Table, mapping: Mapping) -> Measured:
+    """Measurements of a run; of a steady one, its mean at the end."""
     steady = mapping.duration is not None
     time = np.array([_duration(mapping)]) if steady else _time(table, mapping)
     channels = {
@@ -275,6 +298,7 @@ def _measured(table: Table, mapping: Mapping) -> Measured:
 
 
 def _setup(table: Table, given: SetupMap) -> RecordedSetup:
+    """Set-up of a run, columns averaged over its rows."""
     known: dict[str, float] = {}
     for name in SetupMap.__struct_fields__:
         value = getattr(given, name)
@@ -287,11 +311,13 @@ def _setup(table: Table, given: SetupMap) -> RecordedSetup:
 
 
 def _time(table: Table, mapping: Mapping) -> Reals:
+    """Time of each row [s]."""
     assert mapping.time is not None
     return _values(table, mapping.time, "time", "s")
 
 
 def _duration(mapping: Mapping) -> float:
+    """Duration of a steady run [s]."""
     assert mapping.duration is not None
     value = _in_unit("duration", units.quantity(mapping.duration), "s", mapping.duration)
     if value <= 0:
@@ -300,7 +326,7 @@ def _duration(mapping: Mapping) -> float:
 
 
 def _values(table: Table, source: Source, place: str, wanted: str) -> Reals:
-    """A source's values in SI, one for each row."""
+    """Values of a source in SI, shape (rows,)."""
     if source.column is not None:
         raw, of = table.numbers(source.column), units.unit(source.unit or wanted)
     else:
@@ -323,7 +349,7 @@ def _values(table: Table, source: Source, place: str, wanted: str) -> Reals:
 
 
 def _in_unit(place: str, given: units.Unit, wanted: str, written: float | str | None) -> float:
-    """A quantity's value in SI, once it is of the kind that is wanted; a bare number is."""
+    """Value of a quantity in SI; refused where its unit is of another kind than `wanted`."""
     bare = written is not None and not isinstance(written, str)
     powers = units.unit(wanted).powers
     if not bare and given.powers != powers:
@@ -333,6 +359,7 @@ def _in_unit(place: str, given: units.Unit, wanted: str, written: float | str | 
 
 
 def _number(cell: str) -> float:
+    """Cell as a number; NaN where it is none."""
     try:
         # Python would read 1_7 as 17.
         return math.nan if "_" in cell else float(cell)

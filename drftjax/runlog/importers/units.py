@@ -1,7 +1,7 @@
-"""Units that an experimenter's table may be in, and their way to SI.
+"""Units of experimenters' tables, and their conversion to SI.
 
-A unit is a factor and the powers of metre, kilogram and second. An angle has no power of its
-own, so a rim speed divided by a radius comes out in rad/s.
+A unit is a factor and the powers of metre, kilogram and second. An angle has no power of its own,
+so a rim speed divided by a radius comes out in rad/s.
 """
 
 import math
@@ -20,7 +20,12 @@ _NUMBER: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: its factor to SI, and its kind."""
+    """Unit or quantity.
+
+    Attributes:
+        factor: Its value in SI.
+        powers: Powers of metre, kilogram and second.
+    """
 
     factor: float
     powers: Powers
@@ -96,7 +101,11 @@ UNITS: Final = {
 
 
 def unit(name: str) -> Unit:
-    """The unit of that name, or an InputError with the nearest ones."""
+    """Unit of that name.
+
+    Raises:
+        InputError: there is no such unit; names the nearest ones.
+    """
     known = UNITS.get(" ".join(name.replace("*", " ").replace("·", " ").split()))
     if known is None:
         raise InputError(f"{name!r} is no unit known here; {nearest(name, tuple(UNITS))}")
@@ -104,10 +113,13 @@ def unit(name: str) -> Unit:
 
 
 def quantity(given: float | str) -> Unit:
-    """A number with its unit, such as "62.5 mm"; a bare number is taken as it stands.
+    """Parse a number with its unit, such as "62.5 mm"; a bare number has no unit.
 
     Returns:
-        The value in SI as the factor, and its powers; a bare number has none.
+        Value in SI as the factor, and its powers.
+
+    Raises:
+        InputError: the text is no quantity, or not finite.
     """
     if not isinstance(given, str):
         value, of = float(given), UNITS["1"]
@@ -122,7 +134,11 @@ def quantity(given: float | str) -> Unit:
 
 
 def divide(top: Unit, bottom: Unit) -> Unit:
-    """One divided by the other."""
+    """Quotient of two quantities.
+
+    Raises:
+        InputError: the divisor is 0.
+    """
     if bottom.factor == 0:
         raise InputError("a division by 0 is asked for")
     a, b, c = (high - low for high, low in zip(top.powers, bottom.powers, strict=True))
@@ -130,7 +146,7 @@ def divide(top: Unit, bottom: Unit) -> Unit:
 
 
 def describe(powers: Powers) -> str:
-    """The kind of a unit in words of SI, such as m kg s^-2."""
+    """Powers as text in SI, such as m kg s^-2."""
     pairs = zip(("m", "kg", "s"), powers, strict=True)
     words = (name if power == 1 else f"{name}^{power}" for name, power in pairs if power)
     return " ".join(words) or "1"
