@@ -20,13 +20,15 @@ from identify.results.result import FitResult
 from identify.uncertainty.noise_model import AbstractNoise
 from identify.zeta_path.smoother import KNOT_SPACING
 
-# The sand's preparation and the start are each run's own; the rest belongs to sand and rig.
+# Parameters that are each run's own by default: preparation of the sand, and start of the run.
 EACH_RUNS_OWN = ("terrain.zeta", "start")
 
 
+# Parameters that are fitted by default.
 USUAL = ("zeta", "lambda")
 
 
+# Kinds of zeta.
 ZETAS = ("constant", "phases", "path")
 
 
@@ -65,7 +67,7 @@ def fit(
         knots: Time from knot to knot of a path [s].
         noise: Model of the residuals.
         starts: Starting points to try; see `identify.solver.multistart`.
-        keep_rest: Whether samples after the last stop are compared too.
+        keep_rest: Compare samples after the last stop as well.
         compare: Channels that are compared, such as "z", of those that the simulation predicts.
         progress: Called with the stage, the solver's step and the sum of squares.
         settings: Decision numbers of a fit with constant parameters.

@@ -1,4 +1,4 @@
-"""The result of a run fitted alone, as bytes that give it back to the last bit."""
+"""Result of a single run's fit as bytes, and back to the last bit."""
 
 from typing import Any
 
@@ -10,12 +10,12 @@ from identify.results.values import RunFit
 
 
 class SingleRunResult(msgspec.Struct, frozen=True):
-    """A run fitted alone.
+    """Result of a single run's fit.
 
     Attributes:
         run: Values, residuals and fitted set-up.
-        status, steps: How the solver ended, and after how many steps.
-        findings: What the numbers mean, in sentences.
+        status, steps: End of the solve, and its number of steps.
+        findings: Sentences on the result.
     """
 
     run: RunFit
@@ -25,14 +25,14 @@ class SingleRunResult(msgspec.Struct, frozen=True):
 
 
 def encode_result(result: FitResult) -> bytes:
-    """A fit of one run as bytes."""
+    """Return a fit of one run as bytes."""
     (run,) = result.runs
     lone = SingleRunResult(run, result.status, result.steps, list(result.findings))
     return msgspec.msgpack.encode(lone, enc_hook=_packed)
 
 
 def decode_result(data: bytes) -> SingleRunResult:
-    """The result as it was."""
+    """Return the result that was encoded."""
     return msgspec.msgpack.decode(data, type=SingleRunResult, dec_hook=_unpacked)
 
 

@@ -1,4 +1,4 @@
-"""Fits of many run logs on a Dask cluster: each log is fitted alone, by whichever worker is free.
+"""Fits of many run logs on a Dask cluster, each log by itself on whichever worker is free.
 
 A task carries a few logs as the bytes of their files, so workers need no common disk, and fits one
 after the other: a batch would weigh each log by the residuals of its neighbours. What a task
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
@@ -30,38 +30,34 @@ from identify.cluster.worker import FitOptions, fit_logs, fit_replies
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-CONNECT_LIMIT: Final = 10.0
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """Numbers of the fits on a cluster.
+
+    Attributes:
+        connect_limit: Time for a scheduler to answer [s].
+        worker_limit: Time that a cluster may have no worker at all [s].
+        max_log_bytes: Larger logs are not sent to a worker [bytes].
+        tasks_a_worker: Tasks that wait at each worker: enough that none idles, and few are held in
+            memory.
+        logs_a_task: Logs of one task, at most.
+        task_bytes: Bytes of the logs of one task, unless one alone is larger [bytes].
+        poll_interval: Time between looks at the cluster [s].
+        workers_a_core: Workers on each core of this machine, at most.
+    """
+
+    connect_limit: float = 10.0
+    worker_limit: float = 60.0
+    max_log_bytes: int = 256 * 2**20
+    tasks_a_worker: int = 3
+    logs_a_task: int = 4
+    task_bytes: int = 8 * 2**20
+    poll_interval: float = 1.0
+    workers_a_core: int = 4
 
 
-"""Time for a scheduler to answer [s]."""
-
-
-WORKER_LIMIT: Final = 60.0
-
-
-"""Time that a cluster may have no worker at all [s]."""
-
-
-MOST_BYTES: Final = 256 * 2**20
-
-
-"""Larger logs are not sent to a worker [bytes]."""
-
-
-# Enough waits at each worker that none idles, and little is held in memory.
-TASKS_A_WORKER = 3
-
-
-MOST_LOGS_A_TASK = 4
-
-
-TASK_BYTES = 8 * 2**20
-
-
-POLL = 1.0
-
-
-MOST_WORKERS_A_CORE = 4
+CLUSTER_SETTINGS = ClusterSettings()
 
 
 _LOCAL = re.compile(r"local(?::(?P<workers>[0-9]{1,9}))?")
@@ -109,7 +105,7 @@ class LogFile:
 
     @classmethod
     def at(cls, path: Path) -> "LogFile":
-        """The log in a file.
+        """Return the log in a file.
 
         Raises:
             InputError: where it cannot be read.
@@ -117,7 +113,7 @@ class LogFile:
         return cls(path, _digest(_contents(path)))
 
     def read(self) -> bytes:
-        """The file's bytes, if they are still those of the digest."""
+        """Return the file's bytes, if they are still those of the digest."""
         data = _contents(self.path)
         if _digest(data) != self.digest:
             raise InputError(f"{self.path}: has changed since this program was started")
@@ -134,9 +130,10 @@ def _contents(path: Path) -> bytes:
             raise InputError(f"{path}: is a folder, must be a run log")
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: must be an ordinary file")
-        if path.stat().st_size > MOST_BYTES:
+        most = CLUSTER_SETTINGS.max_log_bytes
+        if path.stat().st_size > most:
             raise InputError(
-                f"{path}: is larger than {MOST_BYTES // 2**20} MiB, too large to be sent to a "
+                f"{path}: is larger than {most // 2**20} MiB, too large to be sent to a "
                 "worker; fit it without --cluster"
             )
         return path.read_bytes()
@@ -148,7 +145,7 @@ def _contents(path: Path) -> bytes:
 
 
 def parse_address(text: str) -> LocalWorkers | RemoteScheduler:
-    """A cluster by its address: `local`, `local:4` or `tcp://scheduler:8786`.
+    """Return a cluster by its address: `local`, `local:4` or `tcp://scheduler:8786`.
 
     Raises:
         InputError: where it is none of these.
@@ -156,10 +153,11 @@ def parse_address(text: str) -> LocalWorkers | RemoteScheduler:
     cores = os.cpu_count() or 1
     if found := _LOCAL.fullmatch(text):
         workers = cores if found["workers"] is None else int(found["workers"])
-        if not 1 <= workers <= MOST_WORKERS_A_CORE * cores:
+        most = CLUSTER_SETTINGS.workers_a_core * cores
+        if not 1 <= workers <= most:
             raise InputError(
                 f"--cluster {text}: the number of workers must be 1 to "
-                f"{MOST_WORKERS_A_CORE * cores} on this machine of {cores} cores"
+                f"{most} on this machine of {cores} cores"
             )
         return LocalWorkers(workers)
     if (found := _TCP.fullmatch(text)) and 1 <= int(found["port"]) <= 65535:
@@ -171,14 +169,14 @@ def parse_address(text: str) -> LocalWorkers | RemoteScheduler:
 
 
 def require_extra() -> None:
-    """Refuse where Dask is not installed."""
+    """Raise InputError where Dask is not installed."""
     if any(importlib.util.find_spec(name) is None for name in ("dask", "distributed")):
         raise InputError("--cluster needs Dask: in a checkout, pip install '.[cluster]'")
 
 
 @contextmanager
 def connect(where: LocalWorkers | RemoteScheduler) -> Iterator["Client"]:
-    """A client of the cluster; a local one is started, and stopped at the end.
+    """Yield a client of the cluster; a local one is started, and stopped at the end.
 
     Raises:
         InputError: where no scheduler answers in time.
@@ -187,7 +185,7 @@ def connect(where: LocalWorkers | RemoteScheduler) -> Iterator["Client"]:
 
     if isinstance(where, RemoteScheduler):
         _require_scheduler(where.address)
-        with Client(where.address, timeout=CONNECT_LIMIT) as client:
+        with Client(where.address, timeout=CLUSTER_SETTINGS.connect_limit) as client:
             yield client
         return
     with ExitStack() as ends:
@@ -207,7 +205,7 @@ def connect(where: LocalWorkers | RemoteScheduler) -> Iterator["Client"]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """No Ctrl-C meanwhile, nor ever for the threads and processes that are begun meanwhile.
+    """Block Ctrl-C, here and for good in the threads and processes that are started meanwhile.
 
     A terminal sends it to every process; the one that was called ends the others.
     """
@@ -219,12 +217,14 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _require_scheduler(address: str) -> None:
-    """Ask who is there, in time: a client would wait for ever for one that says nothing."""
+    """Raise InputError where no scheduler answers in time; a client would wait for ever."""
     from distributed.comm.core import connect
 
+    limit = CLUSTER_SETTINGS.connect_limit
+
     async def identity() -> Any:
-        async with asyncio.timeout(CONNECT_LIMIT):
-            line = await connect(address, timeout=CONNECT_LIMIT)
+        async with asyncio.timeout(limit):
+            line = await connect(address, timeout=limit)
             try:
                 await line.write({"op": "identity", "n_workers": 0, "reply": True})
                 return await line.read()
@@ -235,7 +235,7 @@ def _require_scheduler(address: str) -> None:
         found = asyncio.run(identity())
     except Exception as problem:  # whoever is there may answer anything
         raise InputError(
-            f"--cluster {address}: no Dask scheduler answers there within {CONNECT_LIMIT:g} s "
+            f"--cluster {address}: no Dask scheduler answers there within {limit:g} s "
             f"({_first_line(problem)})"
         ) from None
     if not isinstance(found, dict) or found.get("type") != "Scheduler":
@@ -254,7 +254,12 @@ def dashboard(client: "Client") -> str:
 
 
 def fit_on(
-    client: "Client", logs: Sequence[LogFile], settings: FitOptions, store: FitStore, report: Report
+    client: "Client",
+    logs: Sequence[LogFile],
+    settings: FitOptions,
+    store: FitStore,
+    report: Report,
+    numbers: ClusterSettings = CLUSTER_SETTINGS,
 ) -> dict[str, str]:
     """Fit logs and keep every result as it comes.
 
@@ -264,6 +269,7 @@ def fit_on(
         settings: How.
         store: Where results are kept.
         report: Called with the number of logs that are dealt with, and of workers.
+        numbers: Decision numbers.
 
     Returns:
         Digests of logs that could not be fitted, and why.
@@ -272,7 +278,7 @@ def fit_on(
         InputError: where the cluster is lost, or cannot fit at all. The store keeps what is done.
     """
     unique = {log.digest: log for log in logs if log.digest not in store}
-    fits = _Fits(client, list(unique.values()), settings, store, report)
+    fits = _Fits(client, list(unique.values()), settings, store, report, numbers)
     try:
         fits.all()
     finally:
@@ -284,7 +290,7 @@ Batch = list[tuple[LogFile, bytes]]
 
 
 class _Fits:
-    """Tasks under way, and what came of those that ended."""
+    """Tasks in progress, and the failures of those that ended."""
 
     def __init__(
         self,
@@ -293,7 +299,9 @@ class _Fits:
         settings: FitOptions,
         store: FitStore,
         report: Report,
+        numbers: ClusterSettings,
     ):
+        self._numbers = numbers
         self.failures: dict[str, str] = {}
         self._client = client
         self._logs = logs
@@ -309,7 +317,7 @@ class _Fits:
         self._count_workers()
         batches = self._batches()
         while True:
-            room = TASKS_A_WORKER * max(1, self._workers) - len(self._running)
+            room = self._numbers.tasks_a_worker * max(1, self._workers) - len(self._running)
             for batch in islice(batches, max(0, room)):
                 self._submit(batch)
             if not self._running:
@@ -327,7 +335,7 @@ class _Fits:
                 future.cancel()
 
     def _batches(self) -> Iterator[Batch]:
-        """Logs for one task each: fewer where there are few, so that every worker has some."""
+        """Yield the logs of one task each: few if there are few, so that every worker has some."""
         batch, size = [], 0
         for number, log in enumerate(self._logs):
             try:
@@ -335,13 +343,13 @@ class _Fits:
             except InputError as problem:
                 self._fail(log, str(problem))
                 continue
-            if batch and size + len(data) > TASK_BYTES:
+            if batch and size + len(data) > self._numbers.task_bytes:
                 yield batch
                 batch, size = [], 0
             batch.append((log, data))
             size += len(data)
             left = len(self._logs) - number
-            if len(batch) >= min(MOST_LOGS_A_TASK, left // (2 * max(1, self._workers))):
+            if len(batch) >= min(self._numbers.logs_a_task, left // (2 * max(1, self._workers))):
                 yield batch
                 batch, size = [], 0
         if batch:
@@ -357,7 +365,11 @@ class _Fits:
         from distributed import wait
 
         with self._cluster_kept(), suppress(TimeoutError):
-            wait(list(self._running), timeout=POLL, return_when="FIRST_COMPLETED")
+            wait(
+                list(self._running),
+                timeout=self._numbers.poll_interval,
+                return_when="FIRST_COMPLETED",
+            )
         return [each for each in self._running if each.status != "pending"]
 
     def _take(self, future: "Future") -> None:
@@ -366,9 +378,9 @@ class _Fits:
         batch = self._running[future]
         with self._cluster_kept():
             try:
-                encoded = future.result(timeout=POLL)
+                encoded = future.result(timeout=self._numbers.poll_interval)
             except TimeoutError:
-                return  # its worker was lost before it told: it is computed anew
+                return  # its worker was lost before it answered: it is computed again
             except KilledWorker:
                 del self._running[future]
                 if len(batch) > 1:
@@ -399,21 +411,19 @@ class _Fits:
         self._dealt_with += 1
 
     def _count_workers(self) -> None:
-        """Number of threads that fit; a cluster that has had none for long is given up."""
+        """Count the threads that fit; a cluster that has had none for long is given up."""
         with self._cluster_kept():
             threads: Any = self._client.nthreads()
             self._workers = sum(threads.values())
         now = time.monotonic()
         if self._workers:
             self._seen_worker = now
-        elif now - self._seen_worker > WORKER_LIMIT:
-            raise InputError(
-                f"the cluster has had no worker for {WORKER_LIMIT:g} s; {self._kept()}"
-            )
+        elif now - self._seen_worker > (limit := self._numbers.worker_limit):
+            raise InputError(f"the cluster has had no worker for {limit:g} s; {self._kept()}")
 
     @contextmanager
     def _cluster_kept(self) -> Iterator[None]:
-        """Dask's errors as one sentence."""
+        """Raise Dask's errors as one sentence."""
         from asyncio import CancelledError as Interrupted
         from concurrent.futures import CancelledError
 

@@ -1,4 +1,4 @@
-"""An append-only file of finished fits: what a killed program had done is done for the next one.
+"""Append-only file of finished fits, from which a killed program goes on.
 
 JSON lines. The first names the settings of all fits in the file, every other holds one fitted run
 log, known by the SHA-256 of its file. Each line begins with the CRC-32 of the object without it.
@@ -29,7 +29,7 @@ _CHECKED: Final = re.compile(rb'\{"crc32":"([0-9a-f]{8})",(.*\})\n', re.DOTALL)
 
 
 class StoreHeader(msgspec.Struct, forbid_unknown_fields=True):
-    """The first line.
+    """First line of the file.
 
     Attributes:
         settings: What all fits in the file were made with, by name.
@@ -110,7 +110,7 @@ class FitStore:
         return digest in self._places
 
     def append(self, finished: Iterable[FinishedFit]) -> None:
-        """Keep fits for good; one that is there already is not kept twice."""
+        """Append fits; one that is there already is not kept twice."""
         for each in finished:
             if each.digest not in self:
                 place = os.fstat(self._handle).st_size
@@ -118,7 +118,7 @@ class FitStore:
         os.fsync(self._handle)
 
     def result(self, digest: str) -> bytes:
-        """The whole result of one log."""
+        """Return the whole result of one log."""
         place, length = self._places[digest]
         line = os.pread(self._handle, length, place)
         return msgspec.json.decode(_checked(line), type=FinishedFit).result
@@ -138,7 +138,7 @@ class FitStore:
         return len(line)
 
     def _read(self, first: bytes, settings: dict[str, Any]) -> None:
-        """Learn what is there, and cut off a line without its end."""
+        """Read the places of the fits, and cut off a line without its end."""
         place = 0
         with os.fdopen(os.dup(self._handle), "rb") as file:
             file.seek(0)
@@ -194,7 +194,7 @@ class FitStore:
 
 
 def _current(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with the noise model by its name; earlier files have a flag instead."""
+    """Return settings with the noise model by its name; earlier files have a flag instead."""
     if "autoregressive" not in settings:
         return settings
     rest = {name: value for name, value in settings.items() if name != "autoregressive"}
@@ -207,7 +207,11 @@ def _line(content: StoreHeader | FinishedFit) -> bytes:
 
 
 def _checked(line: bytes) -> bytes:
-    """The object that a line holds, without its checksum."""
+    """Return the object that a line holds, without its checksum.
+
+    Raises:
+        ValueError: where the checksum does not match.
+    """
     found = _CHECKED.fullmatch(line)
     body = b"{" + found[2] if found else b""
     if found is None or crc32(body) != int(found[1], 16):

@@ -1,4 +1,4 @@
-"""One run log fitted alone, from the bytes of its file to the bytes of its result.
+"""Fit of one run log by itself, from the bytes of its file to the bytes of its result.
 
 This is what a worker of a cluster does, and one process just as well: both call `fit_logs`, so
 both find the same numbers. JAX is set up on the first call, with one device and one thread, for a
@@ -48,12 +48,12 @@ class FitOptions(msgspec.Struct, frozen=True):
     """Settings that the fits of one store have in common.
 
     Attributes:
-        parameters: What is fitted.
+        parameters: Fitted parameters, one value for each log.
         noise: Name of the noise model of the residuals.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator.
         step: Its step [s]; where none is given, the longest that each command allows.
-        keep_rest: Whether samples after the last stop are compared.
+        keep_rest: Compare samples after the last stop as well.
         compare: Channels that are compared.
         software: Version of this package.
     """
@@ -72,7 +72,7 @@ class FitOptions(msgspec.Struct, frozen=True):
         return msgspec.to_builtins(self)
 
     def encoded(self) -> bytes:
-        """For the wire."""
+        """Return the bytes that a worker gets."""
         return msgspec.msgpack.encode(self)
 
 
@@ -93,7 +93,7 @@ class FitReply(msgspec.Struct, frozen=True):
 
 
 def parameter_specs(parameters: Sequence["Parameter"]) -> tuple[ParameterSpec, ...]:
-    """Parameters as plain values.
+    """Return parameters as plain values.
 
     Raises:
         InputError: for a shared one, which no log has for itself.
@@ -131,7 +131,7 @@ def fit_logs(settings: bytes, logs: Sequence[tuple[str, bytes]]) -> list[bytes]:
         logs: Digest and file contents of each.
 
     Returns:
-        An encoded `Answer` for each; a log that cannot be fitted does not stop the others.
+        An encoded `FitReply` for each; a log that cannot be fitted does not stop the others.
 
     Raises:
         InputError: where this is another version of the package than the settings are of.
@@ -185,7 +185,7 @@ def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitR
 
 
 def _reason(text: str, digest: str) -> str:
-    """A refusal without the name of the log, or what only says that it was alone."""
+    """Return a refusal without the name of the log, and without what is only true of one log."""
     alone = f"no run is left to fit ({digest}: "
     if text.startswith(alone):
         return text.removeprefix(alone).removesuffix(")")
@@ -194,7 +194,7 @@ def _reason(text: str, digest: str) -> str:
 
 @lru_cache
 def _parameters(encoded: bytes) -> list["Parameter"]:
-    """The settings' parameters; made once, for a program is compiled for the objects in them."""
+    """Return the options' parameters; made once, as programs are compiled for these objects."""
     from identify.parameters.parameter import parameter
 
     settings = msgspec.msgpack.decode(encoded, type=FitOptions)
@@ -206,6 +206,7 @@ def _parameters(encoded: bytes) -> list["Parameter"]:
 
 @lru_cache
 def _set_up() -> None:
+    """Configure JAX for one device and one thread."""
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_cpu_multi_thread_eigen" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {ONE_THREAD}".strip()
@@ -219,7 +220,7 @@ _local = threading.local()
 
 
 def _reader() -> "GuardedReader":
-    """This thread's reader; its child ends with this process, whose end closes its input."""
+    """Return this thread's reader; its child ends with this process, whose end closes its input."""
     from drftjax.runlog.safe_reader import GuardedReader
 
     if not hasattr(_local, "reader"):

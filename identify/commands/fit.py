@@ -229,8 +229,8 @@ def fit(
             result = result.bootstrap(bootstrap)
 
     console.print(result.table())
-    for told in result.profiles:
-        console.print(told.table())
+    for each in result.profiles:
+        console.print(each.table())
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
     result = result.with_failures(gathered.skipped)
@@ -239,7 +239,7 @@ def fit(
 
 
 def _require_method(method: str, start_zeta: float | None) -> None:
-    """Refuse a method that no fit can step with, or a zeta to start from that cannot be."""
+    """Raise InputError for a method that no fit can use, or for an impossible start of zeta."""
     from drftjax.physics.terrain import LARGEST_ZETA
 
     if method not in METHODS:
@@ -262,7 +262,7 @@ def _require_together(
     bootstrap: int | None,
     autoregressive: bool,
 ) -> None:
-    """Refuse a kind of zeta that there is not, and what does not go with the one that is asked for.
+    """Check the kind of zeta, and that the other options go with it.
 
     Raises:
         InputError: names the option, and what must hold.
@@ -299,8 +299,8 @@ def _fitted_parameters(
 
     Args:
         own, share, parameters: As for the command.
-        path: Whether zeta(t) is fitted, beside which nothing is fitted unasked.
-        apart: Whether each run is fitted alone, so that nothing is shared unasked.
+        path: True for a fit of zeta(t), with which nothing else is fitted by default.
+        apart: True where each run is fitted by itself, so that nothing is shared by default.
 
     Raises:
         InputError: for options that contradict one another, or a parameter that cannot be.

@@ -35,7 +35,7 @@ from identify.cluster.worker import FitOptions
 if TYPE_CHECKING:
     from identify.results.result import FitResult
 
-# More rows or sentences than this are in the files alone.
+# More rows or sentences than this are in the files asingle.
 MOST_ROWS = 40
 
 
@@ -52,7 +52,7 @@ def fit_on_cluster(
     stem: Path | None,
     left_out: Mapping[str, str],
 ) -> None:
-    """Fit every run alone, go on where a killed call ended, and write the usual results.
+    """Fit every run by itself, continue where a killed call ended, and write the usual results.
 
     Args:
         address: The cluster's.
@@ -70,7 +70,7 @@ def fit_on_cluster(
     require_extra()
     if stem is None:
         raise InputError("--cluster keeps its results beside those of -o: give -o too")
-    # A killed worker is told by the count of workers, not by pages from each process.
+    # The count of workers shows a killed one; no pages of log from each process.
     for name in ("distributed", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     console = Console()
@@ -131,37 +131,37 @@ def _fit(
 def _together(
     encoded: Mapping[str, bytes], digests: Mapping[str, str], failures: Mapping[str, str]
 ) -> "FitResult":
-    """Lone fits as one result."""
+    """Return the fits of single runs as one result."""
     from identify.cluster.result_codec import decode_result
     from identify.results.findings import between_run_sentences
     from identify.results.result import FitResult
 
-    runs, told = [], []
+    runs, findings = [], []
     status, steps = WORST_LAST[0], 0
     for name, each in encoded.items():
-        lone = decode_result(each)
-        runs.append(replace(lone.run, name=name))
-        status = max(status, lone.status, key=WORST_LAST.index)
-        steps = max(steps, lone.steps)
+        single = decode_result(each)
+        runs.append(replace(single.run, name=name))
+        status = max(status, single.status, key=WORST_LAST.index)
+        steps = max(steps, single.steps)
         # One run alone has no repeats; all together may.
-        of_one = between_run_sentences([lone.run])
+        of_one = between_run_sentences([single.run])
         said = [
             finding.replace(digests[name], name)
-            for finding in lone.findings
+            for finding in single.findings
             if finding not in of_one
         ]
         said = [text if name in text else f"{name}: {text}" for text in said]
-        if lone.status != WORST_LAST[0]:
-            said.append(f"{name}: the solver is {lone.status} after {lone.steps} steps")
-        told += said
+        if single.status != WORST_LAST[0]:
+            said.append(f"{name}: the solver is {single.status} after {single.steps} steps")
+        findings += said
     return FitResult(
         shared={},
         runs=runs,
         status=status,
         steps=steps,
         failures=dict(failures),
-        # What is said of all stands before what is said of each, which may be cut short.
-        findings=[*between_run_sentences(runs), *told],
+        # Sentences on all runs come before those on each, which may be cut short.
+        findings=[*between_run_sentences(runs), *findings],
     )
 
 
@@ -180,7 +180,7 @@ def _show(console: Console, result: "FitResult") -> None:
 
 
 def _summary(result: "FitResult") -> list[str]:
-    """Many runs in a few lines: how each parameter is spread, and the errors of all together."""
+    """Return many runs in a few lines: quantiles of each parameter, and RMSE of all together."""
     from drftjax.recorded.observation import SHOWN
 
     lines = [f"{len(result.runs)} runs are fitted, {len(result.failures)} are left out"]

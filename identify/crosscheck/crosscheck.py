@@ -1,4 +1,4 @@
-"""The online tuner beside the offline zeta(t): how far apart, how late, how restless.
+"""Comparison of the online tuner with the offline zeta(t): difference, lag and ripple.
 
 Eq. 7 is replayed over each recorded run (`drftjax.tuning.replay`), and zeta(t) is fitted to the
 same run (`identify.zeta_path.smoother`). One factor at a time, tick, zeta step and tolerance are
@@ -18,7 +18,9 @@ from drftjax.recorded.compatible import retry_without_failures
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.runlog.record import Online
 from identify.crosscheck.comparison import (
+    COMPARISON_SETTINGS,
     Comparison,
+    ComparisonSettings,
     Path,
     compare_series,
     moving_part,
@@ -31,14 +33,24 @@ from identify.zeta_path.smoother import KNOT_SPACING, zeta_paths
 CROSSCHECK_SCHEMA = "drft-crosscheck"
 
 
-# Shares and multiples of the setting asked for that the sweep tries.
-TICK_FACTORS = (0.25, 0.5, 2.0, 4.0)
+@dataclass(frozen=True)
+class CrossCheckSettings:
+    """Numbers of a cross-check.
+
+    Attributes:
+        tick_factors: Multiples of the tuner's tick that the sweep tries [-].
+        step_factors: Multiples of its zeta step [-].
+        tolerance_factors: Multiples of its tolerance [-].
+        comparison: Numbers of the comparison of two zeta series.
+    """
+
+    tick_factors: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    step_factors: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
+    tolerance_factors: tuple[float, ...] = (0.0, 0.3, 3.0, 10.0)
+    comparison: ComparisonSettings = COMPARISON_SETTINGS
 
 
-STEP_FACTORS = (0.25, 0.5, 2.0, 4.0)
-
-
-TOLERANCE_FACTORS = (0.0, 0.3, 3.0, 10.0)
+CROSSCHECK_SETTINGS = CrossCheckSettings()
 
 
 @dataclass(frozen=True)
@@ -158,8 +170,9 @@ def crosscheck(
     truths: Mapping[str, Path] | None = None,
     knot_spacing: float = KNOT_SPACING,
     sweep: bool = True,
+    numbers: CrossCheckSettings = CROSSCHECK_SETTINGS,
 ) -> CrossCheck:
-    """Replay the tuner over recorded runs, and hold it against their offline zeta(t).
+    """Replay the tuner over recorded runs, and compare it with their offline zeta(t).
 
     Args:
         prepared: Runs; one that cannot be replayed or fitted, moves for too few ticks, or is of
@@ -168,23 +181,24 @@ def crosscheck(
         online: What a run logged of its own tuner, by name.
         truths: The true zeta(t) of a run, by name, where it is known.
         knot_spacing: Of the offline zeta(t) [s].
-        sweep: Whether other settings are tried.
+        sweep: Try other settings as well.
+        numbers: Decision numbers.
 
     Raises:
         InputError: where the tuner cannot be, or no run is left.
     """
-    settings = [setting, *(_sweep(setting) if sweep else [])]
+    settings = [setting, *(_sweep(setting, numbers) if sweep else [])]
 
     def both_ways(runs: list[PreparedRun]) -> list[RunCheck]:
         made = zip(
             runs, zeta_paths(runs, knot_spacing), replay_settings(runs, settings), strict=True
         )
-        return [told(*each) for each in made]
+        return [checked(*each) for each in made]
 
-    def told(each: PreparedRun, path: ZetaPath, replayed: ReplayedTuner) -> RunCheck:
+    def checked(each: PreparedRun, path: ZetaPath, replayed: ReplayedTuner) -> RunCheck:
         logged, truth = (online or {}).get(each.name), (truths or {}).get(each.name)
         try:
-            return _check(each, path, settings, replayed, logged, truth)
+            return _check(each, path, settings, replayed, logged, truth, numbers.comparison)
         except InputError as problem:
             raise RunError(each.name, str(problem)) from None
 
@@ -192,12 +206,13 @@ def crosscheck(
     return CrossCheck(setting, runs, left_out)
 
 
-def _sweep(setting: TunerSetting) -> list[TunerSetting]:
+def _sweep(setting: TunerSetting, numbers: CrossCheckSettings) -> list[TunerSetting]:
+    """Return the setting with one number varied at a time."""
     tick, step, tolerance = setting.tick, setting.zeta_step, setting.tolerance
     return [
-        *(TunerSetting(tick * factor, step, tolerance) for factor in TICK_FACTORS),
-        *(TunerSetting(tick, step * factor, tolerance) for factor in STEP_FACTORS),
-        *(TunerSetting(tick, step, tolerance * factor) for factor in TOLERANCE_FACTORS),
+        *(TunerSetting(tick * factor, step, tolerance) for factor in numbers.tick_factors),
+        *(TunerSetting(tick, step * factor, tolerance) for factor in numbers.step_factors),
+        *(TunerSetting(tick, step, tolerance * factor) for factor in numbers.tolerance_factors),
     ]
 
 
@@ -208,7 +223,10 @@ def _check(
     replayed: ReplayedTuner,
     online: Online | None,
     truth: Path | None,
+    numbers: ComparisonSettings,
 ) -> RunCheck:
+    """Return the comparison of one run's zetas."""
+
     def compared(number: int) -> Comparison:
         pick = np.s_[number, :: replayed.every[number]]
         time = replayed.time[:: replayed.every[number]]
@@ -217,19 +235,19 @@ def _check(
         direction = np.where(error < -tolerance, 1, np.where(error > tolerance, -1, 0))
         if settings[number].zeta_step == 0:
             direction = 0 * direction
-        moving = moving_part(each.trial, time)
-        return compare_series(time, replayed.zeta[pick], direction, moving, path.at, truth)
+        moving = moving_part(each.trial, time, numbers)
+        return compare_series(time, replayed.zeta[pick], direction, moving, path.at, truth, numbers)
 
     time = replayed.time[:: replayed.every[0]]
-    moving = moving_part(each.trial, time)
+    moving = moving_part(each.trial, time, numbers)
     logged = None
     online_time = online_zeta = None
     if online is not None:
         online_time = online.time - each.setup.command.time[0]
         online_zeta = online.zeta
         direction = np.sign(np.diff(online_zeta, prepend=online_zeta[0])).astype(int)
-        when = moving_part(each.trial, online_time)
-        logged = compare_series(online_time, online_zeta, direction, when, path.at, truth)
+        when = moving_part(each.trial, online_time, numbers)
+        logged = compare_series(online_time, online_zeta, direction, when, path.at, truth, numbers)
     return RunCheck(
         name=each.name,
         offline=path,

@@ -27,26 +27,22 @@ from identify.design.search import DesignSettings, Progress, local_optimum, obje
 DESIGN_SCHEMA = "drft-design"
 
 
-# A ramp is shorter than what the limits leave to it by this factor: something is held, if little.
-SHORTEST_HOLD = 1.01
-
-
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The run to make next, beside those it was chosen from.
+    """The run to make next, and those it was chosen from.
 
     Attributes:
         parameter, unit, nuisances: Names in reports.
-        now: The profile given.
-        beyond: What of it goes beyond the limits, in words; nothing where it can be run.
+        given: The given profile.
+        violations: Sentences on limits that it exceeds; none where it can be run.
         best: The run to make: that of least standard error, the given one among them if it can be.
-        found: Where the descents ended.
+        found: Ends of the descents.
         scan: Trapezoids to rising peak speeds.
         peaks: Those speeds [rad/s].
         others: The best profile under other loads and from other start angles.
         wanted: Standard error that counts as identified, as a share of the value [-].
         model_error: Of x and z, RMS [m].
-        noise, channels: See `Instrument`.
+        noise, channels: See `InstrumentNoise`.
     """
 
     parameter: str
@@ -77,16 +73,16 @@ class Design:
         )
 
     def shift(self, option: RunOption) -> float:
-        """Largest shift of the fitted value by the model error."""
+        """Return the largest shift of the fitted value by the model error."""
         return option.information.shift * self.model_error
 
     def speed_needed(self, with_model_error: bool = False) -> float | None:
-        """Peak speed [rad/s] from which the parameter is identified, or None within the limits.
+        """Return the peak speed that identifies the parameter [rad/s]; None within the limits.
 
         Between scanned speeds the error is taken as a power of the speed.
 
         Args:
-            with_model_error: Whether the shift by the model error counts as well.
+            with_model_error: Count the shift by the model error as well.
         """
         value = abs(self.given.information.value)
 
@@ -106,7 +102,7 @@ class Design:
         return float(self.peaks[first - 1] * (self.peaks[first] / self.peaks[first - 1]) ** way)
 
     def summary(self) -> str:
-        """The outcome in a few sentences."""
+        """Return the outcome in a few sentences."""
         name, now, best = self.parameter, self.given.information, self.best.information
         if not self.identifiable:
             if best.effect <= SMALLEST_EFFECT:
@@ -152,20 +148,26 @@ def _percent(knows: ParameterInformation) -> str:
     return f" ({knows.relative:.2%})" if math.isfinite(knows.relative) else ""
 
 
-def trapezoid(limits: Limits, radius: float, peak: float) -> CommandSetUp:
-    """Up to `peak` [rad/s], or as near as the limits allow, and down at the largest rate.
+def trapezoid(
+    limits: Limits,
+    radius: float,
+    peak: float,
+    shortest_hold: float = DesignSettings.shortest_hold,
+) -> CommandSetUp:
+    """Return a profile up to `peak`, or as near as the limits allow, and down at the largest rate.
 
     Args:
-        limits: Of the rig; it ends early where its way does.
+        limits: Of the rig; the run ends early where its travel does.
         radius: Of the wheel's rim [m].
         peak: Angular velocity that is wanted [rad/s].
+        shortest_hold: See `DesignSettings`.
     """
     rest, end = limits.rest, limits.duration - limits.rest
     turn = limits.travel / radius
     ramp = min(
         peak / limits.acceleration,
-        (end - rest) / SHORTEST_HOLD / 2,
-        math.sqrt(turn / limits.acceleration / SHORTEST_HOLD),
+        (end - rest) / shortest_hold / 2,
+        math.sqrt(turn / limits.acceleration / shortest_hold),
     )
     peak = ramp * limits.acceleration
     end = min(end, rest + turn / peak + ramp)
@@ -185,18 +187,18 @@ def design(
     model_error: float = 5e-5,
     progress: Progress | None = None,
 ) -> Design:
-    """The run within the limits that tells most of a parameter.
+    """Return the run within the limits that has most information on a parameter.
 
     Args:
-        setup: What is believed of wheel, sand and rig, and the profile given so far.
+        setup: Wheel, sand and rig as believed, and the given profile.
         parameter_name: Parameter that is to be identified, such as "lambda".
-        nuisances: What must be found from the same run; zeta and lambda where None.
-        limits: What the rig can do.
-        instrument: What is measured.
-        search: How hard is searched.
+        nuisances: Parameters found from the same run; zeta and lambda where None.
+        limits: Of the rig.
+        instrument: Measured channels and their noise.
+        search: Numbers of the search.
         wanted: Standard error, as a share of the value, that counts as identified [-].
         model_error: Error of the model itself in x and z, RMS [m]; its worst shape is judged.
-        progress: Called with what is being done.
+        progress: Called with a description of the work in progress.
 
     Raises:
         InputError: for names, limits or set-ups that cannot be.
@@ -222,10 +224,11 @@ def design(
     for load in limits.loads or ():
         judge.extra_sinkage(load)  # refuses what the sand does not bear, before the search
     radius = setup.wheel.radius
-    fastest = max(trapezoid(limits, radius, limits.speed).omega)
-    peaks = np.geomspace(fastest / 12, fastest, search.scan).tolist()
+    hold = search.shortest_hold
+    fastest = max(trapezoid(limits, radius, limits.speed, hold).omega)
+    peaks = np.geomspace(search.slowest_peak * fastest, fastest, search.scan).tolist()
     given = judge.setup_for(decimate_command(setup.command))
-    ramps = [judge.setup_for(trapezoid(limits, radius, peak)) for peak in peaks]
+    ramps = [judge.setup_for(trapezoid(limits, radius, peak, hold)) for peak in peaks]
     report(f"the given profile and {search.scan} peak speeds")
     now, *scan = judge.evaluate(["given profile", *map(_trapezoid_name, peaks)], [given, *ramps])
 
@@ -301,7 +304,7 @@ def _trapezoid_name(peak: float) -> str:
 
 
 def _variations(judge: RunEvaluator, best: SetUp) -> tuple[list[str], list[SetUp]]:
-    """The best run under other loads, and from other start angles."""
+    """Return names and set-ups of the best run under other loads and from other start angles."""
     own = best.rig.mass_z * best.rig.gravity
     names, setups = [], []
     for load in judge.limits.loads or (0.8 * own, 1.2 * own):

@@ -1,8 +1,8 @@
 r"""Fisher information of a trial on its parameters, before it is made.
 
 With the derivatives $J_c = \partial y_c / \partial\theta$ of each channel at its rows and white
-instrument noise $\sigma_c$, the information is $F = \sum_c J_c^\top J_c / \sigma_c^2$. What is left
-for one parameter once the others (nuisances) must be found from the same run is its Schur
+instrument noise $\sigma_c$, the information is $F = \sum_c J_c^\top J_c / \sigma_c^2$. The
+information on one parameter, where the others (nuisances) are found from the same run, is the Schur
 complement $s = F_{tt} - F_{tn} F_{nn}^{-1} F_{nt}$, and its standard error $1 / \sqrt{s}$.
 """
 
@@ -30,21 +30,21 @@ from identify.parameters.parameter import Quantity
 POSITIONS = ("x", "z")
 
 
-# Of a parameter's whole effect, the share that its nuisances cannot imitate; below it, what is
-# left is rounding and plates that turn over, and no run tells the parameter from them.
+# Share of a parameter's effect that its nuisances cannot imitate, at least: below it lie rounding
+# and plates that turn over, and the run does not identify the parameter [-].
 SMALLEST_SHARE = 1e-5
 
 
-# The same for the effect itself, in standard deviations over the whole run.
+# Smallest effect of a parameter, in standard deviations over the whole run [-].
 SMALLEST_EFFECT = 1e-9
 
 
-# Speeds and loads start so far inside their bounds, where a sigmoid still has a slope [-].
-MARGIN = 0.01
+# Speeds and loads start this share of the way inside their bounds: a sigmoid has a slope there [-].
+BOUND_MARGIN = 0.01
 
 
-# No wheel turns farther [rad]; infinity, for no limit, would leave no derivative.
-FARTHEST = 1e9
+# Turn of the wheel that stands for no limit [rad]; infinity would leave no derivative.
+UNLIMITED_TURN = 1e9
 
 
 def parameter_scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray:
@@ -56,13 +56,13 @@ def parameter_scales(trial: Trial, quantities: Sequence[Quantity]) -> np.ndarray
 def sensitivities(
     trial: Trial, quantities: Sequence[Quantity], scale: Float[Array, " parameters"]
 ) -> Float[Array, "channels rows parameters"]:
-    """Exact derivatives of every channel at every row by parameter, per `scale`.
+    """Return exact derivatives of every channel at every row by parameter, per `scale`.
 
-    One forward sweep carries all parameters along; it may itself be differentiated.
+    One forward sweep for all parameters; it may itself be differentiated.
 
     Args:
         trial: Run to differentiate.
-        quantities: By which numbers.
+        quantities: Parameters.
         scale: Size of one unit of each, from `scales`.
     """
 
@@ -82,7 +82,7 @@ def information(
     weight: Float[Array, " channels"],
     counts: Float[Array, " rows"],
 ) -> Float[Array, "parameters parameters"]:
-    """Fisher information of a run.
+    """Return the Fisher information of a run.
 
     Args:
         derivatives: From `sensitivities`.
@@ -94,13 +94,13 @@ def information(
 
 
 def log_error(fisher: Float[Array, "parameters parameters"]) -> Float[Array, ""]:
-    """Logarithm of the first parameter's standard error, the others projected out."""
+    """Return the logarithm of the first parameter's standard error, the others eliminated."""
     # Nuisances in units of their own effect: the solve then loses no digits to their sizes.
     size = jnp.sqrt(jnp.diag(fisher))
     others = fisher[1:, 1:] / jnp.outer(size[1:], size[1:])
     mixed = fisher[0, 1:] / size[1:]
-    left = fisher[0, 0] - mixed @ jnp.linalg.solve(others, mixed)
-    return -0.5 * jnp.log(left)
+    remaining = fisher[0, 0] - mixed @ jnp.linalg.solve(others, mixed)
+    return -0.5 * jnp.log(remaining)
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,11 @@ class ParameterInformation:
 
     Attributes:
         value: The parameter's own value.
-        error: Its standard error by white noise, nuisances projected out; infinite where unseen.
-        alone: The same were every nuisance known.
+        error: Its standard error by white noise, nuisances eliminated; infinite where it is not
+            identified.
+        alone: The same, were every nuisance known.
         share: Part of its effect that the nuisances cannot imitate [-].
-        imitator: Which nuisance imitates it most, or "" without any.
+        imitator: Nuisance that imitates it most, or "" without any.
         effect: Its effect over the whole run, in standard deviations, for a change by its scale.
         shift: Largest shift of the fitted value by a model error of 1 m RMS in each position.
     """
@@ -147,6 +148,9 @@ def parameter_information(
         derivatives, weight, counts: As for `information`.
         quantities: The parameters, the one asked for first.
         value, scale: Its value, and the size of a unit of its derivative.
+
+    Raises:
+        InputError: where the simulation diverges.
     """
     if not np.isfinite(derivatives).all():
         raise InputError("the simulation diverges on this profile; a lower acceleration may hold")
@@ -189,7 +193,7 @@ class InstrumentNoise:
 
     Attributes:
         noise: Standard deviation of each channel's white noise [m, N, N m].
-        channels: Which of them a run records; the others are judged as additions.
+        channels: Those that a run records; the others are evaluated as additions.
     """
 
     noise: dict[str, float] = field(
@@ -198,6 +202,7 @@ class InstrumentNoise:
     channels: tuple[str, ...] = ("x", "z")
 
     def check(self) -> None:
+        """Raise InputError for channels that are not known, or without noise."""
         for name in (*self.noise, *self.channels):
             if name not in CHANNELS:
                 raise InputError(f"there is no channel {name!r}; give one of {', '.join(CHANNELS)}")
@@ -210,17 +215,18 @@ class InstrumentNoise:
             )
 
     def weight(self, extra: str | None = None) -> np.ndarray:
-        """1 / noise of the channels recorded, with one more where named; 0 of the rest."""
+        """Return 1 / noise of the recorded channels and one more where named; 0 of the rest."""
         measured = {*self.channels, extra}
         return np.array([1 / self.noise[c] if c in measured else 0.0 for c in CHANNELS])
 
     @property
     def additions(self) -> list[str]:
+        """Channels that are not recorded but could be."""
         return [c for c in CHANNELS if c in self.noise and c not in self.channels]
 
 
 def compared_rows(setup: SetUp, rows: int) -> np.ndarray:
-    """1 for the rows until the wheel has stopped for good, as a fit compares them; else 0."""
+    """Return 1 for the rows until the wheel stops for good, which a fit compares, and 0 after."""
     command = setup.command.build()
     time = command.time - command.time[0]
     moving = np.flatnonzero(command.omega != 0)
@@ -229,7 +235,7 @@ def compared_rows(setup: SetUp, rows: int) -> np.ndarray:
 
 
 def stackable_trial(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
-    """The set-up's trial with so many knots, and rows for so long, that it can be stacked."""
+    """Return the set-up's trial with this number of knots and duration [s], to be stacked."""
     setup = copy.deepcopy(setup)
     setup.integrator.step = step
     trial = setup.trial()
@@ -237,16 +243,16 @@ def stackable_trial(setup: SetUp, step: float, knots: int, duration: float) -> T
 
 
 def _at_most_farthest(turn: float) -> Float[Array, ""]:
-    return jnp.minimum(as_real(turn), FARTHEST)
+    return jnp.minimum(as_real(turn), UNLIMITED_TURN)
 
 
 class SpeedProfile(eqx.Module):
     """Speeds at even knots, as a smooth function of free coordinates, inside a rig's limits.
 
-    Each knot lies between the lowest and the highest speed that the last one, the acceleration
-    and the stop ahead leave to it; a sigmoid says where. All are slowed down alike where the wheel
-    would turn too far. Every profile within reach that need not be is met by exactly one set of
-    coordinates.
+    Each knot lies between the lowest and the highest speed that the last one, the acceleration and
+    the stop ahead allow; the sigmoid of its coordinate is the share of the way between. All are
+    slowed down alike where the wheel would turn too far. Every profile within the limits that is
+    not slowed down has exactly one set of coordinates.
 
     Attributes:
         knots: Their number.
@@ -261,20 +267,22 @@ class SpeedProfile(eqx.Module):
     acceleration: Float[Array, ""] = eqx.field(converter=as_real)
     duration: Float[Array, ""] = eqx.field(converter=as_real)
     rest: Float[Array, ""] = eqx.field(converter=as_real)
-    turn: Float[Array, ""] = eqx.field(converter=_at_most_farthest, default=FARTHEST)
+    turn: Float[Array, ""] = eqx.field(converter=_at_most_farthest, default=UNLIMITED_TURN)
 
     @property
     def time(self) -> Float[Array, " all"]:
+        """Knots, rests included [s]."""
         moving = jnp.linspace(self.rest, self.duration - self.rest, self.knots + 2)
         return jnp.concatenate([jnp.zeros(1, moving.dtype), moving, self.duration[None]])
 
     def _reach(self, index: int, last: Array) -> tuple[Array, Array]:
+        """Return the lowest and highest speed that can follow `last` [rad/s]."""
         change = self.acceleration * (self.duration - 2 * self.rest) / (self.knots + 1)
         stop = jnp.minimum(self.speed, change * (self.knots - index))
         return jnp.maximum(0.0, last - change), jnp.minimum(stop, last + change)
 
     def omega(self, coordinates: Float[Array, " knots"]) -> Float[Array, " all"]:
-        """Angular velocity at `time` [rad/s]."""
+        """Return the angular velocity at `time` [rad/s]."""
         speeds = [jnp.zeros((), coordinates.dtype)]
         for index in range(self.knots):
             low, high = self._reach(index, speeds[-1])
@@ -282,15 +290,15 @@ class SpeedProfile(eqx.Module):
         nought = jnp.zeros((), coordinates.dtype)
         omega = jnp.stack([nought, *speeds, nought, nought])
         # A wheel that hardly turns may turn as far as it does.
-        way = jnp.maximum(jnp.trapezoid(omega, self.time), 1.0 / FARTHEST)
-        return omega * jnp.minimum(1.0, self.turn / way)
+        turned = jnp.maximum(jnp.trapezoid(omega, self.time), 1.0 / UNLIMITED_TURN)
+        return omega * jnp.minimum(1.0, self.turn / turned)
 
     def coordinates(self, wanted: np.ndarray) -> np.ndarray:
-        """Coordinates of the profile nearest to these speeds at the free knots [rad/s]."""
+        """Return the coordinates of the profile nearest to these speeds at the knots [rad/s]."""
         places, last = [], jnp.zeros(())
         for index, speed in enumerate(wanted):
             low, high = self._reach(index, last)
-            share = float(np.clip((speed - low) / (high - low), MARGIN, 1 - MARGIN))
+            share = float(np.clip((speed - low) / (high - low), BOUND_MARGIN, 1 - BOUND_MARGIN))
             places.append(math.log(share / (1 - share)))
             last = low + (high - low) * share
         return np.array(places)
@@ -303,10 +311,10 @@ class Objective(eqx.Module):
     start angle in radians.
 
     Attributes:
-        trial: The run, all but what is free.
+        trial: The run but for its free coordinates.
         profile: Of the angular velocity.
         loads: Lowest and highest mass on the wheel [kg]; empty where it is not free.
-        depths: How much deeper than now the wheel stands under them [m].
+        depths: Additional sinkage of the standing wheel under them [m].
         scale, weight, counts: See `sensitivities` and `information`.
         quantities: The parameter, then its nuisances.
     """
@@ -321,7 +329,7 @@ class Objective(eqx.Module):
     quantities: tuple[Quantity, ...]
 
     def trial_at(self, coordinates: Float[Array, " free"]) -> Trial:
-        """The run at these coordinates."""
+        """Return the run at these coordinates."""
         trial = self.trial
         knots = self.profile.knots
         position, mass = trial.start.position, trial.simulator.rig.mass_z
@@ -343,9 +351,9 @@ class Objective(eqx.Module):
 
 @eqx.filter_custom_jvp
 def with_gradient(objective: Objective, coordinates: Float[Array, " free"]) -> Float[Array, ""]:
-    """The objective, whose derivative is its whole gradient at once.
+    """Return the objective, with its whole gradient as derivative at once.
 
-    A solver may then linearise it without a record of every step of the run.
+    A solver may then linearise it without storing every step of the run.
     """
     return objective(coordinates)
 
@@ -366,8 +374,8 @@ def value_and_gradient(
     (`drftjax.physics.stress.Rounded`); `docs/guide/design.md` has what it is otherwise.
     """
 
-    def along(way: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:
-        at, direction = way
+    def along(line: tuple[Array, Array], objective: Objective) -> tuple[Array, Array]:
+        at, direction = line
         return jax.jvp(objective, (at,), (direction,))
 
     directions = jnp.eye(len(coordinates))

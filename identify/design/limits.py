@@ -10,8 +10,8 @@ from drftjax.common.errors import InputError
 from drftjax.physics.integrator import sharpest_ramp
 from drftjax.runlog.record import RecordedCommand
 
-# A limit is kept where it is exceeded by no more than this share of it, which files round by.
-ROUNDED = 1e-3
+# Share of a limit by which it may be exceeded: numbers in files are rounded [-].
+ROUNDING_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Limits:
         acceleration: Largest angular acceleration [rad/s2].
         duration: Of the run, its rests included [s].
         loads: Lowest and highest vertical load [N]; the set-up's own only where None.
-        travel: Longest way of the rim, which the wheel's falls short of by slip [m].
+        travel: Longest travel of the rim; that of the wheel is shorter by slip [m].
     """
 
     speed: float = math.radians(300.0)
@@ -55,11 +55,11 @@ class Limits:
         return [
             f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
             for name, value, most, unit in asked
-            if value > (1 + ROUNDED) * most
+            if value > (1 + ROUNDING_SHARE) * most
         ]
 
     def check(self, radius: float) -> None:
-        """Refuse limits that no run can keep, or that no step can simulate."""
+        """Raise InputError for limits that no run can keep, or that no step can simulate."""
         require_between("the largest speed", math.degrees(self.speed), 1.0, 3000.0, " deg/s")
         fastest = math.degrees(sharpest_ramp(radius))
         require_between(
@@ -81,7 +81,7 @@ class Limits:
 
 
 def travel_of(command: RecordedCommand, radius: float) -> float:
-    """Way of the rim [m], which the wheel's travel falls short of by slip.
+    """Return the travel of the rim [m]; that of the wheel is shorter by slip.
 
     Args:
         command: Angular velocity over time.

@@ -27,8 +27,8 @@ from identify.design.fisher_information import (
 from identify.design.limits import Limits, travel_of
 from identify.parameters.parameter import Quantity, parameter
 
-# Runs evaluated in one call: so many are padded to, and only one program is compiled.
-TOGETHER = 4
+# Runs evaluated in one call; fewer are padded to it, so that only one program is compiled.
+RUNS_A_CALL = 4
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class RunOption:
     """One run that could be made.
 
     Attributes:
-        name: What is different in it.
+        name: Description of what is different in it.
         setup: The run, as a set-up.
-        knows: What it would tell of the parameter.
-        added: The same were this channel recorded as well, by channel.
+        information: On the parameter.
+        added: The same, were this channel recorded as well, by channel.
     """
 
     name: str
@@ -49,12 +49,12 @@ class RunOption:
 
     @property
     def rim_travel(self) -> float:
-        """Of the rim [m], which the wheel's travel falls short of by slip."""
+        """Travel of the rim [m]; that of the wheel is shorter by slip."""
         return travel_of(self.setup.command.build(), self.setup.wheel.radius)
 
 
 def quantities_named(name: str, nuisances: Sequence[str] | None) -> list[Quantity]:
-    """The parameter of this name, then the nuisances: zeta and lambda where none are given.
+    """Return the parameter of this name, then the nuisances: zeta and lambda where none are given.
 
     Raises:
         InputError: for names that are not known, or come twice.
@@ -76,7 +76,14 @@ def _derived(trials: Trial, quantities: list[Quantity], scale: Array) -> Array:
 
 
 class RunEvaluator:
-    """Evaluates set-ups: what a run of each would tell."""
+    """Evaluator of set-ups by the information of their runs.
+
+    Args:
+        setup: Wheel, sand and rig of all runs.
+        quantities: The parameter, then its nuisances.
+        instrument: Measured channels and their noise.
+        limits: Of the rig.
+    """
 
     def __init__(
         self, setup: SetUp, quantities: list[Quantity], instrument: InstrumentNoise, limits: Limits
@@ -87,7 +94,12 @@ class RunEvaluator:
         self.limits = limits
 
     def setup_for(self, command: CommandSetUp, **start: float) -> SetUp:
-        """The base set-up under another command, at a step that holds its derivatives."""
+        """Return the base set-up under another command, at a step that bounds its derivatives.
+
+        Args:
+            command: The command.
+            start: "angle" of the wheel [rad] and "load" on it [N], where others than the base's.
+        """
         setup = copy.deepcopy(self.base)
         setup.command = command
         built = command.build()
@@ -101,6 +113,7 @@ class RunEvaluator:
         return setup
 
     def load(self) -> float:
+        """Return the load on the wheel of the base set-up [N]."""
         return self.base.rig.mass_z * self.base.rig.gravity
 
     def extra_sinkage(self, load: float) -> float:
@@ -119,9 +132,9 @@ class RunEvaluator:
         trials = [stackable_trial(each, finest, knots, longest) for each in setups]
         scale = parameter_scales(trials[0], self.quantities)
         options = []
-        for first in range(0, len(trials), TOGETHER):
-            some = trials[first : first + TOGETHER]
-            padded = some + some[-1:] * (TOGETHER - len(some))
+        for first in range(0, len(trials), RUNS_A_CALL):
+            some = trials[first : first + RUNS_A_CALL]
+            padded = some + some[-1:] * (RUNS_A_CALL - len(some))
             derived = np.asarray(_derived(stack(padded), self.quantities, jnp.asarray(scale)))
             for place, derivatives in enumerate(derived[: len(some)], start=first):
                 options.append(self._option(names[place], setups[place], derivatives, scale[0]))
@@ -131,10 +144,10 @@ class RunEvaluator:
         counts = compared_rows(setup, derivatives.shape[1])
         value = float(self.quantities[0].read(setup.trial()))
 
-        def told(extra: str | None = None) -> ParameterInformation:
+        def known(extra: str | None = None) -> ParameterInformation:
             weight = self.instrument.weight(extra)
             return parameter_information(derivatives, weight, counts, self.quantities, value, scale)
 
         return RunOption(
-            name, setup, told(), {each: told(each) for each in self.instrument.additions}
+            name, setup, known(), {each: known(each) for each in self.instrument.additions}
         )

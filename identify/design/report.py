@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from identify.design.fisher_information import ParameterInformation
     from identify.design.options import RunOption
 
-# What the titles of designed runs hold.
+# Part of the titles of designed runs, by which they are recognised.
 DESIGNED = ", designed for "
 
 
 def plot_design(result: "Design") -> "Figure":
-    """The given and the best profile, and the standard error over peak speeds."""
+    """Plot the given and the best profile, and the standard error over peak speeds."""
     import numpy as np
     from matplotlib.figure import Figure
 
@@ -48,7 +48,7 @@ def plot_design(result: "Design") -> "Figure":
 
 
 def design_table(result: "Design") -> "Table":
-    """Every run judged, its standard error and the factor gained over the given profile."""
+    """Return a table of all runs: standard error, and factor gained over the given profile."""
     import math
 
     from rich.table import Table
@@ -85,7 +85,7 @@ def design_table(result: "Design") -> "Table":
 
 
 def design_document(result: "Design") -> dict:
-    """The design as plain values, in the layout of the JSON file."""
+    """Return the design as plain values, in the layout of the JSON file."""
     import msgspec
 
     from drftjax import __version__
@@ -138,7 +138,7 @@ def _numbers(knows: "ParameterInformation") -> dict[str, float | str | None]:
 
 
 def design_toml(result: "Design") -> str:
-    """The run to make, as a set-up file."""
+    """Return the run to make, as the text of a set-up file."""
     import numpy as np
 
     from drftjax.setups.setup_toml import setup_toml

@@ -1,8 +1,8 @@
-"""From which angular velocity a parameter could be identified, where these runs cannot tell it.
+"""Angular velocity from which a parameter could be identified, where the fitted runs cannot.
 
-The same set-up is simulated under the same command, so many times as fast, with the value that is
-believed and not the one that these runs do not tell. Its standard error is that of the fit made,
-with the noise and the model's error that the fit found.
+The same set-up is simulated under the same command, several times as fast, with the believed value
+instead of the unidentified one. Its standard error is that of a fit to this run, with the noise and
+the model error that the present fit found.
 """
 
 import copy
@@ -30,30 +30,31 @@ from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import covariance
 from identify.uncertainty.estimate import Estimate
 
-FACTORS = (2.0, 4.0, 8.0, 16.0)
+# Factors on the speed that are tried, one after the other [-].
+SPEED_FACTORS = (2.0, 4.0, 8.0, 16.0)
 
 
 def add_required_speeds(result: FitResult) -> FitResult:
-    """The same, with a finding for every shared value that the runs do not tell."""
+    """Return the result with a finding for every shared value that the runs do not identify."""
     estimate = result.estimate
     if estimate is None:
         return result
     setups = [run.setup for run in result.runs]
-    told = []
+    sentences = []
     for name, value in result.shared.items():
         if value.identified:
             continue
-        # What other runs would tell is no reason to lose what these do.
+        # A prediction for other runs that cannot be made is no reason to lose this result.
         with suppress(InputError):
-            told.append(required_speed(estimate, setups, name))
-    return replace(result, findings=[*result.findings, *(each for each in told if each)])
+            sentences.append(required_speed(estimate, setups, name))
+    return replace(result, findings=[*result.findings, *(each for each in sentences if each)])
 
 
 def required_speed(estimate: Estimate, setups: Sequence[SetUp], name: str) -> str | None:
-    """A sentence on the speed from which a shared parameter could be identified.
+    """Return a sentence on the speed from which a shared parameter could be identified.
 
     Args:
-        estimate: Where the fit ended.
+        estimate: Of the fit.
         setups: Each run's set-up with the fitted values put in.
         name: The parameter's full name.
 
@@ -73,7 +74,7 @@ def required_speed(estimate: Estimate, setups: Sequence[SetUp], name: str) -> st
     parameter.quantity.record(setup, believed)
     label = parameter.quantity.label
     last, tried = None, 0.0
-    for factor in (1.0, *FACTORS):
+    for factor in (1.0, *SPEED_FACTORS):
         error = _error(estimate, fastest, setup, name, factor)
         if error is None:
             break
@@ -96,19 +97,19 @@ def required_speed(estimate: Estimate, setups: Sequence[SetUp], name: str) -> st
 
 
 def _top(setup: SetUp) -> float:
-    """Largest angular velocity asked for [rad/s]."""
+    """Return the largest commanded angular velocity [rad/s]."""
     return float(np.abs(setup.command.build().omega).max())
 
 
 def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
-    """The factor at which the error crosses the wanted share, straight in logarithms."""
+    """Return the factor at which the error crosses the wanted share, linear in logarithms."""
     (a, above), (b, under) = last, now
-    way = np.log(above / IDENTIFIABILITY.identified_error) / np.log(above / under)
-    return float(a * (b / a) ** way)
+    share = np.log(above / IDENTIFIABILITY.identified_error) / np.log(above / under)
+    return float(a * (b / a) ** share)
 
 
 def _by_phase(trial: Trial, estimate: Estimate, run: int, name: str, stretch: float) -> Trial:
-    """The trial with the fit's zeta by phase, if that was fitted; the named one's as believed."""
+    """Return the trial with the fit's zeta by phase, if fitted; the named one's as believed."""
     given, (shared, own) = estimate.runs[run].trial, estimate.solution.coordinates
     zeta = estimate.problem.trial_at(given, shared, own[run]).simulator.terrain.zeta
     if not isinstance(zeta, PhaseZeta):
@@ -120,7 +121,7 @@ def _by_phase(trial: Trial, estimate: Estimate, run: int, name: str, stretch: fl
 
 
 def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float) -> float | None:
-    """Standard error of the parameter by one run so many times as fast; None if it cannot be."""
+    """Return the parameter's standard error by one run this factor faster; None if impossible."""
     setup = copy.deepcopy(setup)
     setup.command.omega = [factor * value for value in setup.command.omega]
     if setup.command.vx is not None:
@@ -161,7 +162,7 @@ def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float)
     if not np.isfinite(blocks).all():
         return None
 
-    def cut(values: np.ndarray) -> np.ndarray:
+    def resized(values: np.ndarray) -> np.ndarray:
         wide = np.zeros((1, *weight.shape[1:]))
         wide[0, :, :common] = values[run][kept][:, :common]
         return wide
@@ -169,7 +170,7 @@ def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float)
     whitening = estimate.whitening
     phase = np.zeros((1, length), int)
     phase[0, :common] = whitening.phase[run, :common]
-    alone = Whitening(cut(whitening.scale), cut(whitening.unit), phase)
+    alone = Whitening(resized(whitening.scale), resized(whitening.unit), phase)
     spread = covariance(blocks[:1], alone, estimate.shared)
     number = [p.quantity.name for p in parameters].index(name)
     at = problem.start()[0][number]

@@ -1,4 +1,4 @@
-"""The descent of a parameter's standard error, over profile, load and start angle."""
+"""Descent of a parameter's standard error over profile, load and start angle (BFGS)."""
 
 import copy
 import math
@@ -17,7 +17,7 @@ from drftjax.setups.setup import CommandSetUp
 from drftjax.simulation.rollout import step_times
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
 from identify.design.fisher_information import (
-    MARGIN,
+    BOUND_MARGIN,
     Objective,
     SpeedProfile,
     parameter_scales,
@@ -25,30 +25,33 @@ from identify.design.fisher_information import (
 )
 from identify.design.options import RunEvaluator, RunOption
 
-# Share of the run at its end that the search leaves out.
-LEFT_OUT = 0.08
-
-
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """Effort of the search.
+    """Numbers of the search for the run to make.
 
     Attributes:
-        knots: Speeds that are free, evenly in time.
-        starts: Peak speeds that a descent starts from, the best of the scan.
+        knots: Number of free speeds, evenly in time.
+        starts: Number of descents, from the best peak speeds of the scan.
         steps: Steps of each descent.
-        scan: Peak speeds scanned.
-        plate_size: Of the wheel while searching [m].
+        scan: Number of peak speeds scanned.
+        slowest_peak: Lowest peak speed scanned, as a share of the highest [-].
+        shortest_hold: Factor by which the ramp of a trapezoid is shorter than the limits allow, so
+            that the peak is held, if not for long [-].
+        plate_size: Plate size of the wheel while searching [m].
+        skipped_end: Share of the run at its end that the search leaves out [-].
     """
 
     knots: int = 6
     starts: int = 2
     steps: int = 3
     scan: int = 7
+    slowest_peak: float = 1 / 12
+    shortest_hold: float = 1.01
     plate_size: float = 8e-3
+    skipped_end: float = 0.08
 
 
 @eqx.filter_jit
@@ -62,7 +65,7 @@ def _descend(
 
 
 def _rounded(trial: Trial) -> Trial:
-    """The trial with a stress law whose derivatives have no jumps, so that they have slopes."""
+    """Return the trial with a stress law whose derivatives have no jumps."""
     return eqx.tree_at(lambda t: t.simulator.terrain.law.corners, trial, Rounded())
 
 
@@ -94,7 +97,7 @@ def objective_of(
         loads = np.array(limit.loads) / setup.rig.gravity
         depths = np.array([judge.extra_sinkage(each) for each in limit.loads])
     ends = np.asarray(step_times(trial.rows, ROW_INTERVAL))
-    until = (lasts - limit.rest) * (1 - LEFT_OUT)
+    until = (lasts - limit.rest) * (1 - search.skipped_end)
     counts = np.concatenate([[1.0], ends <= until]).astype(float)
     scale = parameter_scales(trial, judge.quantities)
     weight = judge.instrument.weight()
@@ -122,7 +125,7 @@ def local_optimum(
         starts: Where descents begin.
         report: Called with what is being done.
     """
-    # Where the way ends a run, slower ones last longer.
+    # Where the travel is limited, slower runs last longer.
     longest = max(each.setup.command.time[-1] for each in starts)
     objective = objective_of(judge, search, longest)
     profile = objective.profile
@@ -133,7 +136,7 @@ def local_optimum(
         extra = [judge.base.start.angle]
         if judge.limits.loads is not None:
             low, high = judge.limits.loads
-            share = np.clip((judge.load() - low) / (high - low), MARGIN, 1 - MARGIN)
+            share = np.clip((judge.load() - low) / (high - low), BOUND_MARGIN, 1 - BOUND_MARGIN)
             extra = [math.log(share / (1 - share)), *extra]
         points.append(np.concatenate([profile.coordinates(speeds), extra]))
     report(f"descending from {len(starts)} peak speeds, {search.steps} steps each")

@@ -13,19 +13,19 @@ class AbstractBijector(eqx.Module):
 
     @abc.abstractmethod
     def value(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The parameter's value at a solver's coordinate."""
+        """Return the parameter's value at a coordinate of the solver."""
 
     @abc.abstractmethod
     def coordinate(self, value: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The coordinate of a value strictly inside the bounds."""
+        """Return the coordinate of a value strictly inside the bounds."""
 
     def slope(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Derivative of the value by the coordinate: carries an error from one to the other."""
+        """Return the derivative of the value by the coordinate, which scales standard errors."""
         return jax.jvp(self.value, (coordinate,), (jnp.ones_like(coordinate),))[1]
 
 
 class Positive(AbstractBijector):
-    """Values over zero; coordinate steps are relative changes."""
+    r"""Positive values, $\exp u$: steps of the coordinate u are relative changes."""
 
     def value(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
         return jnp.exp(coordinate)
@@ -51,7 +51,7 @@ class Scaled(AbstractBijector):
 
 
 class Interval(AbstractBijector):
-    """Values between `low` and `high`.
+    r"""Values between `low` and `high`: low + (high - low) / (1 + $e^{-u}$).
 
     Attributes:
         low, high: Bounds, in the value's unit.

@@ -15,7 +15,7 @@ from identify.parameters.quantity import Quantity
 
 
 def effect_numbers() -> list[str]:
-    """Every number of every effect, as a fit calls it."""
+    """Return the names of every number of every effect, as NAME.NUMBER."""
     return [
         f"{name}.{field}"
         for name, effect in catalogue().items()
@@ -25,7 +25,7 @@ def effect_numbers() -> list[str]:
 
 @cache  # programs are compiled for the very functions in it
 def effect_quantity(name: str) -> Quantity | None:
-    """A number of an effect by the effect's name and its own; None for a name of no effect.
+    """Return a number of an effect by NAME.NUMBER; None for a name of no effect.
 
     Raises:
         InputError: where the effect has no such number.

@@ -1,4 +1,4 @@
-"""Parameters: which numbers of a trial are fitted, under what name, within what bounds."""
+"""Parameters of a fit: quantities by name, shared or one a run, with bounds, prior and start."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ from identify.parameters.quantity import (
 def _leaf_quantity(
     name: str, unit: str, where: Callable[[Any], Any], bijector: AbstractBijector
 ) -> Quantity:
-    """A quantity that is one leaf of the trial."""
+    """Return a quantity that is one leaf of the trial."""
 
     def put(trial: Trial, value: Float[Array, ""]) -> Trial:
         return eqx.tree_at(where, trial, value)
@@ -50,7 +50,7 @@ def _put_speed(trial: Trial, value: Float[Array, ""]) -> Trial:
 
 
 def _coefficient(number: int, name: str) -> Quantity:
-    """One of the nine stress coefficients; it may have either sign."""
+    """Return one of the nine stress coefficients, of either sign."""
 
     def get(trial: Trial) -> Float[Array, ""]:
         return trial.simulator.terrain.law.coefficients.values[number]  # pyright: ignore
@@ -62,16 +62,16 @@ def _coefficient(number: int, name: str) -> Quantity:
     return Quantity(COEFFICIENT_PREFIX + name, "N/cm3", get, put, Scaled(0.1))
 
 
-# Coordinate of an interval's inner values up to a thousandth of it from either end.
-NEAR = math.log(1e3)
+# Coordinate of an interval a thousandth of it from either end, beyond which a value is at a bound.
+BOUND_COORDINATE = math.log(1e3)
 
 
-# lambda may leave the physical range a little, so that a fit can say that it does not matter.
+# lambda may leave the physical range, so that a fit can find that it has no effect [-].
 LAMBDA_BOUNDS = Interval(-20.0, 50.0)
 
 
-# A prior's error is more than this share of its mean: a number known so well is no parameter.
-SHARPEST = 1e-9
+# Smallest error of a prior, as a share of its mean: a number known better is no parameter [-].
+SMALLEST_PRIOR_ERROR = 1e-9
 
 
 QUANTITIES: dict[str, Quantity] = {
@@ -147,12 +147,12 @@ class Parameter(eqx.Module):
     """A quantity to fit, one number for all runs or one for each.
 
     Attributes:
-        quantity: What is fitted.
-        shared: One number for all runs.
-        bijector: The bounds it is fitted within.
-        prior_mean, prior_error: A Gaussian belief held before the runs, in the quantity's unit;
-            an infinite error is no belief.
-        start: Where the fit starts; the set-up's value where it is NaN.
+        quantity: The fitted quantity.
+        shared: True for one number for all runs.
+        bijector: Map of its bounds onto the solver's coordinate.
+        prior_mean, prior_error: Mean and standard error of a Gaussian prior, in the quantity's
+            unit; an infinite error is no prior.
+        start: Start of the fit; the set-up's value where it is NaN.
     """
 
     quantity: Quantity
@@ -163,15 +163,15 @@ class Parameter(eqx.Module):
     start: float = math.nan
 
     def coordinate(self, trial: Trial) -> Float[Array, ""]:
-        """The solver's coordinate to start from."""
+        """Return the coordinate that the solver starts from."""
         value = self.quantity.read(trial)
         return self.bijector.coordinate(value if math.isnan(self.start) else 0 * value + self.start)
 
     def require_start(self, trial: Trial) -> None:
-        """Refuse a trial whose own value leaves the fit nowhere to start.
+        """Check that a trial has a value that the fit can start from.
 
         Raises:
-            InputError: with the value, and the bounds where there are some.
+            InputError: where it has none; with the value, and the bounds where there are some.
         """
         if bool(jnp.isfinite(self.coordinate(trial))):
             return
@@ -184,24 +184,28 @@ class Parameter(eqx.Module):
         raise InputError(f"its {name} is {value:g}, where no fit within its bounds starts")
 
     def prior_residual(self, coordinate: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Residual of the prior: how many of its errors the value lies from its mean."""
+        """Return (value - prior mean) / prior error [-]."""
         return (self.bijector.value(coordinate) - self.prior_mean) / self.prior_error
 
     def at_bound(self, coordinate: float, error: float) -> bool:
         """True if the value has run into one of its bounds.
 
-        Near a bound a coordinate's unit is the way to it: a value whose error is less than one lies
-        inside, however wide the bounds are.
+        Near a bound, one unit of the coordinate is the distance to it: a value whose error is less
+        than one lies inside, however wide the bounds are.
 
         Args:
             coordinate: The solver's.
-            error: Its standard error; 0 or infinite where the runs tell nothing of it there.
+            error: Its standard error; 0 or infinite where the runs do not determine it there.
         """
-        return isinstance(self.bijector, Interval) and abs(coordinate) > NEAR and not 0 < error < 1
+        return (
+            isinstance(self.bijector, Interval)
+            and abs(coordinate) > BOUND_COORDINATE
+            and not 0 < error < 1
+        )
 
 
 def quantity(name: str) -> Quantity:
-    """A quantity by its name, such as "terrain.zeta" or "drawbar.force", or a short one, "zeta".
+    """Return a quantity by its name, such as "terrain.zeta" or "drawbar.force", or by a short one.
 
     Raises:
         InputError: for an unknown name, with the nearest known ones.
@@ -220,24 +224,24 @@ def quantity(name: str) -> Quantity:
 
 
 def typical_change(name: str) -> float:
-    """A typical change of a quantity that may be zero, in its unit; zero for any other."""
+    """Return a typical change of a quantity that may be zero, in its unit; zero for any other."""
     full = SHORT_NAMES.get(name, name)
     known = (QUANTITIES | PHASE_QUANTITIES).get(full) or effect_quantity(full)
     return known.bijector.scale if known and isinstance(known.bijector, Scaled) else 0.0
 
 
 def own(name: str, **known: Any) -> Parameter:
-    """A parameter that each run has for itself; see `parameter`."""
+    """Return a parameter with one value for each run; see `parameter`."""
     return parameter(name, shared=False, **known)
 
 
 def shared(name: str, **known: Any) -> Parameter:
-    """A parameter that all runs have in common; see `parameter`."""
+    """Return a parameter with one value for all runs; see `parameter`."""
     return parameter(name, shared=True, **known)
 
 
 def require_once(parameters: Sequence[Parameter]) -> None:
-    """Refuse a number that is to be fitted twice."""
+    """Raise InputError for a quantity that is named twice."""
     names = [each.quantity.name for each in parameters]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -252,14 +256,14 @@ def parameter(
     prior: tuple[float, float] | None = None,
     start: float | None = None,
 ) -> Parameter:
-    """A parameter by its name, such as "terrain.zeta" or "rig.mass_z".
+    """Return a parameter by its name, such as "terrain.zeta" or "rig.mass_z".
 
     Args:
         name: See `QUANTITIES`, or NAME.NUMBER of an effect; "zeta", "lambda" and "A00" are short.
         shared: One number for all runs, or one for each.
         bounds: Lowest and highest value; the quantity's natural ones where none are given.
-        prior: Mean and standard error of what is believed before the runs.
-        start: Where the fit starts; the set-up's value where none is given.
+        prior: Mean and standard error of a Gaussian prior.
+        start: Start of the fit; the set-up's value where none is given.
 
     Raises:
         InputError: for an unknown name, bounds that leave nothing or exclude the start, or a
@@ -285,7 +289,7 @@ def parameter(
     mean, error = prior or (0.0, math.inf)
     if not math.isfinite(mean):
         raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its mean must be finite")
-    if not error > SHARPEST * abs(mean):
-        least = f"over {SHARPEST * abs(mean):g}" if error > 0 else "positive"
+    if not error > SMALLEST_PRIOR_ERROR * abs(mean):
+        least = f"over {SMALLEST_PRIOR_ERROR * abs(mean):g}" if error > 0 else "positive"
         raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be {least}")
     return Parameter(what, shared, bijector, mean, error, math.nan if start is None else start)

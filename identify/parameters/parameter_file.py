@@ -10,7 +10,7 @@ from identify.parameters.parameter import Parameter, parameter
 
 
 class ParameterEntry(msgspec.Struct, forbid_unknown_fields=True):
-    """One [[parameter]]: a name, and what is known of it before the runs."""
+    """One [[parameter]] of the file; fields as for `parameter`."""
 
     name: str
     shared: bool = False
@@ -26,7 +26,7 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_parameters(path: Path) -> list[Parameter]:
-    """The parameters that a file lists.
+    """Return the parameters that a file lists.
 
     Raises:
         InputError: names the file, the entry and what must hold.

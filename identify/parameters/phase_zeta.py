@@ -1,4 +1,4 @@
-"""zeta by phase of the command: one number each for standing, speeding up, going, slowing down."""
+"""zeta by phase of the command: standing, accelerating, steady, decelerating, at rest."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -19,13 +19,23 @@ from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 from identify.parameters.parameter import PHASE_PREFIX, PHASES, Parameter, parameter, quantity
 
-# A speed that changes by less than this share of the run's largest in a second is steady [1/s].
-STEADY_CHANGE = 0.01
+
+@dataclasses.dataclass(frozen=True)
+class PhaseSettings:
+    """Numbers of the phases of a command.
+
+    Attributes:
+        steady_change: Change of speed below which a phase is steady, as a share of the run's
+            largest speed in a second [1/s].
+        ramp: Regulariser: duration of the change from one phase's zeta to the next, unless a
+            quarter of the shorter phase is less [s].
+    """
+
+    steady_change: float = 0.01
+    ramp: float = 0.02
 
 
-# Regulariser: zeta goes from one phase's value to the next over this long [s], or over a quarter of
-# the shorter phase.
-RAMP = 0.02
+PHASE_SETTINGS = PhaseSettings()
 
 
 class PhaseZeta(AbstractZeta):
@@ -45,7 +55,7 @@ class PhaseZeta(AbstractZeta):
         return jnp.interp(time, self.time, self.level[self.phase])
 
     def knots(self) -> ZetaKnots:
-        """The same as a set-up file holds it."""
+        """Return the same as a set-up file holds it."""
         phase = np.asarray(self.phase)
         # Knots that only pad a batch repeat the last phase.
         used = 1 + int(np.flatnonzero(np.diff(phase, prepend=-1))[-1])
@@ -53,11 +63,13 @@ class PhaseZeta(AbstractZeta):
         return ZetaKnots(np.asarray(self.time)[:used].tolist(), values.tolist())
 
 
-def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
-    """Start, end [s] from the run's start, and name of each phase of a command, in order.
+def phases_of(
+    setup: SetUp, settings: PhaseSettings = PHASE_SETTINGS
+) -> list[tuple[float, float, str]]:
+    """Return start, end [s] from the run's start, and name of each phase of a command, in order.
 
-    The wheel's speed decides, either way, or the carriage's where the wheel never turns. One that
-    turns back slows down and speeds up again. What a measured speed scatters by is no phase.
+    By the wheel's speed in either direction, or the carriage's where the wheel never turns. A wheel
+    that turns back decelerates and accelerates again. Scatter of a measured speed is no phase.
     """
     command = simplify_command(setup.command).build()
     turns = command.omega.any() or command.vx is None
@@ -73,7 +85,9 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
         change = (last - first) / (end - begin) / top
         if first == 0 and last == 0:
             name = "rest" if moved else "stand"
-        elif abs(change) < STEADY_CHANGE or abs(last - first) <= DEFAULT_KNOTS.scatter * top:
+        elif (
+            abs(change) < settings.steady_change or abs(last - first) <= DEFAULT_KNOTS.scatter * top
+        ):
             name = "steady"
         else:
             name = "accelerate" if change > 0 else "decelerate"
@@ -88,10 +102,10 @@ def phases_of(setup: SetUp) -> list[tuple[float, float, str]]:
 def zeta_phases(
     runs: Sequence[PreparedRun], parameters: Sequence[Parameter] = ()
 ) -> list[Parameter]:
-    """One zeta for each phase in which any run has samples to compare, before the parameters.
+    """Return one zeta for each phase in which any run has samples, then the other parameters.
 
-    Zeta among these goes: what is known of it, and whether runs share it, holds for each phase. A
-    phase that is a parameter by itself stays as it is.
+    They replace zeta among the parameters; its prior, its bounds and its being shared hold for each
+    phase. A phase that is a parameter by itself stays as it is.
     """
     present = {name for each in runs for name in _compared(each)}
     others = {p.quantity.name: p for p in parameters}
@@ -115,7 +129,7 @@ def has_phase_zeta(parameters: Sequence[Parameter]) -> bool:
 
 
 def with_phases(runs: Sequence[PreparedRun], parameters: Sequence[Parameter]) -> list[PreparedRun]:
-    """The runs with zeta by phase, all phases at the run's own to begin with.
+    """Return the runs with zeta by phase, all phases at the run's own value.
 
     Raises:
         InputError: where no run has samples in a phase that is to be fitted.
@@ -131,11 +145,14 @@ def with_phases(runs: Sequence[PreparedRun], parameters: Sequence[Parameter]) ->
     return [_with_phases(each, *grid, most) for each, grid in zip(runs, grids, strict=True)]
 
 
-def _grid(each: PreparedRun) -> tuple[np.ndarray, np.ndarray]:
+def _grid(
+    each: PreparedRun, settings: PhaseSettings = PHASE_SETTINGS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the knots [s] of a run's zeta by phase, and the phase of each."""
     phases = phases_of(each.setup)
     time, number = [0.0], [PHASES.index(phases[0][2])]
     for (begin, middle, before), (_, end, after) in pairwise(phases):
-        half = min(RAMP, (middle - begin) / 4, (end - middle) / 4) / 2
+        half = min(settings.ramp, (middle - begin) / 4, (end - middle) / 4) / 2
         time += [middle - half, middle + half]
         number += [PHASES.index(before), PHASES.index(after)]
     return np.array(time), np.array(number)

@@ -1,4 +1,4 @@
-"""A number of the simulator that can be fitted: its name, its place in a trial, its bounds."""
+"""Quantity: a number of the simulator that can be fitted; its name, place and bounds."""
 
 from collections.abc import Callable
 
@@ -47,7 +47,7 @@ class Quantity(eqx.Module):
         name: As users write it: its place in a set-up file, where an effect's table goes by the
             effect's name.
         unit: Its unit, "-" for none.
-        get, put: The number in a trial, and the trial with another number in its place.
+        get, put: Getter of the number in a trial, and setter that returns a new trial.
         bijector: Its natural bounds.
     """
 
@@ -59,7 +59,7 @@ class Quantity(eqx.Module):
 
     @property
     def label(self) -> str:
-        """The short name in reports, where there is one."""
+        """Short name in reports, where there is one."""
         return {full: short for short, full in SHORT_NAMES.items()}.get(self.name, self.name)
 
     @property
@@ -82,7 +82,7 @@ class Quantity(eqx.Module):
             entry[field] = value
 
     def read(self, trial: Trial) -> Float[Array, ""]:
-        """The number in this trial.
+        """Return the number in this trial.
 
         Raises:
             InputError: where the trial's wheel, terrain or rig has no such number, or several.
@@ -98,5 +98,5 @@ class Quantity(eqx.Module):
         return value
 
     def write(self, trial: Trial, value: Float[Array, ""]) -> Trial:
-        """The trial with another number in this place."""
+        """Return the trial with another number in this place."""
         return self.put(trial, value)

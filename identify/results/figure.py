@@ -1,4 +1,4 @@
-"""A fit as a figure: recorded and simulated channels, and what is left between them."""
+"""Figure of a fit: recorded and simulated channels."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from drftjax.recorded.observation import SHOWN
 from identify.results.values import RunFit, Value
 
+# Runs that are drawn, at most.
 MOST_RUNS = 12
 
 
@@ -18,7 +19,14 @@ def plot_fit(
     shared: Sequence[Value],
     bands: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]],
 ) -> Figure:
-    """One row for each run (the first twelve), one column for each channel, residuals below."""
+    """Plot one row for each run (the first twelve) and one column for each channel.
+
+    Args:
+        fitted: Runs of the fit.
+        channels: Channels that any of them compares.
+        shared: Shared values, for the title.
+        bands: Lower and upper end of expected readings, by run and channel [m, N, N m].
+    """
     runs = fitted[:MOST_RUNS]
     figure = Figure(figsize=(5.2 * len(channels), 2.1 * len(runs) + 0.6), layout="constrained")
     grid = figure.subplots(len(runs), len(channels), squeeze=False)

@@ -42,16 +42,17 @@ class FitResult:
     Attributes:
         shared: Values shared by all runs, by name.
         runs: Each run's own values, residuals and fitted set-up.
-        status: How the solver ended: "converged", "stalled" or "out of steps".
+        status: End of the solve: "converged", "stalled" or "out of steps".
         steps: Steps of the last solve.
         failures: Runs that were left out, and why.
-        findings: What the numbers mean, in sentences.
+        findings: Sentences on the values.
         labels: A name for each value: shared ones, then each run's own.
-        covariance: Of the values, in their units squared, ordered as `labels`.
-        starts: What became of several starting points, where there were any.
-        profiles: Profiles asked for.
-        bootstraps: Bootstraps asked for.
-        estimate: What `profile` and `bootstrap` go on from.
+        covariance: Of the values, in their units squared, ordered as `labels`, shape (values,
+            values).
+        starts: Outcome of several starting points, where there were any.
+        profiles: Profile likelihoods that were asked for.
+        bootstraps: Bootstraps that were asked for.
+        estimate: Solution and covariance, from which `profile` and `bootstrap` start.
     """
 
     shared: Mapping[str, Value]
@@ -68,7 +69,7 @@ class FitResult:
     estimate: "Estimate | None" = field(default=None, repr=False)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
-        """The same with further runs named as left out."""
+        """Return the result with further runs named as left out."""
         return replace(self, failures={**more, **self.failures})
 
     @property
@@ -89,11 +90,11 @@ class FitResult:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The channels that any run compares."""
+        """Channels that any run compares."""
         return tuple(c for c in SHOWN if any(c in run.channels for run in self.runs))
 
     def rmse(self, fitted: bool = True) -> dict[str, float]:
-        """Root mean square over all samples of all runs, by channel [m, N, N m]."""
+        """Return the RMS over all samples of all runs, by channel [m, N, N m]."""
         pooled = {}
         for channel in self.channels:
             runs = [run for run in self.runs if channel in run.channels]
@@ -103,7 +104,7 @@ class FitResult:
         return pooled
 
     def table(self) -> Table:
-        """RMSE before and after, by run and channel, with each run's own values."""
+        """Return a table of own values, and of RMSE before and after, by run and channel."""
         channels = self.channels
         table = Table(title="simulated minus recorded, RMSE before → after the fit")
         # Names fold in a narrow terminal: cut off, zeta.stand and zeta.steady would look alike.
@@ -134,7 +135,7 @@ class FitResult:
         return table
 
     def document(self) -> dict:
-        """The result as plain values, in the layout of the JSON file."""
+        """Return the result as plain values, in the layout of the JSON file."""
         return {
             "schema": FIT_SCHEMA,
             "schema_version": 1,
@@ -194,13 +195,13 @@ class FitResult:
         }
 
     def plot(self) -> "Figure":
-        """Recorded and simulated channels of each run as a figure."""
+        """Return a figure of recorded and simulated channels of each run."""
         from identify.results.figure import plot_fit
 
         return plot_fit(self.runs, self.channels, list(self.shared.values()), self.bands)
 
     def profile(self, name: str, **options: Any) -> "FitResult":
-        """The same with the profile likelihood of a value; see `profile_likelihood.profiles`."""
+        """Return the result with a value's profile; options as of `profile_likelihoods`."""
         from identify.uncertainty.profile_likelihood import profile_likelihoods
 
         with jax.enable_x64(True):
@@ -208,7 +209,7 @@ class FitResult:
         return replace(self, profiles=(*self.profiles, *found))
 
     def bootstrap(self, count: int, **options: Any) -> "FitResult":
-        """The same with intervals and bands of `count` draws; see `uncertainty.bootstrap`."""
+        """Return the result with intervals and bands of `count` draws; see `bootstrap`."""
         from identify.uncertainty.bootstrap import bootstrap
 
         with jax.enable_x64(True):
@@ -227,18 +228,18 @@ class FitResult:
 
     def sentences(self) -> list[str]:
         """Sentences under the table: shared values, findings, and runs that were skipped."""
-        told = [str(value) for value in self.shared.values()]
-        told += [str(self.starts)] if self.starts else []
-        told += [str(profile) for profile in self.profiles]
-        told += [sentence for each in self.bootstraps for sentence in each.sentences()]
-        told += self.findings
-        told += [f"left out: {name}: {why}" for name, why in self.failures.items()]
+        lines = [str(value) for value in self.shared.values()]
+        lines += [str(self.starts)] if self.starts else []
+        lines += [str(profile) for profile in self.profiles]
+        lines += [sentence for each in self.bootstraps for sentence in each.sentences()]
+        lines += self.findings
+        lines += [f"left out: {name}: {why}" for name, why in self.failures.items()]
         if self.status != "converged":
-            told.append(f"the solver is {self.status} after {self.steps} steps")
-        return told
+            lines.append(f"the solver is {self.status} after {self.steps} steps")
+        return lines
 
     def summary(self, width: int = 110) -> str:
-        """Table and findings as text, so many columns wide."""
+        """Return table and findings as text, `width` columns wide."""
         return summary_text([self.table(), *self.sentences()], width)
 
     def _repr_html_(self) -> str:

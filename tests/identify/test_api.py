@@ -193,10 +193,10 @@ class Toy(eqx.Module):
     batch: Recordings
     shared: tuple = eqx.field(static=True, default=("shared",))
 
-    def everywhere(self, values):
+    def on_all_devices(self, values):
         return values
 
-    def beliefs(self, shared, own):
+    def prior_residuals(self, shared, own):
         return 0 * shared, 0 * own
 
     def residual(self, shared, own):

@@ -234,7 +234,8 @@ def test_addresses():
 
 
 def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(scheduler, "CONNECT_LIMIT", 1.0)
+    quick = scheduler.ClusterSettings(connect_limit=1.0)
+    monkeypatch.setattr(scheduler, "CLUSTER_SETTINGS", quick)
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         arguments = "fit", folder / "run00.h5", "-o", tmp_path / "fit", "--cluster"
@@ -245,17 +246,16 @@ def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, mo
     assert "no Dask scheduler" in drft(*arguments, "tcp://no-such-host.invalid:1").refusal
 
 
-def test_without_workers_a_cluster_is_given_up(logs, tmp_path, monkeypatch):
+def test_without_workers_a_cluster_is_given_up(logs, tmp_path):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(scheduler, "WORKER_LIMIT", 0.5)
     with (
         LocalCluster(n_workers=0, dashboard_address=None) as empty,
         Client(empty) as client,
         FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
         pytest.raises(scheduler.InputError, match="no worker"),
     ):
-        fit_on(client, logs, SETTINGS, store, silent)
+        fit_on(client, logs, SETTINGS, store, silent, scheduler.ClusterSettings(worker_limit=0.5))
 
 
 def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
