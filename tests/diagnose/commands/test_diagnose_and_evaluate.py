@@ -288,4 +288,4 @@ def test_one_run_is_described_and_proves_nothing(logs, drft, tmp_path):
     assert "One run only" in answer.out
     assert "one run alone describes and does not prove" in answer.out
     assert "No run was repeated" in answer.out
-    assert "on the very runs" in answer.out
+    assert "on the same runs" in answer.out
