@@ -185,7 +185,7 @@ def with_law(document: dict[str, Any]) -> dict[str, Any]:
         document: Tables by name.
 
     Raises:
-        InputError: for a law that is not known, or numbers of another law than the one named.
+        InputError: for a law that is not known.
     """
     table = document.get("terrain", {})
     if not isinstance(table, Mapping):
@@ -194,21 +194,14 @@ def with_law(document: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(name, str):
         return document
     require_known("terrain.law", name, STRESS_LAWS)
-    own = STRESS_LAWS[name].__struct_fields__
-    for other, law in STRESS_LAWS.items():
-        if strange := [each for each in table if each in law.__struct_fields__ and each not in own]:
-            raise InputError(
-                f"[terrain] gives {' and '.join(strange)} of the law {other!r}, but its law is "
-                f"{name!r}, which has {', '.join(own)}"
-            )
-    return {**document, "terrain": {"law": name, **table}}
+    return drop_unused_numbers({**document, "terrain": {"law": name, **table}})
 
 
 def drop_unused_numbers(setup: dict[str, Any]) -> dict[str, Any]:
-    """A set-up as a program wrote it, its [terrain] without numbers that its law has not.
+    """A set-up whose [terrain] is without numbers that only other laws have.
 
-    Results and run logs of before each law had a table of its own hold the dynamic law's numbers
-    beside any law, which never used them.
+    Files of before each law had a table of its own may hold the dynamic law's numbers beside any
+    law, which never used them.
 
     Args:
         setup: Tables of a set-up by name.
