@@ -10,7 +10,7 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import GatheredRuns, gather
-from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 
@@ -167,7 +167,7 @@ def _with_origin(each: PreparedRun, origin: float) -> PreparedRun:
     return dataclasses.replace(
         each,
         setup=setup,
-        trial=setup.trial(STEPS_A_ROW * setup.integrator.step),
+        trial=setup.trial(interval=0),
         observation=dataclasses.replace(observation, values=values),
     )
 

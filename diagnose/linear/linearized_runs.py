@@ -11,8 +11,8 @@ from diagnose.model.linearized_run import (
     LinearizationSettings,
     LinearizedRun,
     linearize,
-    repair_outlier_maps,
     steps_per_node,
+    with_ripple,
 )
 from diagnose.run_pool import RunPool
 from drftjax.recorded.batch import padded_size
@@ -77,4 +77,4 @@ def linearize_run(
     nodes = [int(r) * t.every // s for r, t, s in zip(rows, dataset.trials, steps, strict=False)]
     size = max(MIN_PADDED_NODES, padded_size(max(nodes)))
     found = linearize(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
-    return repair_outlier_maps(found, pitch(trial), settings)
+    return with_ripple(found, pitch(trial), settings)

@@ -44,13 +44,10 @@ class LinearizationSettings:
 
     Attributes:
         node_time: Length of a node, within which one step's derivative holds [s].
-        max_growth: Largest growth of a motion over a node, as an eigenvalue of its map [-]; no
-            wheel on sand grows faster, so that a larger one comes from a corner of the stress law.
         ripple_points: Points per grouser at which the ripple of (x, z) is sampled.
     """
 
     node_time: float = 0.01
-    max_growth: float = 1.02
     ripple_points: int = 48
 
 
@@ -78,7 +75,7 @@ class LinearizedRun(eqx.Module):
         force_by_state: $C$, derivative of the forces by the state, shape (K, 3, 5).
         force_by_input: $D$, derivative of the forces by the inputs, shape (K, 3, inputs).
         ripple: Derivative of the grousers' ripple of (x, z) by the wheel angle [m/rad], shape
-            (K + 1, 2); zero until `repair_outlier_maps`.
+            (K + 1, 2); zero until `with_ripple`.
     """
 
     nodes: Int[Array, ""]
@@ -131,7 +128,7 @@ def steps_per_node(trial: Trial, node_time: float = DEFAULT_LINEARIZATION.node_t
 def linearize(
     trial: Trial, steps: Int[Array, ""], nodes: Int[Array, ""], size: int
 ) -> LinearizedRun:
-    """Simulate a run and linearise it at every node, without ripple or repair.
+    """Simulate a run and linearise it at every node, without ripple.
 
     Args:
         trial: The run.
@@ -248,58 +245,32 @@ def _powers(
     return jax.lax.fori_loop(0, count, multiply, (one, jnp.zeros_like(one)))
 
 
-def repair_outlier_maps(
+def with_ripple(
     linearized: LinearizedRun,
     pitch: float,
     settings: LinearizationSettings = DEFAULT_LINEARIZATION,
 ) -> LinearizedRun:
-    """Replace a linearised run's outlier maps and its derivatives by the wheel angle.
+    """A linearised run whose wheel angle acts by the grousers' ripple alone.
 
-    Where a plate crosses a corner of the stress law just as a step is differentiated, the step's
-    map is that corner's and no other step's: maps that grow are replaced by their nearest
-    neighbours'. For the same reason no sum of derivatives by the wheel angle is right: the forces
-    jump with it. The angle is therefore taken out of the maps, and its effect in the end is read
-    off
-    the run itself: it shifts the grousers' ripple along.
+    Forces jump with the wheel angle where a plate crosses a corner of the stress law, so that no
+    sum of derivatives by the angle is right. The angle is taken out of the maps, and its effect in
+    the end is read off the run itself: it shifts the ripple along.
 
     Args:
         linearized: By `linearize`.
         pitch: Angle between two grousers [rad]; infinite without any.
-        settings: Largest growth, and points of the ripple.
+        settings: Points of the ripple.
     """
-    nodes = int(linearized.nodes)
     transition = np.array(linearized.state_transition)
     transition[:, :4, 4] = 0
     force_by_state = np.array(linearized.force_by_state)
     force_by_state[:, :, 4] = 0
-    repaired = replace(
+    return replace(
         linearized,
         state_transition=transition,
         force_by_state=force_by_state,
         ripple=_ripple_slope(linearized, pitch, settings.ripple_points),
     )
-    moving = transition[:nodes, 1:4, 1:4]
-    largest = np.abs(np.linalg.eigvals(np.where(np.isfinite(moving), moving, 1e9))).max(axis=1)
-    good = np.flatnonzero(largest < settings.max_growth)
-    if len(good) in (0, nodes):
-        return repaired
-    index = np.r_[_nearest(good, nodes), nodes : len(transition)]
-    return replace(
-        repaired,
-        state_transition=transition[index],
-        substep_sum=repaired.substep_sum[index],
-        input_matrix=repaired.input_matrix[index],
-        force_by_state=force_by_state[index],
-        force_by_input=repaired.force_by_input[index],
-    )
-
-
-def _nearest(good: np.ndarray, count: int) -> np.ndarray:
-    """Nearest of some sorted indices to each index below `count`; the earlier one of two."""
-    number = np.arange(count)
-    place = np.clip(np.searchsorted(good, number), 1, len(good) - 1)
-    before, after = good[place - 1], good[place]
-    return np.where(number - before <= after - number, before, after)
 
 
 def _ripple_slope(linearized: LinearizedRun, pitch: float, points: int) -> np.ndarray:

@@ -20,10 +20,10 @@ from diagnose.model.augmented_model import AugmentedModel, with_effects
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
-from drftjax.physics.integrator import sharpest_ramp, steady_step
 from drftjax.recorded.observation import SHOWN, comparable_channels
-from drftjax.recorded.prepared_run import STEPS_A_ROW, PreparedRun
+from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.runlog.record import CHANNELS
+from drftjax.simulation.step_choice import choose_step
 from drftjax.simulation.trial import Trial
 
 
@@ -38,6 +38,7 @@ class NextRunSettings:
         speed_factors: Speeds that are tried, over that of the run varied [-].
         load_factors: Vertical masses that are tried, likewise [-].
         hold: Time for which the wheel stands, or holds its speed, in stop and go [s].
+        acceleration: Of the wheel in stop and go [rad/s2]; less than rigs of the field have.
         min_floors: A smaller difference does not tell hypotheses apart [noise floors].
         log_zeta_step: Step of log zeta by which the change of sinkage is taken [-].
         max_log_zeta_step: Largest change of log zeta by which the mean sinkages of two hypotheses
@@ -55,6 +56,7 @@ class NextRunSettings:
     speed_factors: tuple[float, ...] = (0.5, 2.0, 4.0, 8.0)
     load_factors: tuple[float, ...] = (0.7, 1.3)
     hold: float = 0.5
+    acceleration: float = 4.0
     min_floors: float = 2.0
     log_zeta_step: float = 0.01
     max_log_zeta_step: float = 0.2
@@ -209,7 +211,7 @@ def _shortened(variation: Variation, duration: float = np.inf) -> Variation:
     The words say so where that shortens the run.
     """
     trial = variation.trial
-    duration = min(duration, trial.rows * STEPS_A_ROW * float(trial.step))
+    duration = min(duration, trial.rows * trial.every * float(trial.step))
     if duration >= variation.duration:
         return variation
     return Variation(f"{variation.words}, its first {duration:.1f} s", trial, duration)
@@ -288,7 +290,7 @@ def _started_and_stopped(
     if not top > 0:
         return []
     words = f"{name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
-    trial = _stop_and_go(as_made.trial, top, settings.hold)
+    trial = _stop_and_go(as_made.trial, top, settings)
     return [_shortened(Variation(words, trial, _end_of_motion(trial)))]
 
 
@@ -306,15 +308,15 @@ def _other_loads(as_made: Variation, name: str, settings: NextRunSettings) -> li
     return found
 
 
-def _stop_and_go(trial: Trial, top: float, hold: float = DEFAULT_NEXT_RUN.hold) -> Trial:
-    """The wheel started and stopped over and over, as sharply as the shortest step allows.
+def _stop_and_go(trial: Trial, top: float, settings: NextRunSettings = DEFAULT_NEXT_RUN) -> Trial:
+    """The wheel started and stopped over and over.
 
     Args:
         trial: The run that is varied.
         top: Angular velocity between the ramps [rad/s].
-        hold: Time at it, and at rest [s].
+        settings: Time at it and at rest, and how fast the wheel speeds up.
     """
-    ramp = top / sharpest_ramp(float(trial.simulator.wheel.radius))
+    ramp, hold = top / settings.acceleration, settings.hold
     ends = np.cumsum(np.resize([hold, ramp], len(trial.time) - 1))
     speeds = np.resize([0.0, 0.0, top, top], len(trial.time))
     # A driven carriage keeps the ratio that it had to the wheel at its fastest.
@@ -327,10 +329,8 @@ def _stop_and_go(trial: Trial, top: float, hold: float = DEFAULT_NEXT_RUN.hold) 
 
 
 def _with_allowed_step(trial: Trial) -> Trial:
-    """The same with the longest time step that its command allows."""
-    radius = float(trial.simulator.wheel.radius)
-    step = steady_step(radius, np.asarray(trial.time), np.asarray(trial.omega))
-    return replace(trial, step=as_real(step))
+    """The same with a time step chosen for it."""
+    return replace(trial, step=as_real(choose_step(trial).step))
 
 
 @eqx.filter_jit
@@ -360,7 +360,7 @@ def _differences(
         By hypothesis [m, N, N m]; empty for one that cannot be simulated.
     """
     trial = variation.trial
-    rows = min(trial.rows, math.ceil(variation.duration / (STEPS_A_ROW * float(trial.step))))
+    rows = min(trial.rows, math.ceil(variation.duration / (trial.every * float(trial.step))))
 
     def readings(hypothesis: Hypothesis, log_zeta_change: float = 0.0) -> np.ndarray:
         scaled = with_zeta(trial, hypothesis.log_zeta[base] + log_zeta_change)

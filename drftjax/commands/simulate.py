@@ -104,10 +104,12 @@ def simulate(
     log = simulated_run(chosen, interval=1 / rate, at=sampled)
 
     typer.echo(summary(log))
+    if log.notes:
+        typer.echo(log.notes)
     time = log.measured.time
     if sampled is None and len(time) > 1 and abs((time[1] - time[0]) * rate - 1) > 1e-6:
-        true, steps = 1 / (time[1] - time[0]), chosen.integrator.step
-        typer.echo(f"note: rows come at {true:.4g} Hz, at whole steps of {steps:g} s", err=True)
+        true = 1 / (time[1] - time[0])
+        typer.echo(f"note: rows come at {true:.4g} Hz, at whole steps", err=True)
     for doubt in plausibility_warnings(log):
         typer.echo(f"note: {doubt}", err=True)
     if output is not None:

@@ -15,20 +15,13 @@ Sources: Li, Zhang & Goldman 2013, Science 339:1408 (the law and its coefficient
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.physics.wheel import Plates
-
-# Regulariser: width [m/s] over which direction and the leading-plate rule fade in at rest.
-REST_SPEED = 1e-4
-
-
-# Plate speed [m/s] under which an integrator may hold it over a step: ten times that width.
-HELD_SPEED = 1e-3
-
 
 NEWTON_PER_CUBIC_CENTIMETRE = 1e6
 
@@ -38,16 +31,18 @@ class PlateMotion(eqx.Module):
 
     Attributes:
         depth: Depth below the surface [m], negative above it.
-        behind: True behind the contact's bisector: on the side that the wheel turns away from.
         velocity_x, velocity_z: Plate velocity [m/s].
-        direction_x, direction_z: Its direction, fading to zero within `REST_SPEED` of rest [-].
+        direction_x, direction_z: Its direction, fading to zero at rest over a small speed [-].
         normal_speed: Speed along the outward normal [m/s].
         share: Share of its load that the plate carries by the leading-plate rule [-], 0 to 1.
         height_decrease: Loss of height of the sand behind the wheel, r (r omega^2 / g) [m].
+        axle_depth: Depth of the axle below the surface over the rim's radius [-]; -1 where the rim
+            just touches.
+        omega: Angular velocity [rad/s].
+        radius: Rim radius [m].
     """
 
     depth: Float[Array, " plates"]
-    behind: Array
     velocity_x: Float[Array, " plates"]
     velocity_z: Float[Array, " plates"]
     direction_x: Float[Array, " plates"]
@@ -55,6 +50,9 @@ class PlateMotion(eqx.Module):
     normal_speed: Float[Array, " plates"]
     share: Float[Array, " plates"]
     height_decrease: Float[Array, ""]
+    axle_depth: Float[Array, ""]
+    omega: Float[Array, ""]
+    radius: Float[Array, ""]
 
 
 def plate_motion(
@@ -63,7 +61,8 @@ def plate_motion(
     velocity: Float[Array, "2"],
     omega: Float[Array, ""],
     height_decrease: Float[Array, ""],
-    pace: Float[Array, "2"],
+    rest_speed: Float[Array, ""] | float,
+    radius: Float[Array, ""],
 ) -> PlateMotion:
     """Depth and motion of plates on a wheel that translates and turns.
 
@@ -73,31 +72,26 @@ def plate_motion(
         velocity: Velocity (x, z) of the axle [m/s].
         omega: Angular velocity, positive driving forward [rad/s].
         height_decrease: See `PlateMotion`.
-        pace: Axle velocity [m/s] whose plate speeds, where they are under `HELD_SPEED`, divide
-            the plate velocities into directions: `velocity` itself, unless an integrator holds it.
+        rest_speed: Width [m/s] over which direction and leading-plate rule fade in at rest.
+        radius: Rim radius [m].
     """
     velocity_x = velocity[0] + omega * plates.z
     velocity_z = velocity[1] - omega * plates.x
-    pace_x = pace[0] + omega * plates.z
-    pace_z = pace[1] - omega * plates.x
-    held_square = pace_x**2 + pace_z**2 + REST_SPEED**2
-    held = jnp.sqrt(held_square)
-    now = jnp.sqrt(velocity_x**2 + velocity_z**2 + REST_SPEED**2)
-    # Fast plates follow the velocity, slow ones keep the pace's speed.
-    speed = held + held_square / (held_square + HELD_SPEED**2) * (now - held)
+    speed = jnp.sqrt(velocity_x**2 + velocity_z**2 + rest_speed**2)
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
     return PlateMotion(
         depth=-(height + plates.z),
-        # The loss of height goes with omega squared, so that nothing jumps where the sides change.
-        behind=jnp.where(omega < 0, plates.x > 0, plates.x < 0),
         velocity_x=velocity_x,
         velocity_z=velocity_z,
         direction_x=velocity_x / speed,
         direction_z=velocity_z / speed,
         normal_speed=normal_speed,
         # At rest along its normal a plate still carries fully, so that a standing wheel holds.
-        share=jnp.clip(1 + normal_speed / REST_SPEED, 0, 1),
+        share=jnp.clip(1 + normal_speed / rest_speed, 0, 1),
         height_decrease=height_decrease,
+        axle_depth=-height / radius,
+        omega=omega,
+        radius=radius,
     )
 
 
@@ -161,10 +155,8 @@ class AbstractCorners(eqx.Module):
         """Share of its load that each plate carries by the leading-plate rule [-]."""
 
     @abc.abstractmethod
-    def behind(
-        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
-    ) -> Float[Array, " plates"]:
-        """`loss` [m] for plates behind the contact's bisector, none for others."""
+    def past(self, distance: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        """1 for plates behind the contact's bisector, by this distance [m], 0 for others [-]."""
 
     @abc.abstractmethod
     def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
@@ -180,10 +172,8 @@ class Sharp(AbstractCorners):
     def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
         return motion.share
 
-    def behind(
-        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
-    ) -> Float[Array, " plates"]:
-        return jnp.where(motion.behind, loss, 0)
+    def past(self, distance: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return jnp.where(distance > 0, 1, 0).astype(distance.dtype)
 
     def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
         return jnp.where(depth > 0, jnp.maximum(motion.normal_speed, 0) ** 2, 0)
@@ -212,11 +202,8 @@ class Rounded(AbstractCorners):
     def share(self, motion: PlateMotion) -> Float[Array, " plates"]:
         return _step(motion.normal_speed, self.lead)
 
-    def behind(
-        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
-    ) -> Float[Array, " plates"]:
-        way = jnp.where(motion.behind, 1, -1) * jnp.abs(plates.x)
-        return loss * _step(way, self.passage)
+    def past(self, distance: Float[Array, " plates"]) -> Float[Array, " plates"]:
+        return _step(distance, self.passage)
 
     def flux(self, motion: PlateMotion, depth: Float[Array, " plates"]) -> Float[Array, " plates"]:
         return _step(depth, self.entry) * _ramp(motion.normal_speed, self.lead) ** 2
@@ -230,6 +217,55 @@ def _ramp(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
 def _step(value: Float[Array, " n"], width: float) -> Float[Array, " n"]:
     """0 below and 1 above zero [-], over a width in the value's unit: the slope of `_ramp`."""
     return (1 + value / jnp.sqrt(value**2 + width**2)) / 2
+
+
+class AbstractBisector(eqx.Module):
+    """Line through the axle that halves the contact with the sand."""
+
+    @abc.abstractmethod
+    def distance_behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        """Distance of each plate behind the line [m], negative ahead of it.
+
+        Args:
+            motion: Of the plates.
+            plates: Of the wheel.
+            loss: Height [m] that the sand behind the wheel has lost.
+        """
+
+
+class VerticalBisector(AbstractBisector):
+    """The vertical through the axle, whichever way the wheel turns: -x is behind.
+
+    It is the convention of the reference model, for a wheel that drives forward on level ground.
+    """
+
+    def distance_behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        return -plates.x
+
+
+class ArcBisector(AbstractBisector):
+    r"""Middle of the arc of the rim that truly touches the sand, after Agarwal et al. 2021.
+
+    For an axle at the height $h$ over the sand, the rim enters it at $\arccos(h / r)$ ahead of
+    straight down, and leaves the sand behind, which is lower by the loss $\delta_h$, at
+    $\arccos((h + \delta_h) / r)$. For a wheel that turns backward it is the mirror image.
+    """
+
+    def distance_behind(
+        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    ) -> Float[Array, " plates"]:
+        height = -motion.axle_depth
+        # A quarter turn from straight down is the farthest that the model covers.
+        entry = jnp.arccos(jnp.clip(height, 0, 1))
+        leave = jnp.arccos(jnp.clip(height + loss / motion.radius, 0, 1))
+        # Plates pass the line suddenly: no derivative goes through its place.
+        half = jax.lax.stop_gradient(entry - leave) / 2
+        sense = jnp.where(motion.omega < 0, -1, 1)
+        return -(sense * plates.x * jnp.cos(half) + plates.z * jnp.sin(half))
 
 
 class AbstractStressLaw(eqx.Module):
@@ -276,9 +312,7 @@ class Dynamic(AbstractStressLaw):
     $$\mathrm d\mathbf F = \zeta \tilde d\,(-\alpha_x, \alpha_z)\,\mathrm dS
       - \lambda\rho\,(\mathbf n\cdot\mathbf p)^2\,\mathbf n\,\mathrm dS$$
 
-    with $\tilde d = d - \delta_h$ behind the contact's bisector (on level ground the vertical
-    through the axle) and $\tilde d = d$ ahead of it. Behind is where x < 0 for omega > 0, and where
-    x > 0 for a wheel that turns backward.
+    with $\tilde d = d - \delta_h$ behind the contact's bisector and $\tilde d = d$ ahead of it.
 
     Attributes:
         inertial_coefficient: lambda [-]; 1.1 in Agarwal et al. 2021.
@@ -286,6 +320,7 @@ class Dynamic(AbstractStressLaw):
         height_decrease: Share of delta_h = r (r omega^2 / g) that is taken off [-]; 1 in the paper.
         coefficients: Stress per depth.
         corners: Where plates' loads set in.
+        bisector: Line that halves the contact.
     """
 
     inertial_coefficient: Float[Array, ""] = eqx.field(converter=as_real, default=1.1)
@@ -293,6 +328,7 @@ class Dynamic(AbstractStressLaw):
     height_decrease: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
     coefficients: StressCoefficients = eqx.field(default_factory=StressCoefficients.generic)
     corners: AbstractCorners = eqx.field(default_factory=Sharp)
+    bisector: AbstractBisector = eqx.field(default_factory=VerticalBisector)
 
     def __check_init__(self):
         # A fit to slow runs leaves lambda free, even of its sign, and its result must still run.
@@ -305,7 +341,8 @@ class Dynamic(AbstractStressLaw):
         self, motion: PlateMotion, plates: Plates, zeta: Float[Array, ""]
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"]]:
         loss = self.height_decrease * motion.height_decrease
-        depth = motion.depth - self.corners.behind(motion, plates, loss)
+        past = self.corners.past(self.bisector.distance_behind(motion, plates, loss))
+        depth = motion.depth - loss * past
         stress_x, stress_z = _depth_stress(
             self.coefficients, self.corners, motion, plates, depth, zeta
         )

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from drftjax.common.errors import InputError, RunError
-from drftjax.physics.integrator import steady_step
 from drftjax.recorded.observation import (
     DEFAULT_OBSERVATION,
     Observation,
@@ -23,15 +22,11 @@ from drftjax.recorded.start_state import DEFAULT_START, StartSettings, start_sta
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import CHANNELS, RunLog
+from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
+from drftjax.simulation.step_choice import StepChoice
 from drftjax.simulation.trial import Trial
-
-# Fits step with the method that keeps its derivatives bounded at rest; docs/theory/integrator.md.
-FIT_METHOD = "held pace"
-
-
-STEPS_A_ROW = 5
 
 
 @dataclass(frozen=True)
@@ -44,6 +39,8 @@ class PreparedRun:
         trial: Simulator, start and command, built from the set-up.
         observation: Recorded channels that a simulation is compared with.
         made_in_loop: The run log itself where it was made in the loop; None for others.
+        step_choice: The step that was chosen for it, and its estimated error; None where one was
+            given.
     """
 
     name: str
@@ -51,6 +48,7 @@ class PreparedRun:
     trial: Trial
     observation: Observation
     made_in_loop: RunLog | None = None
+    step_choice: StepChoice | None = None
 
 
 def prepare_run(
@@ -60,7 +58,6 @@ def prepare_run(
     model: SetUp | None = None,
     fitted: Sequence[str] = (),
     zeta: float | None = None,
-    method: str = FIT_METHOD,
     step: float | None = None,
     keep_rest: bool = False,
     compare: Sequence[str] = CHANNELS,
@@ -72,7 +69,7 @@ def prepare_run(
     Args:
         name: The run, as reports call it.
         run: Recorded run.
-        model, fitted, zeta, method, step: See `setup_for`.
+        model, fitted, zeta, step: See `setup_for`.
         keep_rest, compare: See `observe`.
         start_settings: Which samples give the start, and by which curve.
         settings: Which samples are compared, and how noisy they are at least.
@@ -84,13 +81,15 @@ def prepare_run(
     try:
         run = drop_refused(run)
         require_upright(run)
-        setup = setup_for(run, model, fitted=fitted, zeta=zeta, method=method, step=step)
+        setup = setup_for(run, model, fitted=fitted, zeta=zeta, step=step)
         observation = observe(
             run, setup.wheel.radius, keep_rest=keep_rest, compare=compare, settings=settings
         )
         setup.start = start_state(run, setup, start_settings, settings)
-        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        return PreparedRun(name, setup, trial, observation, made_in_loop)
+        choice = choose_setup_step(setup)
+        # A row for every step, so that runs of any step share one program.
+        trial = setup.trial(interval=0)
+        return PreparedRun(name, setup, trial, observation, made_in_loop, choice)
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 
@@ -101,7 +100,6 @@ def setup_for(
     *,
     fitted: Sequence[str] = (),
     zeta: float | None = None,
-    method: str = FIT_METHOD,
     step: float | None = None,
 ) -> SetUp:
     """Set-up that a recorded run is simulated with.
@@ -111,20 +109,16 @@ def setup_for(
         model: Wheel, sand, rig and effects in place of those that the run log names; not changed.
         fitted: Names of parameters to be fitted: effects whose numbers are among them are added.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
-        method: Integrator, by its name in a set-up file.
-        step: Its step [s]; where none is given, the longest that the command allows.
+        step: Integrator step [s]; where neither this nor the model gives one, `prepare_run` chooses
+            one for the run.
 
     Raises:
         InputError: names what the run log lacks.
     """
     setup = setup_from_run(run) if model is None else _under_command(model, run)
     add_fitted_effects(setup, fitted)
-    setup.integrator.method = method
-    setup.integrator.step = (
-        steady_step(setup.wheel.radius, run.command.time, run.command.omega)
-        if step is None
-        else step
-    )
+    if step is not None:
+        setup.integrator.step = step
     if zeta is not None:
         setup.terrain.zeta = zeta
     return setup

@@ -19,13 +19,7 @@ from drftjax.common.packages import require_known
 from drftjax.common.structured_files import read_document, to_structure
 from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
 from drftjax.effects.serialization import Entry, build_effects
-from drftjax.physics.integrator import (
-    DEFAULT_STEP,
-    AbstractIntegrator,
-    Explicit,
-    HeldPace,
-    Rosenbrock,
-)
+from drftjax.physics.integrator import DEFAULT_STEP, ImplicitEuler
 from drftjax.physics.outline_wheel import OutlineWheel, read_outline
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
 from drftjax.physics.state import State
@@ -49,11 +43,11 @@ MAX_STEPS = 2e7
 MAX_OMEGA = 100.0  # commanded angular velocity [rad/s]
 
 
-INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
-    "rosenbrock": Rosenbrock,
-    "held pace": HeldPace,
-    "explicit": Explicit,
-}
+METHOD = "implicit"
+
+
+# Methods that set-up files of before version 0.1 name.
+REMOVED_METHODS = ("rosenbrock", "held pace", "explicit")
 
 
 class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -167,10 +161,29 @@ def _farthest(values: ArrayLike) -> float:
 
 
 class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
-    """[integrator]: the method and its step in seconds."""
+    """[integrator]: the step in seconds; where none is given, programs choose one for the run.
 
-    method: str = "rosenbrock"
-    step: float = DEFAULT_STEP
+    There is one method, implicit Euler; `method` may name it.
+    """
+
+    method: str = METHOD
+    step: float | None = None
+
+    def build(self) -> tuple[ImplicitEuler, float]:
+        """The integrator, and its step [s].
+
+        Raises:
+            InputError: for a method that is not there, or was removed, and a step out of bounds.
+        """
+        if self.method in REMOVED_METHODS:
+            raise InputError(
+                f"integrator.method {self.method!r} was removed, and its step does not hold for "
+                f"{METHOD!r}: leave [integrator] out, or say method = {METHOD!r} with a step"
+            )
+        require_known("integrator.method", self.method, (METHOD,))
+        step = DEFAULT_STEP if self.step is None else self.step
+        require_between("integrator step", step, 1e-6, 0.1, " s")
+        return ImplicitEuler(), step
 
 
 class SetUp(msgspec.Struct, forbid_unknown_fields=True):
@@ -201,13 +214,12 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         """
         for reason in text_problems("title", self.title):
             raise InputError(reason)
-        require_known("integrator.method", self.integrator.method, INTEGRATORS)
-        require_between("integrator step", self.integrator.step, 1e-6, 0.1, " s")
+        integrator, step = self.integrator.build()
         simulator = Simulator(
             self.wheel.build(),
             self.terrain.build(),
             self.rig.build(),
-            INTEGRATORS[self.integrator.method](),
+            integrator,
             tuple(build_effects(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
         simulator.check()
@@ -224,13 +236,13 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")
         require_between(
             "the number of steps",
-            (command.time[-1] - command.time[0]) / self.integrator.step,
+            (command.time[-1] - command.time[0]) / step,
             0,
             MAX_STEPS,
             " (times are in seconds)",
         )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
-        return Trial.of(simulator, start, command, self.integrator.step, interval)
+        return Trial.of(simulator, start, command, step, interval)
 
 
 def read_setup(path: str | Path) -> SetUp:

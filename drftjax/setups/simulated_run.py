@@ -1,5 +1,6 @@
 """Simulation of a set-up as a run log."""
 
+import copy
 import math
 
 import equinox as eqx
@@ -10,6 +11,7 @@ from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog import record
+from drftjax.setups.chosen_step import choose_setup_step, step_within
 from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
@@ -28,9 +30,12 @@ def simulated_run(
 
     Args:
         setup: Set-up to simulate.
-        interval: Time between rows [s]; rounded to whole steps.
+        interval: Time between rows [s]; rounded to whole steps where the set-up gives a step.
         at: Times of the rows [s], shape (rows,), by interpolation; past the command's end its last
             value holds.
+
+    Returns:
+        The run; its notes tell the step that was chosen where the set-up gives none.
 
     Raises:
         InputError: a number of the set-up is out of bounds, or the model does not cover the run.
@@ -48,6 +53,10 @@ def simulated_run(
             f"rows {interval:g} s apart are farther than the command lasts ({lasts:g} s); ask for "
             "more rows a second"
         )
+    setup, held = copy.deepcopy(setup), copy.deepcopy(held)
+    choice = choose_setup_step(held)
+    if choice is not None:
+        held.integrator.step = step_within(interval, choice.step)
     trial = held.trial(interval)
     output = _run(trial)
     check_output(output, trial.simulator)
@@ -62,6 +71,7 @@ def simulated_run(
         measured=record.Measured(time=rows, **measured),
         source="simulated",
         title=setup.title,
+        notes=None if choice is None else f"{choice}",
         software="drftjax",
         software_version=__version__,
     )

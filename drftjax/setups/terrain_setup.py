@@ -16,10 +16,13 @@ from drftjax.common.errors import InputError
 from drftjax.common.packages import load_plugins, require_known
 from drftjax.physics.stress import (
     COEFFICIENT_NAMES,
+    AbstractBisector,
     AbstractStressLaw,
+    ArcBisector,
     Dynamic,
     QuasiStatic,
     StressCoefficients,
+    VerticalBisector,
 )
 from drftjax.physics.terrain import ConstantZeta, KnotZeta, Terrain
 
@@ -33,6 +36,12 @@ COEFFICIENTS = {
     "generic": StressCoefficients.generic,
     "loose poppy seeds": StressCoefficients.loose_poppy_seeds,
     "close poppy seeds": StressCoefficients.close_poppy_seeds,
+}
+
+
+BISECTORS: dict[str, type[AbstractBisector]] = {
+    "vertical": VerticalBisector,
+    "arc": ArcBisector,
 }
 
 
@@ -122,18 +131,23 @@ class DynamicTerrain(AbstractTerrainSetUp, tag="dynamic"):
         inertial_coefficient: lambda [-].
         bulk_density: rho [kg/m3].
         height_decrease: Share of r (r omega^2 / g) taken off behind the wheel [-].
+        bisector: Line that halves the contact: 'vertical', the reference model's, or 'arc', the
+            middle of the arc that truly touches.
     """
 
     inertial_coefficient: float = 1.1
     bulk_density: float = 1490.0
     height_decrease: float = 1.0
+    bisector: str = "vertical"
 
     def stress_law(self) -> Dynamic:
+        require_known("terrain.bisector", self.bisector, BISECTORS)
         return Dynamic(
             self.inertial_coefficient,
             self.bulk_density,
             self.height_decrease,
             self.stress_coefficients(),
+            bisector=BISECTORS[self.bisector](),
         )
 
 

@@ -13,7 +13,6 @@ from drftjax.effects.catalogue import field_metadata
 from drftjax.effects.listing import typical_sizes
 from drftjax.effects.serialization import typical_effect
 from drftjax.physics.command import command_at
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import Output, State
 from drftjax.simulation.rollout import simulate, step_times
 from drftjax.simulation.simulator import Simulator
@@ -60,7 +59,7 @@ def simulate_effects(effects: Classes) -> Output:
         for (index, name), value in zip(fields, values, strict=True):
             given[index][name] = value
         built = tuple(each(**those) for each, those in zip(effects, given, strict=True))
-        simulator = replace(Simulator(integrator=HeldPace()), effects=built)
+        simulator = replace(Simulator(), effects=built)
         return simulate(simulator, State.at_rest(SINKAGE), commands, STEP, every=EVERY)[1]
 
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(run))(jnp.asarray(table)))

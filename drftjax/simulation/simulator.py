@@ -10,8 +10,9 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
 from drftjax.effects.base import AbstractAdjustment, AbstractEffect, StepContext
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import AbstractIntegrator, Rosenbrock, value_and_jacobian
-from drftjax.physics.rig import Rig
+from drftjax.physics.implicit import AbstractBalance, root_of
+from drftjax.physics.integrator import ImplicitEuler
+from drftjax.physics.rig import FreeCarriage, Rig
 from drftjax.physics.state import Output, State, slip
 from drftjax.physics.stress import PlateMotion, plate_motion
 from drftjax.physics.terrain import Terrain
@@ -19,6 +20,9 @@ from drftjax.physics.wheel import AbstractWheel, GrouserWheel, Plates
 
 # Time [s] that an observation takes of an instrument that lags: none, but for a division.
 INSTANT = 1e-9
+
+# Gravitational acceleration at which zeta is the scaling factor of the stress [m/s2].
+EARTH_GRAVITY = 9.81
 
 
 class PlateLoad(eqx.Module):
@@ -43,14 +47,14 @@ class Simulator(eqx.Module):
         wheel: Outline, cut into plates.
         terrain: Stress law and zeta.
         rig: Masses, damping, loads and carriage.
-        integrator: How a step linearises the sand's force in the velocity.
+        integrator: How a step finds the velocity at its end.
         effects: Mechanisms beyond the reference model, each in its place, in the order given.
     """
 
     wheel: AbstractWheel = eqx.field(default_factory=GrouserWheel)
     terrain: Terrain = eqx.field(default_factory=Terrain)
     rig: Rig = eqx.field(default_factory=Rig)
-    integrator: AbstractIntegrator = eqx.field(default_factory=Rosenbrock)
+    integrator: ImplicitEuler = eqx.field(default_factory=ImplicitEuler)
     effects: chain.Effects = ()
 
     def __check_init__(self):
@@ -110,7 +114,6 @@ class Simulator(eqx.Module):
         angle: Float[Array, ""],
         omega: Float[Array, ""],
         zeta: Float[Array, ""],
-        pace: Float[Array, "2"] | None = None,
         memory: chain.Memories = (),
     ) -> PlateLoad:
         """Stress on every plate of the wheel in this place, at this motion.
@@ -121,21 +124,22 @@ class Simulator(eqx.Module):
             angle: Wheel angle [rad].
             omega: Angular velocity [rad/s].
             zeta: Scaling factor [-].
-            pace: See `plate_motion`; `velocity` where none is given.
             memory: Of the effects; as at a run's start where none is given.
         """
         self = self.prepared()
         if not memory:
             nought = jnp.zeros_like(angle)
             memory = chain.begin(self.effects, State(nought, position, velocity, angle, omega))
-        pace = velocity if pace is None else pace
         radius = self.wheel.radius
         plates = chain.move_plates(self.effects, self.wheel.cut().plates(angle), angle)
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
-        motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
+        width = self.integrator.rest_speed(radius, self.rig.gravity, omega)
+        motion = plate_motion(plates, height, velocity, omega, height_decrease, width, radius)
         motion = chain.relative_to_surface(self.effects, memory, motion, position[0], plates.x)
-        stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
+        # The sand's strength goes with gravity, so that zeta is a number of the sand.
+        strength = zeta * (self.rig.gravity / EARTH_GRAVITY)
+        stress_x, stress_z = self.terrain.law.stress(motion, plates, strength)
         factor = chain.stress_factor(self.effects, motion)
         return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
 
@@ -146,14 +150,13 @@ class Simulator(eqx.Module):
         angle: Float[Array, ""],
         omega: Float[Array, ""],
         zeta: Float[Array, ""],
-        pace: Float[Array, "2"] | None = None,
         memory: chain.Memories = (),
     ) -> Float[Array, "3"]:
         """The sand's force on the wheel (x, z) [N] and the drive torque against it [N m].
 
         Arguments as for `plate_load`.
         """
-        load = self.plate_load(position, velocity, angle, omega, zeta, pace, memory)
+        load = self.plate_load(position, velocity, angle, omega, zeta, memory)
         force_x = load.stress_x * load.plates.area
         force_z = load.stress_z * load.plates.area
         moment = load.plates.x * force_z - load.plates.z * force_x
@@ -162,10 +165,7 @@ class Simulator(eqx.Module):
     def step(
         self, state: State, command: Command, dt: Float[Array, ""] | float
     ) -> tuple[State, Output]:
-        """One linearly implicit step: the force linearised in the velocity, solved once.
-
-        The velocity equation is stiff (the sand's force turns over within `REST_SPEED` of rest),
-        so the force is taken with the position moved along; `drftjax.physics.integrator` says how.
+        """One implicit step: the velocity at its end balances the forces there.
 
         Args:
             state: State at the start of the step.
@@ -184,34 +184,37 @@ class Simulator(eqx.Module):
             time, dt, state.position, state.velocity, angle, omega, command.omega, radius
         )
         zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
-
-        def sand_wrench(velocity, pace):
-            position = state.position + dt * velocity
-            sand = self.wrench(position, velocity, angle, omega, zeta, pace, memory)
-            piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
-            return sand.at[:2].add(piled)
-
-        def rig_load(velocity):
-            position = state.position + dt * velocity
-            return chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
-
         start = self.rig.carriage.approach(state.velocity, command)
-        sand, by_velocity = self.integrator.linearise(sand_wrench, start)
-        held, held_by_velocity = value_and_jacobian(rig_load, start)
-        damping = jnp.stack([self.rig.damping_x, self.rig.damping_z])
-        inertia = jnp.diag(self.rig.mass() + dt * damping)
-        inertia = inertia - dt * (by_velocity[:2] + held_by_velocity)
-        impulse = dt * (sand[:2] + self.rig.load(start) + held)
-        velocity = self.rig.carriage.advance(start, impulse, inertia)
+        balance = StepBalance(self, start, state, memory, moment, zeta)
+        guess = start * _growth(state.omega, omega)
+        velocity, sand, _ = root_of(balance, guess, self.integrator.newton)
+        return self._moved(state, velocity, sand, memory, moment, zeta)
 
-        # z moves by the velocity that its force was balanced at. x bears on no force, so it may
-        # move by the mean, which has no error of first order while the wheel speeds up.
-        travel = jnp.stack([(state.velocity[0] + velocity[0]) / 2, velocity[1]])
-        position = state.position + dt * travel
-        memory = chain.advance(effects, memory, moment)
-        after = State(time, position, velocity, angle, omega)
-        truth = self._output(after, sand + by_velocity @ (velocity - start), zeta)
-        reading, memory = chain.measure(effects, memory, truth, dt)
+    def _moved(
+        self,
+        state: State,
+        velocity: Float[Array, "2"],
+        sand: Float[Array, "3"],
+        memory: chain.Memories,
+        moment: StepContext,
+        zeta: Float[Array, ""],
+    ) -> tuple[State, Output]:
+        """State and reading after a step.
+
+        Args:
+            state: State at the start of the step.
+            velocity: Velocity (x, z) at its end [m/s].
+            sand: Wrench of the sand on the wheel [N, N, N m].
+            memory: What the effects remember during it.
+            moment: Context of the step.
+            zeta: Scaling factor [-].
+        """
+        # By the mean velocity, which has no error of first order while the wheel speeds up.
+        position = state.position + moment.dt * (state.velocity + velocity) / 2
+        memory = chain.advance(self.effects, memory, moment)
+        after = State(moment.time, position, velocity, moment.angle, moment.omega)
+        truth = self._output(after, sand, zeta)
+        reading, memory = chain.measure(self.effects, memory, truth, moment.dt)
         return dataclasses.replace(after, memory=memory), reading
 
     def held(self, state: State, command: Command) -> Float[Array, "2"]:
@@ -242,7 +245,7 @@ class Simulator(eqx.Module):
         moment = self._moment(state, command, dt)
         zeta = self.terrain.zeta(state.time, command) * chain.zeta_factor(effects, memory, moment)
         place, velocity = state.position, state.velocity
-        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, None, memory)
+        sand = self.wrench(place, velocity, state.angle, state.omega, zeta, memory)
         piled = chain.loads(effects, memory, place, velocity, moment, of_the_sand=True)
         return self._output(state, sand.at[:2].add(piled), zeta), dt
 
@@ -276,3 +279,62 @@ class Simulator(eqx.Module):
             sinkage=-z,
             zeta=zeta,
         )
+
+
+def _growth(before: Float[Array, ""], omega: Float[Array, ""]) -> Float[Array, ""]:
+    """Change of angular velocity [-] that a quasi-static motion goes along with; at most double."""
+    turning = before != 0
+    return jnp.where(turning, jnp.clip(omega / jnp.where(turning, before, 1), 0, 2), 1)
+
+
+class StepBalance(AbstractBalance):
+    """Balance of momentum over one step of a simulator.
+
+    Attributes:
+        simulator: Prepared, with its wheel cut.
+        start: Velocity (x, z) that the step starts from [m/s].
+        state: State at the start of the step.
+        memory: What the effects remember during it.
+        moment: Context of the step.
+        zeta: Scaling factor [-].
+    """
+
+    simulator: Simulator
+    start: Float[Array, "2"]
+    state: State
+    memory: chain.Memories
+    moment: StepContext
+    zeta: Float[Array, ""]
+
+    def __call__(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "3"]]:
+        simulator, memory, moment, dt = self.simulator, self.memory, self.moment, self.moment.dt
+        position = self.state.position + dt * (velocity + self.start) / 2
+        effects, rig = simulator.effects, simulator.rig
+        sand = simulator.wrench(position, velocity, moment.angle, moment.omega, self.zeta, memory)
+        piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
+        sand = sand.at[:2].add(piled)
+        held = chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
+        forces = sand[:2] + rig.load(velocity) + held
+        return rig.mass() * (velocity - self.start) - dt * forces, sand
+
+    def solve(
+        self, jacobian: Float[Array, "2 2"], residual: Float[Array, "2"]
+    ) -> Float[Array, "2"]:
+        still = jnp.zeros_like(residual)
+        return self.simulator.rig.carriage.advance(still, residual, jacobian)
+
+    def inverse_norm_bound(self, jacobian: Float[Array, "2 2"]) -> Float[Array, ""]:
+        root = jnp.sqrt(self.simulator.rig.mass())
+        scaled = jacobian / root[:, None] / root[None, :]
+        if not isinstance(self.simulator.rig.carriage, FreeCarriage):
+            return 1 / jnp.abs(scaled[1, 1])
+        determinant = scaled[0, 0] * scaled[1, 1] - scaled[0, 1] * scaled[1, 0]
+        return jnp.sqrt(jnp.sum(scaled**2)) / jnp.abs(determinant)
+
+    def speed_scale(self) -> Float[Array, ""]:
+        return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
+
+    def size(self, residual: Float[Array, "2"]) -> Float[Array, ""]:
+        speed = residual / self.simulator.rig.mass()
+        free = isinstance(self.simulator.rig.carriage, FreeCarriage)
+        return jnp.hypot(speed[0], speed[1]) if free else jnp.abs(speed[1])

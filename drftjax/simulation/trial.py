@@ -114,10 +114,7 @@ def check_output(output: Output, simulator: Simulator) -> None:
     finite = jnp.isfinite(output.x) & jnp.isfinite(output.z)
     if not bool(finite.all()):
         when = float(output.time[int(jnp.argmin(finite))])
-        raise InputError(
-            f"the simulation diverges near {when:.3g} s; a shorter step, or the method "
-            "'held pace', may hold it"
-        )
+        raise InputError(f"the simulation diverges near {when:.3g} s; a shorter step may hold it")
     limit = float(simulator.wheel.cut().sinkage_limit)
     deepest = float(output.sinkage.max())
     if deepest > limit:

@@ -1,5 +1,6 @@
 """Inputs of the loop, as values that a run log keeps: a run can be replayed from them."""
 
+import copy
 import math
 from functools import lru_cache
 from typing import Any
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
+from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import drop_unused_numbers
 from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.step_choice import StepChoice
 from drftjax.tuning.registry import TunerSetUp
 from drftjax.tuning.step_tuner import tick_commands
 from hils.control.compiled_step import CompiledStep
@@ -101,6 +104,8 @@ class LoopPhysics:
         step: A tick.
         omega: Angular velocity at the end of each substep of each tick, shape (ticks, substeps)
             [rad/s].
+        step_choice: The integrator step that was chosen, and its estimated error; None where the
+            set-up gives one.
 
     Raises:
         InputError: a number that cannot be, or a profile that cannot be commanded.
@@ -110,11 +115,14 @@ class LoopPhysics:
     simulator: Simulator
     step: CompiledStep
     omega: Float[np.ndarray, "ticks substeps"]
+    step_choice: StepChoice | None
 
     def __init__(self, loop: LoopSetUp):
         self.loop = loop
-        trial = loop.setup.trial()
-        substeps = max(1, math.ceil(loop.tick / loop.setup.integrator.step - 1e-9))
+        setup = copy.deepcopy(loop.setup)
+        self.step_choice = choose_setup_step(setup)
+        trial = setup.trial()
+        substeps = max(1, math.ceil(loop.tick / float(trial.step) - 1e-9))
         self.omega = profile(loop, substeps)
         self.simulator = trial.simulator
         self.step = CompiledStep(trial.simulator, loop.tuner.build(loop.tick), substeps)

@@ -14,7 +14,7 @@ from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.common.structured_files import to_structure
 from drftjax.effects.serialization import Entry, build_effects
-from drftjax.physics.integrator import HeldPace
+from drftjax.physics.integrator import ImplicitEuler
 from drftjax.setups.setup import (
     CommandSetUp,
     IntegratorSetUp,
@@ -33,7 +33,7 @@ from hils.rig_sim.sensors import Instruments, RandomStream, RigClock
 class PhysicsSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """[physics]: the rig's own integrator step [s] and plates [m], finer than the loop's."""
 
-    step: float = 2e-4
+    step: float = 1e-3
     plate_size: float = 2e-3
 
 
@@ -102,7 +102,7 @@ class VirtualSetUp(msgspec.Struct, forbid_unknown_fields=True):
             self.terrain.build(),
             # Each command says whether the carriage is driven.
             msgspec.structs.replace(self.rig, carriage="free").build(),
-            HeldPace(),
+            ImplicitEuler(),
             tuple(build_effects(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )
 

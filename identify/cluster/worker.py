@@ -51,8 +51,7 @@ class FitOptions(msgspec.Struct, frozen=True):
         parameters: Fitted parameters, one value for each log.
         noise: Name of the noise model of the residuals.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
-        method: Integrator.
-        step: Its step [s]; where none is given, the longest that each command allows.
+        step: Integrator step [s]; where none is given, one is chosen for each run.
         keep_rest: Compare samples after the last stop as well.
         compare: Channels that are compared.
         software: Version of this package.
@@ -61,7 +60,6 @@ class FitOptions(msgspec.Struct, frozen=True):
     parameters: tuple[ParameterSpec, ...]
     noise: str = "white"
     zeta: float | None = None
-    method: str = "held pace"
     step: float | None = None
     keep_rest: bool = False
     compare: tuple[str, ...] = CHANNELS
@@ -169,7 +167,6 @@ def _fit_log(settings: bytes, how: FitOptions, digest: str, data: bytes) -> FitR
             run,
             fitted=[term.name for term in how.parameters],
             zeta=how.zeta,
-            method=how.method,
             step=how.step,
             keep_rest=how.keep_rest,
             compare=how.compare,

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-METHODS = ("rosenbrock", "held pace")
-
-
 EXAMPLES = """
 Examples:
 
@@ -95,12 +92,9 @@ def fit(
     bootstrap: Annotated[
         int | None, typer.Option(help="Draws of a bootstrap: intervals and bands of readings.")
     ] = None,
-    method: Annotated[
-        str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
-    ] = "held pace",
     step: Annotated[
         float | None,
-        typer.Option(help="Integrator step [s]. [default: the longest that each command allows]"),
+        typer.Option(help="Integrator step [s]. [default: chosen for each run]"),
     ] = None,
     keep_rest: Annotated[
         bool, typer.Option("--keep-rest", help="Compare samples after the last stop too.")
@@ -149,7 +143,7 @@ def fit(
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
 
-    _require_method(method, start_zeta)
+    _require_start(start_zeta)
     require_channels(CHANNELS if compare is None else compare)
     channels = tuple(each for each in CHANNELS if compare is None or each in compare)
     _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
@@ -174,9 +168,7 @@ def fit(
                 "--cluster fits a constant zeta, each run alone and as its log has it; leave "
                 "--zeta, --starts, --profile, --bootstrap and --model out"
             )
-        alone = FitOptions(
-            parameter_specs(fitted), noise, start_zeta, method, step, keep_rest, channels
-        )
+        alone = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
         kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
         fit_on_cluster(cluster, named, alone, stem, left_out)
@@ -198,7 +190,6 @@ def fit(
             model=None if model is None else read_setup(model),
             fitted=[each.quantity.name for each in fitted],
             zeta=start_zeta,
-            method=method,
             step=step,
             keep_rest=keep_rest,
             compare=channels,
@@ -238,16 +229,10 @@ def fit(
         say(f"written: {', '.join(map(str, write_with_figure(result, stem)))}")
 
 
-def _require_method(method: str, start_zeta: float | None) -> None:
-    """Raise InputError for a method that no fit can use, or for an impossible start of zeta."""
+def _require_start(start_zeta: float | None) -> None:
+    """Raise InputError for an impossible start of zeta."""
     from drftjax.physics.terrain import LARGEST_ZETA
 
-    if method not in METHODS:
-        why = "; explicit steps are wrong by a millimetre (docs/theory/integrator.md)"
-        raise InputError(
-            f"--method is {method!r}, must be one of {', '.join(METHODS)}"
-            + (why if method == "explicit" else "")
-        )
     if start_zeta is not None and not 0 < start_zeta <= LARGEST_ZETA:
         raise InputError(
             f"--start-zeta is {start_zeta:g}, must be over 0 and at most {LARGEST_ZETA:g}"

@@ -82,7 +82,7 @@ def replay_settings(
     every = [round(s.tick / tick) for s in settings]
     trials = make_batch([c.trial for c in candidates], [c.observation for c in candidates]).trials
     durations = [float(c.trial.time[-1]) for c in candidates]
-    grid = tick_grid(max(durations), tick, max(c.setup.integrator.step for c in candidates))
+    grid = tick_grid(max(durations), tick, max(float(c.trial.step) for c in candidates))
     recorded = np.stack([_recorded(c, grid.starts, every) for c in candidates])
     tuners = jax.tree.map(
         lambda *leaves: jnp.stack(leaves),

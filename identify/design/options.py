@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,10 +11,10 @@ import numpy as np
 from jaxtyping import Array
 
 from drftjax.common.errors import InputError
-from drftjax.physics.integrator import steady_step
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.ensemble import map_runs, stack
 from drftjax.simulation.statics import standing_sinkage
+from drftjax.simulation.step_choice import choose_step
 from drftjax.simulation.trial import Trial
 from identify.design.fisher_information import (
     InstrumentNoise,
@@ -93,8 +94,16 @@ class RunEvaluator:
         self.instrument = instrument
         self.limits = limits
 
+    @cached_property
+    def step(self) -> float:
+        """Integrator step of all runs [s], chosen for the fastest profile that the rig can run."""
+        setup = copy.deepcopy(self.base)
+        setup.command = self.limits.fastest_profile()
+        setup.rig.carriage = "free"
+        return choose_step(setup.trial()).step
+
     def setup_for(self, command: CommandSetUp, **start: float) -> SetUp:
-        """Return the base set-up under another command, at a step that bounds its derivatives.
+        """Return the base set-up under another command.
 
         Args:
             command: The command.
@@ -102,9 +111,7 @@ class RunEvaluator:
         """
         setup = copy.deepcopy(self.base)
         setup.command = command
-        built = command.build()
-        setup.integrator.method = "held pace"
-        setup.integrator.step = steady_step(setup.wheel.radius, built.time, built.omega)
+        setup.integrator.step = self.step
         if "angle" in start:
             setup.start.angle = start["angle"]
         if "load" in start:
@@ -126,10 +133,9 @@ class RunEvaluator:
 
     def evaluate(self, names: Sequence[str], setups: Sequence[SetUp]) -> list[RunOption]:
         """Information of a run of each set-up, on the set-up's own plates."""
-        finest = min(each.integrator.step for each in setups)
         knots = max(len(each.command.time) for each in setups)
         longest = max(each.command.time[-1] - each.command.time[0] for each in setups)
-        trials = [stackable_trial(each, finest, knots, longest) for each in setups]
+        trials = [stackable_trial(each, self.step, knots, longest) for each in setups]
         scale = parameter_scales(trials[0], self.quantities)
         options = []
         for first in range(0, len(trials), RUNS_A_CALL):

@@ -17,9 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.common.errors import InputError
-from drftjax.physics.integrator import sharpest_ramp, steady_step
 from drftjax.recorded.batch import device_mesh, make_batch
-from drftjax.recorded.prepared_run import STEPS_A_ROW
+from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import Trial
 from identify.parameters.phase_zeta import PhaseZeta
@@ -108,13 +107,12 @@ def _between(last: tuple[float, float], now: tuple[float, float]) -> float:
     return float(a * (b / a) ** share)
 
 
-def _by_phase(trial: Trial, estimate: Estimate, run: int, name: str, stretch: float) -> Trial:
+def _by_phase(trial: Trial, estimate: Estimate, run: int, name: str) -> Trial:
     """Return the trial with the fit's zeta by phase, if fitted; the named one's as believed."""
     given, (shared, own) = estimate.runs[run].trial, estimate.solution.coordinates
     zeta = estimate.problem.trial_at(given, shared, own[run]).simulator.terrain.zeta
     if not isinstance(zeta, PhaseZeta):
         return trial
-    zeta = eqx.tree_at(lambda z: z.time, zeta, stretch * zeta.time)
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta, trial, zeta)
     quantity = next(p.quantity for p in estimate.problem.parameters if p.quantity.name == name)
     return quantity.write(trial, quantity.read(given))
@@ -127,21 +125,12 @@ def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float)
     if setup.command.vx is not None:
         setup.command.vx = [factor * value for value in setup.command.vx]
     try:
-        command = setup.command.build()
-        turning = np.abs(np.diff(command.omega) / np.diff(command.time)).max()
-        # A run that would speed up too fast to be simulated takes longer, with as many samples.
-        stretch = max(1.0, turning / sharpest_ramp(setup.wheel.radius))
-        setup.command.time = [stretch * value for value in setup.command.time]
-        command = setup.command.build()
-        setup.integrator.step = min(
-            setup.integrator.step, steady_step(setup.wheel.radius, command.time, command.omega)
-        )
-        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        trial = _by_phase(trial, estimate, run, name, stretch)
+        setup.integrator.step = None
+        choose_setup_step(setup)
+        trial = _by_phase(setup.trial(interval=0), estimate, run, name)
     except InputError:
         return None
     observation = estimate.runs[run].observation
-    observation = replace(observation, time=stretch * observation.time)
     batch = make_batch([trial], [observation], jax.device_count())
     # At the values that the set-up holds, wherever the fit was told to start.
     parameters = tuple(

@@ -11,7 +11,6 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from drftjax.physics.integrator import steady_step
 from drftjax.physics.stress import Rounded
 from drftjax.setups.setup import CommandSetUp
 from drftjax.simulation.rollout import step_times
@@ -86,11 +85,7 @@ def objective_of(
     turn = limit.travel / setup.wheel.radius
     profile = SpeedProfile(search.knots, limit.speed, limit.acceleration, lasts, limit.rest, turn)
     setup.command = CommandSetUp(profile.time.tolist(), np.zeros(search.knots + 4).tolist())
-    # The whole step is fast, and the rows of the last slow-down, where it is too long, are not
-    # needed to tell profiles apart.
-    setup.integrator.step = steady_step(
-        setup.wheel.radius, np.array([0.0, 1.0]), np.array([0.0, limit.acceleration])
-    )
+    setup.integrator.step = judge.step
     trial = _rounded(setup.trial())
     loads, depths = np.zeros(0), np.zeros(0)
     if limit.loads is not None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from drftjax.effects.catalogue import OURS, field_metadata, strengths
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import Output, State
 from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import simulate, with_first_row
@@ -50,7 +49,7 @@ def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple
 
 
 def simulator(wheel: AbstractWheel = GROUSERS) -> Simulator:
-    return Simulator(wheel, integrator=HeldPace())
+    return Simulator(wheel)
 
 
 def commands(omega) -> Command:

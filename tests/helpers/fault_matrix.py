@@ -143,7 +143,7 @@ def loop() -> LoopSetUp:
     setup = SetUp(
         command=CommandSetUp([0, 0.1, 0.6, 1.1, 1.6], [0, 0, 30, 30, 10], omega_unit="deg/s"),
         wheel=WheelSetUp(plate_size=0.01),
-        integrator=IntegratorSetUp("held pace", 5e-3),
+        integrator=IntegratorSetUp(step=5e-3),
     )
     return LoopSetUp(
         setup=setup,

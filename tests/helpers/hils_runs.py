@@ -38,7 +38,7 @@ def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:
     setup = SetUp(
         command=PROFILE,
         wheel=WheelSetUp(plate_size=8e-3),
-        integrator=IntegratorSetUp("held pace", 2e-3),
+        integrator=IntegratorSetUp(step=2e-3),
     )
     return LoopSetUp(
         setup=setup, commands=CommandLimits(2.0, 0.3), tuner=TunerSetUp(tuner), tick=TICK, **changes

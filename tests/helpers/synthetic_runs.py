@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from drftjax.recorded.prepared_run import FIT_METHOD, STEPS_A_ROW, PreparedRun, prepare_run
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.runlog.record import Measured, RecordedSetup, RunLog
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
@@ -33,7 +33,6 @@ def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) ->
     setup = SetUp(command=CommandSetUp(list(time), list(omega), vx), title="a virtual run")
     setup.wheel.plate_size = PLATE
     setup.terrain.zeta = zeta
-    setup.integrator.method = FIT_METHOD
     setup.integrator.step = step_for(omega)
     setup.rig.carriage = "free" if vx is None else "driven"
     # The wheel has been let down gently and stands.

@@ -48,7 +48,7 @@ def faint(time):
 
 def recorded(name, path, seed=1):
     setup = known_setup(name, path, GRID, TIME, OMEGA, PLATE_SIZE)
-    setup.integrator = IntegratorSetUp("held pace", STEP)
+    setup.integrator = IntegratorSetUp(step=STEP)
     return known_run(setup, np.random.default_rng(seed))
 
 
@@ -185,7 +185,7 @@ def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
 def test_a_run_that_moves_for_too_few_ticks_is_left_out():
     brief, name = (0.0, 0.5, 0.6, 0.65, 0.75), "brief"
     setup = known_setup(name, faint, GRID, brief, (0.0, 0.0, 45.0, 45.0, 0.0), PLATE_SIZE)
-    setup.integrator = IntegratorSetUp("held pace", STEP)
+    setup.integrator = IntegratorSetUp(step=STEP)
     each = prepare_run(name, known_run(setup, np.random.default_rng(1)), step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
     short = dataclasses.replace(each, trial=each.setup.trial(2 * STEP))

@@ -65,7 +65,7 @@ def path_of(number: int):
 
 def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=(), step=STEP) -> PreparedRun:
     setup = known_setup(name, path, FINE, time, omega, PLATE_SIZE)
-    setup.integrator = IntegratorSetUp("held pace", step)
+    setup.integrator = IntegratorSetUp(step=step)
     setup.effects = [*effects]
     run = known_run(setup, np.random.default_rng(seed))
     each = prepare_run(name, run, step=step)

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, Int
 
 from drftjax.effects.terrain import Loosening
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.rig import DrivenCarriage
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
@@ -104,10 +103,8 @@ def run(
     """
     simulated = grousers if simulated_grousers is None else simulated_grousers
     terrain = Terrain(ConstantZeta(ZETA))
-    loop = with_zeta_per_step(Simulator(wheel(simulated, plate), terrain, integrator=HeldPace()))
-    rig = Simulator(
-        wheel(grousers, plate), terrain, integrator=HeldPace(), effects=(Loosening(LOSS, 2.0),)
-    )
+    loop = with_zeta_per_step(Simulator(wheel(simulated, plate), terrain))
+    rig = Simulator(wheel(grousers, plate), terrain, effects=(Loosening(LOSS, 2.0),))
     # At rest the real wheel is as deep as its angle has it, and zeta(0) is what that tells.
     angles = {setting.angle for setting in settings}
     rest = {angle: float(sinkage_under_load(rig, ZETA, angle=angle)) for angle in angles}

@@ -93,7 +93,7 @@ def main() -> None:
     runs = []
     for name, path in PATHS.items():
         setup = known_setup(name, path, grid)
-        setup.integrator = IntegratorSetUp("rosenbrock", 5e-4)
+        setup.integrator = IntegratorSetUp(step=5e-4)
         runs.append(prepare_run(name, known_run(setup, random)))
     setting = TunerSetting(0.01, 1e-3, 1e-4)
     result = crosscheck(runs, setting, truths=PATHS, knot_spacing=KNOTS)

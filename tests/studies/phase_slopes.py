@@ -17,7 +17,6 @@ from drftjax.common.jax_config import configure_jax
 from drftjax.effects.drive import SpeedGain
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.surface import SurfaceSlope
-from drftjax.physics.integrator import HeldPace
 from drftjax.setups.setup import read_setup
 
 STEPS = (2e-3, 5e-4)
@@ -35,7 +34,7 @@ def readings(strengths, step: float):
     trial = setup.trial()
     gain, slope, force = strengths
     effects = (SpeedGain(gain=gain), SurfaceSlope(slope=slope), Drawbar(force=force))
-    simulator = dataclasses.replace(trial.simulator, integrator=HeldPace(), effects=effects)
+    simulator = dataclasses.replace(trial.simulator, effects=effects)
     output = dataclasses.replace(trial, simulator=simulator).run()
     first, last = (round(t / (step * trial.every)) for t in STEADY)
     return MM * jnp.stack([output.x[-1], output.z[first:last].mean()])

@@ -155,14 +155,13 @@ def linear(zeta: float = ZETA * (1 - LOSS), omega: float = SPEED) -> Linear:
     import jax.numpy as jnp
 
     from drftjax.physics.command import Command
-    from drftjax.physics.integrator import HeldPace
     from drftjax.physics.state import State
     from drftjax.physics.terrain import ConstantZeta, Terrain
     from drftjax.physics.wheel import PlainWheel
     from drftjax.simulation.simulator import Simulator
 
     wheel = PlainWheel(plate_size=2e-4)
-    simulator = Simulator(wheel, Terrain(ConstantZeta(zeta)), integrator=HeldPace()).prepared()
+    simulator = Simulator(wheel, Terrain(ConstantZeta(zeta))).prepared()
     nought = jnp.zeros(())
 
     def step(state, number):

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drftjax.physics.integrator import HeldPace, Rosenbrock
 from tests.studies import cmu_data as data
 from tests.studies import cmu_driving as driving
 from tests.studies import cmu_intrusion as intrusion
@@ -120,7 +119,6 @@ def test_dynamic_terms_do_nothing_at_these_speeds(tables):
     assert terms.height < HEIGHT
 
 
-@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_simulation_settles_at_the_height_that_carries_the_load(tables, smooth_fit, integrator):
     (check,) = driving.check_steady(
         driving.circle(), tables[data.SMOOTH], smooth_fit.zeta, ((integrator, 1e-3),)

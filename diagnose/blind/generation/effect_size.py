@@ -125,7 +125,9 @@ class EffectSizeProbe:
 
     def _channels(self, parts: Sequence[Part], run: PlannedRun, zeta: float) -> np.ndarray:
         """Channels of one run, shape (2, rows) [noise floors]."""
-        refinement = max(self.settings.step_refinement, run.steady_step() / self.settings.max_step)
+        refinement = max(
+            self.settings.step_refinement, plant.fit_step(run) / self.settings.max_step
+        )
         resolution = replace(self.plant_settings, step_refinement=refinement)
         reading: PlantReading = plant.run_plant(parts, run, zeta, self.groups, resolution)
         floors = self.settings.noise_floors

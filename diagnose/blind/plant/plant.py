@@ -4,6 +4,7 @@ All runs of all sets whose mechanisms belong to the same groups share one compil
 all mechanisms of a group, those that were not drawn at strength zero.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -26,12 +27,14 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition
 from drftjax.effects.base import AbstractEffect, StepContext
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import HeldPace
+from drftjax.physics.integrator import ImplicitEuler
 from drftjax.physics.rig import Rig
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import standing_sinkage
+from drftjax.simulation.step_choice import choose_step
 from drftjax.simulation.trial import Trial
 
 
@@ -42,10 +45,9 @@ class PlantSettings:
     Attributes:
         plate_size: Length of a plate [m]; finer than a fit's.
         step_refinement: Ratio of a fit's time step to the plant's [-].
-        steps_per_row: Steps between stored rows.
         row_interval: Interval of the rows of a reading [s].
         longest_run: Longest run that the program has room for [s].
-        max_rows: Most stored rows that it has room for, which the shortest steps need.
+        max_steps: Most steps that it has room for, which the shortest steps need.
         rail_length: Length of the rail from the start to where the wheel is to go [m].
         rail_spare: Length of the rail on the side to which no run goes [m].
         creep_speed: Speed at which a wheel still sinks some time after it was let down [m/s].
@@ -55,10 +57,9 @@ class PlantSettings:
 
     plate_size: float = 0.0025
     step_refinement: float = 2.0
-    steps_per_row: int = 10
     row_interval: float = 0.01
     longest_run: float = 24.0
-    max_rows: int = 12000
+    max_steps: int = 76800
     rail_length: float = 5.5
     rail_spare: float = 0.25
     creep_speed: float = 1.3e-4
@@ -137,7 +138,7 @@ def make_plant(
     effects = tuple(given.get(kind, _absent(kind)) for name in groups for kind in GROUPS[name])
     wheel = nominal_wheel(settings.plate_size)
     terrain = Terrain(ConstantZeta(zeta))
-    simulator = Simulator(wheel, terrain, Rig(mass_z=mass_z), HeldPace(), effects)
+    simulator = Simulator(wheel, terrain, Rig(mass_z=mass_z), ImplicitEuler(), effects)
     for part in parts:
         if isinstance(part, PlantChange):
             simulator = eqx.tree_at(part.where, simulator, part.where(simulator) + part.by)
@@ -163,7 +164,7 @@ def _missing_force(
         )
         zeta = simulator.terrain.zeta(zero, command)
         zeta = zeta * composition.zeta_factor(simulator.effects, memory, moment)
-        sand = simulator.wrench(position, down, zero, zero, zeta, None, memory)
+        sand = simulator.wrench(position, down, zero, zero, zeta, memory)
         loads = [
             composition.loads(simulator.effects, memory, position, still, moment, of_the_sand=each)
             for each in (True, False)
@@ -192,6 +193,20 @@ def standing_start(simulator: Simulator, settings: PlantSettings = DEFAULT_PLANT
 @eqx.filter_jit
 def _stored_rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
     return trial.run_to(rows, ("x", "z"))
+
+
+# Scaling factor of the sand of Table 3 [-].
+NOMINAL_ZETA = 0.7823
+
+
+@cache
+def fit_step(planned: PlannedRun) -> float:
+    """Step that a fit to this run would choose [s], by the wheel without a mechanism."""
+    simulator = Simulator(rig=Rig(mass_z=planned.mass))
+    time, speed = as_real(planned.time), as_real(np.radians(planned.speed))
+    start = State.at_rest(standing_sinkage(simulator, NOMINAL_ZETA))
+    trial = Trial(simulator, start, time, speed, 0 * time, as_real(0.0), 1, 1)
+    return choose_step(trial).step
 
 
 def run_plant(
@@ -224,17 +239,16 @@ def run_plant(
     for part in parts:
         if isinstance(part, AbstractPlantDrive):
             speed = part.follow(speed)
-    step = planned.steady_step() / settings.step_refinement
-    every, max_rows = settings.steps_per_row, settings.max_rows
+    step = fit_step(planned) / settings.step_refinement
     start = State.at_rest(standing_start(simulator, settings))
     knots = as_real(speed_time), as_real(speed), as_real(np.zeros(points))
-    trial = Trial(simulator, start, *knots, as_real(step), every, max_rows)
-    number = round(planned.duration / (every * step))
-    if number > max_rows or planned.duration > settings.longest_run + 1e-9:
+    trial = Trial(simulator, start, *knots, as_real(step), 1, settings.max_steps)
+    number = math.ceil(planned.duration / step - 1e-9)
+    if number > settings.max_steps or planned.duration > settings.longest_run + 1e-9:
         raise InputError(f"a run of {planned.duration:g} s at {step:g} s a step is too long")
     x, z = np.asarray(_stored_rows(trial, jnp.asarray(number)))[:, : number + 1]
     _require_on_the_rig(simulator, speed, x, z, settings)
-    time = np.arange(number + 1) * every * step
+    time = np.arange(number + 1) * step
     reading = PlantReading(time, x, z, np.interp(time, speed_time, speed))
     for part in parts:
         if isinstance(part, AbstractPlantSensor):

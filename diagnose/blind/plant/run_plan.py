@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnose.next_runs.recommended_runs import RECOMMENDED_RUNS as RIG_RUNS
-from drftjax.physics.integrator import steady_step
 
 RUN_LETTERS = "abcdefghi"
 STANDARD_MASS = 18.837  # [kg]
@@ -63,10 +62,6 @@ class PlannedRun:
     def omega(self, time: np.ndarray) -> np.ndarray:
         """Commanded speed at these times [s], of the same shape [rad/s]."""
         return np.interp(time, self.time, np.radians(self.speed))
-
-    def steady_step(self) -> float:
-        """Longest time step that a fit would choose for this run [s]."""
-        return steady_step(WHEEL_RADIUS, np.array(self.time), np.radians(self.speed))
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ HEAD = """
 plate_size = 0.01
 
 [integrator]
-method = "held pace"
 step = 2e-3
 
 [command]

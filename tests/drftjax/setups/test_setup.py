@@ -219,8 +219,7 @@ def test_defaults_are_the_papers_wheel_law_and_method():
 
 def test_held_pace_is_a_method_by_name():
     setup = SetUp(command=CommandSetUp([0, 1], [0, 1]))
-    setup.integrator.method = "held pace"
-    assert isinstance(setup.trial().simulator.integrator, HeldPace)
+    setup.integrator.    assert isinstance(setup.trial().simulator.integrator, HeldPace)
 
 
 def test_nine_numbers_are_coefficients(tmp_path):

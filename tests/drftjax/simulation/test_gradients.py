@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from drftjax.physics.integrator import DEFAULT_STEP, HeldPace
+from drftjax.physics.integrator import DEFAULT_STEP
 from drftjax.simulation.rollout import simulate
 from tests.studies.runs import profile
 

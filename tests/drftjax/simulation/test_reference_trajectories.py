@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from drftjax.physics.integrator import DEFAULT_STEP, HeldPace, Rosenbrock
+from drftjax.physics.integrator import DEFAULT_STEP, HeldPace
 from drftjax.physics.stress import REST_SPEED
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
@@ -53,7 +53,6 @@ def test_held_pace_meets_the_reference_at_four_times_the_step_while_the_wheel_tu
     assert abs(float(rows.x[-1]) - x[-1]) < FINAL_PLACE
 
 
-@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_wheel_that_has_stopped_stays_at_its_depth(integrator):
     # Sand that pushes a wheel up carries nothing at REST_SPEED or faster, so a stopped wheel
     # cannot rise. With a fine step it does not, even after 300 deg/s.

@@ -10,7 +10,7 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.physics.command import Command, command_at
-from drftjax.physics.integrator import DEFAULT_STEP, HeldPace
+from drftjax.physics.integrator import DEFAULT_STEP
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, KnotZeta, PerStepZeta, Terrain
 from drftjax.simulation.rollout import simulate, step_times, with_first_row
@@ -42,7 +42,7 @@ def start_and_commands(duration=1.0, step=DEFAULT_STEP):
 
 
 def with_zeta(zeta):
-    return Simulator(terrain=Terrain(zeta), integrator=HeldPace())
+    return Simulator(terrain=Terrain(zeta))
 
 
 def assert_equal_runs(a, b, tolerance):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drftjax.physics.command import Command, command_at
-from drftjax.physics.integrator import DEFAULT_STEP, HeldPace, Rosenbrock
+from drftjax.physics.integrator import DEFAULT_STEP
 from drftjax.physics.rig import DrivenCarriage, Rig
 from drftjax.physics.state import State
 from drftjax.physics.stress import REST_SPEED, QuasiStatic
@@ -66,7 +66,6 @@ def passages(rows, omega, count=2):
     return slice(-round(count * PITCH / omega / row), None)
 
 
-@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_wheel_at_its_rest_depth_does_not_creep_in_a_minute(integrator):
     simulator = Simulator(integrator=integrator)
     rows = drive(simulator, 60.0, 0.0, State.at_rest(REST_DEPTH), step=1e-3, interval=0.1)
@@ -82,7 +81,6 @@ def test_deeper_wheel_is_not_pushed_up():
     assert float(jnp.max(rows.vz)) < CREEP
 
 
-@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_shallower_wheel_creeps_down_no_faster_than_the_regulariser_allows(integrator):
     # At 17.6 mm sand at rest carries 42 % of the load: the wheel keeps intruding, slowly.
     rows = drive(Simulator(integrator=integrator), 2.0, 0.0, State.at_rest(0.0176))
@@ -102,7 +100,6 @@ def test_lifted_wheel_falls_freely_until_it_touches():
     assert float(jnp.max(jnp.abs(rows.fz[in_air]))) == 0
 
 
-@pytest.mark.parametrize("integrator", [Rosenbrock(), HeldPace()])
 def test_dropped_wheel_comes_to_rest_where_it_lands(integrator):
     # At longer steps a fall ends in chatter: docs/theory/integrator.md has the table.
     rows = drive(Simulator(integrator=integrator), 1.0, 0.0, State.at_rest(-0.050), step=1e-4)
@@ -152,7 +149,7 @@ def test_forces_balance_the_load_and_the_tow_when_rolling_is_steady():
     last = None
     slips = []
     for tow in (-20.0, 0.0, 20.0, 40.0):
-        simulator = Simulator(rig=Rig(drawbar_load=tow), integrator=HeldPace())
+        simulator = Simulator(rig=Rig(drawbar_load=tow))
         # Every step is a row: a mean of forces must not skip any.
         rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
         last = passages(rows, omega, 4)
@@ -169,7 +166,7 @@ def test_driven_carriage_imposes_the_speed_and_pulls_more_at_more_slip():
     pulls = []
     for slip in (0.0, 0.2, 0.5):
         vx = 0.150 * omega * (1 - slip)
-        simulator = Simulator(rig=Rig(carriage=DrivenCarriage()), integrator=HeldPace())
+        simulator = Simulator(rig=Rig(carriage=DrivenCarriage()))
         rows = drive(simulator, 6.0, omega, vx=vx)
         np.testing.assert_allclose(rows.vx, vx, rtol=ROUNDING)
         np.testing.assert_allclose(rows.slip, slip, rtol=0, atol=ROUNDING)
@@ -201,7 +198,7 @@ def test_damping_slows_a_falling_wheel_to_its_terminal_speed():
 
 def test_damping_along_x_asks_for_the_pull_that_overcomes_it():
     omega = math.radians(30.0)
-    simulator = Simulator(rig=Rig(damping_x=200.0), integrator=HeldPace())
+    simulator = Simulator(rig=Rig(damping_x=200.0))
     rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
     last = passages(rows, omega, 4)
     pull, speed = float(jnp.mean(rows.fx[last])), float(jnp.mean(rows.vx[last]))
@@ -239,7 +236,7 @@ def test_drive_power_is_what_the_sand_dissipates_and_the_axle_takes():
 
 def test_steady_drive_power_is_the_tow_power_and_what_the_sand_dissipates():
     omega, tow = math.radians(30.0), 20.0
-    simulator = Simulator(rig=Rig(drawbar_load=tow), integrator=HeldPace())
+    simulator = Simulator(rig=Rig(drawbar_load=tow))
     rows = drive(simulator, 8.0, omega, interval=DEFAULT_STEP)
     last = passages(rows, omega, 4)
     power = float(jnp.mean(rows.torque[last])) * omega

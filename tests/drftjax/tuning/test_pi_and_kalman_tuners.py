@@ -8,7 +8,6 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
@@ -48,7 +47,7 @@ roll = eqx.filter_jit(replay_tuner)
 
 @pytest.fixture(scope="module")
 def simulator() -> Simulator:
-    return Simulator(GrouserWheel(plate_size=0.01), integrator=HeldPace())
+    return Simulator(GrouserWheel(plate_size=0.01))
 
 
 def turning(ticks: int, tick: float = 0.01):
@@ -173,7 +172,7 @@ def test_filter_goes_by_the_derivative_of_the_simulation(simulator):
 
 def test_filter_learns_nothing_of_a_wheel_that_rests():
     tuner = KalmanTuner()
-    ready = with_zeta_per_step(Simulator(GrouserWheel(plate_size=0.01), integrator=HeldPace()))
+    ready = with_zeta_per_step(Simulator(GrouserWheel(plate_size=0.01)))
     still = Command(*(jnp.zeros(SUBSTEPS) for _ in range(3)))
     one = eqx.filter_jit(tuned_tick)
     # Far stronger sand than the load needs: the wheel does not sink at all.

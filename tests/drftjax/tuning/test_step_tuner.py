@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
@@ -33,7 +32,7 @@ roll = eqx.filter_jit(replay_tuner)
 
 @pytest.fixture(scope="module")
 def simulator() -> Simulator:
-    return Simulator(GrouserWheel(plate_size=0.01), integrator=HeldPace())
+    return Simulator(GrouserWheel(plate_size=0.01))
 
 
 def commands(ticks: int, tuner: StepTuner, speed: float = 30.0):

@@ -47,7 +47,6 @@ time = [0, 0.5, 1.5, 2.0, 3.0]
 omega = [0, 0, 30, 30, 0]
 omega_unit = "deg/s"
 [integrator]
-method = "held pace"
 step = 2e-3
 """
 

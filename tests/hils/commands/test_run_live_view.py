@@ -25,7 +25,6 @@ time = [0, 0.5, 1.5, 2.5, 3.5]
 omega = [0, 0, 30, 30, 0]
 omega_unit = "deg/s"
 [integrator]
-method = "held pace"
 step = 2e-3
 """
 # For the tests that end the run themselves.

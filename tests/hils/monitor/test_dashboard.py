@@ -69,7 +69,7 @@ def looked_on(free: bool = False, x_scale: float = Instruments().x_scale):
     setup = SetUp(
         command=PROFILE,
         wheel=WheelSetUp(plate_size=8e-3),
-        integrator=IntegratorSetUp("held pace", 2e-3),
+        integrator=IntegratorSetUp(step=2e-3),
     )
     loop = LoopSetUp(
         setup=setup, commands=CommandLimits(2.0, 0.3), tuner=TunerSetUp("step"), tick=TICK

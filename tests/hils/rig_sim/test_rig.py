@@ -10,7 +10,6 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import HeldPace
 from drftjax.physics.state import State
 from drftjax.setups.setup import WheelSetUp
 from drftjax.setups.terrain_setup import DynamicTerrain
