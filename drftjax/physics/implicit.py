@@ -25,9 +25,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 # The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
 # and its Jacobian be all but singular, at one step of a thousand. Sand dissipates, so a change of
-# velocity shrinks in a step; where its derivative says more than this [-], it is scaled to this.
-# Twice what dissipation allows leaves every step alone that is not at such a fold.
-LARGEST_GROWTH = 2.0
+# velocity shrinks in a step; where its derivative says more than this [-], it is scaled to this,
+# and no product of steps can grow without bound.
+LARGEST_GROWTH = 1.0
 
 Pair = Float[Array, "2"]
 Matrix = Float[Array, "2 2"]
@@ -57,7 +57,7 @@ class AbstractBalance(eqx.Module):
     def inverse_norm_bound(self, jacobian: Matrix) -> Float[Array, ""]:
         """Bound of the growth [-] of a change of momentum by the inverse, in units of the masses.
 
-        Sand that only dissipates lets no change of velocity grow: 1 at most for the true norm.
+        Sand that only dissipates lets no change of velocity grow: 1 at most.
 
         Args:
             jacobian: Derivative of the residual by the velocity [kg].

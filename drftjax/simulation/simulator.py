@@ -329,7 +329,10 @@ class StepBalance(AbstractBalance):
         if not isinstance(self.simulator.rig.carriage, FreeCarriage):
             return 1 / jnp.abs(scaled[1, 1])
         determinant = scaled[0, 0] * scaled[1, 1] - scaled[0, 1] * scaled[1, 0]
-        return jnp.sqrt(jnp.sum(scaled**2)) / jnp.abs(determinant)
+        # The largest singular value of a matrix of two rows, over the product of both.
+        squares = jnp.sum(scaled**2)
+        apart = jnp.sqrt(jnp.maximum(squares**2 - 4 * determinant**2, 0))
+        return jnp.sqrt((squares + apart) / 2) / jnp.abs(determinant)
 
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)

@@ -36,15 +36,16 @@ class StepSettings:
             leaves room for the length of plates and the width at rest.
         sinkage_of_radius: The same for a larger wheel, as a share of its radius [-].
         travel: Error of the final x [m].
-        slope: RMS error of the derivative of z by the logarithm of zeta, as a share of its RMS.
+        slope: Error of derivatives by the logarithm of zeta [-]: of z, RMS as a share of its own;
+            of the final x, as a share of the way travelled, or of the radius where that is more.
     """
 
     longest: float = 1e-2
-    halvings: int = 6
+    halvings: int = 4
     sinkage: float = 4e-5
     sinkage_of_radius: float = 2.5e-4
     travel: float = 1e-3
-    slope: float = 0.05
+    slope: float = 0.02
 
 
 DEFAULT_STEPS = StepSettings()
@@ -58,8 +59,8 @@ class StepChoice:
         step: Step [s].
         sinkage_error: RMS error of z [m].
         travel_error: Error of the final x [m].
-        slope_error: RMS error of the derivative of z by the logarithm of zeta, as a share of its
-            RMS [-].
+        slope_error: Error of derivatives by the logarithm of zeta [-], the larger of that of z and
+            that of the final x, each as `StepSettings` has it.
         within: Whether all three are within the limits; if not, the shortest step was taken.
     """
 
@@ -104,11 +105,12 @@ def choose_step(trial: Trial, settings: StepSettings = DEFAULT_STEPS) -> StepCho
 def _judged(
     step: float, before: np.ndarray, after: np.ndarray, radius: float, settings: StepSettings
 ) -> StepChoice:
-    """Estimate from runs with a step and with half of it, each of shape (3, rows)."""
-    z, _, slope = 2 * (before - after)
-    sinkage, travel = _rms(z), float(abs(2 * (before[1, -1] - after[1, -1])))
-    largest = _rms(after[2])
-    slopes = _rms(slope) / largest if largest > 0 else 0.0
+    """Estimate from runs with a step and with half of it, each of shape (4, rows)."""
+    z, x, slope_z, slope_x = 2 * (before - after)
+    sinkage, travel = _rms(z), float(abs(x[-1]))
+    way = float(np.abs(np.diff(after[1])).sum())
+    # A wheel that stands has no way; its x is judged like that of one that turns a radian.
+    slopes = max(_share(_rms(slope_z), _rms(after[2])), abs(slope_x[-1]) / max(way, radius))
     within = (
         sinkage <= max(settings.sinkage, settings.sinkage_of_radius * radius)
         and travel <= settings.travel
@@ -117,12 +119,16 @@ def _judged(
     return StepChoice(step, sinkage, travel, slopes, bool(within))
 
 
+def _share(error: float, whole: float) -> float:
+    return float(error / whole) if whole > 0 else 0.0
+
+
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _path(trial: Trial, interval: float, rows: int, parts: int) -> np.ndarray:
-    """z, x and the derivative of z by ln zeta at every row, shape (3, rows)."""
+    """z, x and their derivatives by ln zeta at every row, shape (4, rows)."""
     padded = _program(trial, as_real(interval), jnp.asarray(rows), jnp.asarray(parts))
     return np.asarray(padded)[:, :rows]
 
@@ -131,7 +137,7 @@ def _padded(trial: Trial, rows: int) -> Trial:
     """A trial whose knots are repeated beyond its end, and whose rows are rounded up."""
     room = _size(len(trial.time), FEWEST_KNOTS)
     more = room - len(trial.time)
-    time = jnp.concatenate([trial.time, trial.time[-1] + 1 + jnp.arange(more)])
+    time = jnp.concatenate([trial.time, trial.time[-1] + as_real(1 + np.arange(more))])
     omega, vx = (jnp.pad(each, (0, more), mode="edge") for each in (trial.omega, trial.vx))
     return Trial(
         trial.simulator,
@@ -167,15 +173,15 @@ class _ScaledZeta(AbstractZeta):
 @eqx.filter_jit
 def _program(
     trial: Trial, interval: Float[Array, ""], rows: Int[Array, ""], parts: Int[Array, ""]
-) -> Float[Array, "3 rows"]:
+) -> Float[Array, "4 rows"]:
     def path(factor: Float[Array, ""]) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
         zeta = _ScaledZeta(trial.simulator.terrain.zeta, factor)
         simulator = eqx.tree_at(lambda s: s.terrain.zeta, trial.simulator, zeta).prepared()
         return _rollout(trial, simulator, interval, rows, parts)
 
     one = jnp.ones_like(interval)
-    (z, x), (slope, _) = jax.jvp(path, (one,), (one,))
-    return jnp.stack([z, x, slope])
+    place, slope = jax.jvp(path, (one,), (one,))
+    return jnp.stack([*place, *slope])
 
 
 def _rollout(
@@ -186,7 +192,7 @@ def _rollout(
     parts: Int[Array, ""],
 ) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
     """z and x at every row, with a number of steps a row that is known at run time."""
-    dt = interval / parts
+    dt = interval / parts.astype(interval.dtype)
 
     def at(time: Float[Array, ""]) -> Command:
         return command_at(time, trial.time, trial.omega, trial.vx)
@@ -194,7 +200,7 @@ def _rollout(
     state = simulator.remembered(trial.start, at(jnp.zeros_like(dt)))
 
     def step(number: Int[Array, ""], both: tuple[State, Output]) -> tuple[State, Output]:
-        return simulator.step(both[0], at((number + 1) * dt), dt)
+        return simulator.step(both[0], at((number + 1).astype(dt.dtype) * dt), dt)
 
     def row(number: Int[Array, ""], carried):
         both, z, x = carried

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-FOLDERS = ("../shared/blind/practice/set_12", "../shared/blind/practice/set_07")
+FOLDERS = ("../shared/blind/single_practice/set_05", "../shared/blind/single_practice/set_02")
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-FOLDERS = ("../shared/blind/practice/set_03", "../shared/blind/practice/set_08")
+FOLDERS = ("../shared/blind/single_practice/set_11", "../shared/blind/single_practice/set_12")
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 

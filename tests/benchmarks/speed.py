@@ -88,7 +88,7 @@ class Truth:
     """What z should be: the reference run for the single run, our fine solution for the many."""
 
     def __init__(self, worker: Worker):
-        with h5py.File(SHARED / "reference" / "paper.h5") as file:
+        with h5py.File(SHARED / "reference_rigs" / "paper.h5") as file:
             self._time, self._z = (np.asarray(file[f"measured/{name}"]) for name in ("time", "z"))
         self._fine = np.asarray(worker.ask("plain", cases.FINE, detail=True)["z"])
         self._fine_time = cases.FINE.row * np.arange(1, self._fine.shape[1] + 1)
@@ -130,7 +130,7 @@ def speeds(
             dt = cases.YARDSTICK_DT
             rows.append({
                 "what": f"yardstick, {real}", "runs": runs, "dt": dt, "plates": 240,
-                "integrator": "Rosenbrock", "error_mm": truth.of_yardstick(yardstick, runs, dt),
+                "error_mm": truth.of_yardstick(yardstick, runs, dt),
             })  # fmt: skip
             timers.append(lambda y=yardstick, n=runs, dt=dt: y.seconds(n, dt, cases.DURATION))
         for case in ours:
@@ -140,8 +140,7 @@ def speeds(
                 detail = worker.ask("plain", case, detail=True)
                 rows.append({
                     "what": f"drftjax, {name}", "runs": runs, "dt": case.dt,
-                    "plates": detail["plates"], "integrator": case.integrator,
-                    "error_mm": truth.of(case, detail["z"]),
+                    "plates": detail["plates"], "error_mm": truth.of(case, detail["z"]),
                 })  # fmt: skip
                 timers.append(lambda w=worker, c=case: w.ask("plain", c)["seconds"])
     times = [[timer() for timer in timers] for _ in range(repeats)]
@@ -181,13 +180,12 @@ def study(worker: Worker, yardstick: Yardstick, truth: Truth) -> list[dict[str, 
     for dt in cases.STUDY_STEPS:
         both = [truth.of_yardstick(yardstick, runs, dt) for runs in (1, cases.RUNS)]
         rows.append({"what": "yardstick", "plate_size": None, "dt": dt, "errors_mm": both})
-    for integrator in ("Rosenbrock", "HeldPace"):
-        for size in cases.STUDY_PLATES:
-            for dt in cases.STUDY_STEPS:
-                row = 0.02 if dt in (1e-3, 2e-3, 4e-3, 5e-3, 1e-2) else 0.1
-                pair = [Case(1, dt, size, integrator, row), Case(checked, dt, size, integrator)]
-                errors = [truth.of(case, worker.ask("plain", case, True)["z"]) for case in pair]
-                rows.append({"what": integrator, "plate_size": size, "dt": dt, "errors_mm": errors})
+    for size in cases.STUDY_PLATES:
+        for dt in cases.STUDY_STEPS:
+            row = 0.02 if dt in (1e-3, 2e-3, 4e-3, 5e-3, 1e-2) else 0.1
+            pair = [Case(1, dt, size, row), Case(checked, dt, size)]
+            errors = [truth.of(case, worker.ask("plain", case, True)["z"]) for case in pair]
+            rows.append({"what": "drftjax", "plate_size": size, "dt": dt, "errors_mm": errors})
     return rows
 
 
@@ -198,18 +196,16 @@ def errors(figures: list[float]) -> str:
 
 def speed_table(rows: list[dict[str, Any]], cores: int) -> Table:
     table = Table(title=f"The 24 s profile on {cores} cores (a single run uses one)")
-    for heading in ("runs", "program", "linearised", "step", "plates", "error of z", "least",
-                    "median", "a run-step", "over the fastest yardstick"):  # fmt: skip
-        table.add_column(
-            heading, justify="left" if heading in ("program", "linearised") else "right"
-        )
+    for heading in ("runs", "program", "step", "plates", "error of z", "least", "median",
+                    "a run-step", "over the fastest yardstick"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading == "program" else "right")
     runs = 1
     for row in rows:
         if row["runs"] != runs:
             runs = row["runs"]
             table.add_section()
         table.add_row(
-            str(row["runs"]), row["what"], row["integrator"], f"{1e3 * row['dt']:g} ms",
+            str(row["runs"]), row["what"], f"{1e3 * row['dt']:g} ms",
             str(row["plates"]), errors(row["error_mm"]) + " mm", f"{1e3 * row['seconds']:.1f} ms",
             f"{1e3 * row['median']:.1f} ms", f"{row['us_per_run_step']:.3f} us",
             f"{row['ratio']:.2f}",

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.physics import integrator as integrators
 from drftjax.physics.command import command_at
 from drftjax.physics.state import State
 from drftjax.physics.stress import Dynamic
@@ -40,7 +39,7 @@ def commands(dt: float):
 def simulator(case: Case, zeta, inertial=1.1) -> Simulator:
     wheel = GrouserWheel(plate_size=case.plate_size, reach=REACH)
     terrain = Terrain(ConstantZeta(zeta), Dynamic(inertial_coefficient=inertial))
-    return Simulator(wheel, terrain, integrator=getattr(integrators, case.integrator)())
+    return Simulator(wheel, terrain)
 
 
 def heights(case: Case, zeta, inertial=1.1):

@@ -3,7 +3,6 @@
 import functools
 import math
 
-from drftjax.physics.stress import REST_SPEED
 from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp, WheelSetUp
 from drftjax.tuning.registry import TunerSetUp
 from hils.clock import VirtualClock
@@ -30,8 +29,8 @@ CLOSE = 5e-4
 # Of a wheel's weight, what the force that bears it differs by while grousers come and go.
 BORNE = 0.05
 # A drive at rest turns nowhere, but for the last of a slew; sand at rest gives way no faster than
-# at its regulariser's speed [rad/s], [m/s].
-TURNS, CREEPS = 1e-6, REST_SPEED
+# its width at rest, 0.6 um/s under a wheel that stands [rad/s], [m/s].
+TURNS, CREEPS = 1e-6, 1e-6
 
 
 def loop_setup(tuner: str = "step", **changes) -> LoopSetUp:

@@ -21,7 +21,7 @@ from identify.parameters.parameter import parameter
 from identify.results.noise_floor import noise_floor
 from identify.results.values import RunFit
 
-FOLDERS = ("../shared/blind/practice/set_03", "../shared/blind/practice/set_08")
+FOLDERS = ("../shared/blind/single_practice/set_11", "../shared/blind/single_practice/set_12")
 # After the wheel begins to turn: what "at the start" is the mean of, and where a rise is looked
 # for, by straight lines through so many samples [s], [s], [-].
 JUMP, BEGINNING, SAMPLES = 0.1, 0.2, 5

@@ -1,6 +1,5 @@
 """The runs that tests and studies share: the paper's profile, and the reference trajectories."""
 
-import dataclasses
 from pathlib import Path
 
 import equinox as eqx
@@ -9,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.physics.command import Command, command_at
-from drftjax.physics.integrator import AbstractIntegrator
 from drftjax.physics.rig import Rig
 from drftjax.physics.state import Output, State
 from drftjax.physics.stress import Dynamic, QuasiStatic
@@ -46,10 +44,6 @@ class Run(eqx.Module):
     time: Float[Array, " knots"]
     omega: Float[Array, " knots"]
 
-    def integrated_by(self, integrator: AbstractIntegrator) -> "Run":
-        simulator = dataclasses.replace(self.simulator, integrator=integrator)
-        return dataclasses.replace(self, simulator=simulator)
-
     def commands(self, step: float) -> Command:
         steps = round(float(self.time[-1]) / step)
         return command_at(step_times(steps, step), self.time, self.omega)
@@ -82,7 +76,7 @@ def reference(
 
     The rows of `Run.rows` are the reference's without its first.
     """
-    log = read_run(folder / "reference" / f"{name}.h5")
+    log = read_run(folder / "reference_rigs" / f"{name}.h5")
     radius, width, mass_x, mass_z, zeta, sinkage = log.setup.require(
         "wheel_radius",
         "wheel_width",

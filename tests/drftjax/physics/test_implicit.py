@@ -41,6 +41,9 @@ class Block(AbstractBalance):
         (a, b), (c, d) = jacobian / MASS
         return jnp.sqrt(a**2 + b**2 + c**2 + d**2) / jnp.abs(a * d - b * c)
 
+    def speed_scale(self):
+        return jnp.ones(())
+
     def size(self, residual):
         return jnp.sqrt(jnp.sum(residual**2)) / MASS
 
