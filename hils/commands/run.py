@@ -122,6 +122,7 @@ def run(
     from hils.realtime import answer_at_once
 
     answer_at_once()
+    from drftjax.setups.chosen_step import choose_setup_step
     from drftjax.setups.setup import read_setup
     from drftjax.tuning.registry import TunerSetUp
     from hils.control.limits import CommandLimits
@@ -148,6 +149,9 @@ def run(
     loop.tuner.build(tick)
     if not port.lower().startswith(WITHOUT_BAUD):
         require_baud(baud, tick)
+    if mode != "free" and (choice := choose_setup_step(loop.setup)) is not None:
+        # The step is kept in the run log with the loop; the estimate is for the operator.
+        typer.echo(str(choice))
     procedure = Procedure(
         loop=loop,
         free=mode == "free",

@@ -57,7 +57,7 @@ WATCHDOG, TICK = 0.1, 0.02
 PHASES = {
     "connect": ("power", 0.0),
     "zero": ("hello", 0.1),
-    "settle": ("arm", 2.0),
+    "settle": ("arm", 1.9),
     "countdown": ("arm", 2.25),
     "accelerate": ("motion", 0.15),
     "steady": ("motion", 0.6),

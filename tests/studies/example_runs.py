@@ -1,8 +1,8 @@
 """The runs in data/runs: a rig of our own, with what an experimenter does not know.
 
-Run as `python -m tests.studies.example_runs`. The physics are integrated apart from the fit's: a
-quarter of the default step, with its other method. zeta scatters by 1 % from run to run, as a bed
-prepared anew does; the scales read to a micrometre with 20 um of noise.
+Run as `python -m tests.studies.example_runs`. The physics are integrated in finer steps than a fit
+takes. zeta scatters by 1 % from run to run, as a bed prepared anew does; the scales read to a
+micrometre with 20 um of noise.
 """
 
 from pathlib import Path

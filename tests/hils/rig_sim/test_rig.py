@@ -55,9 +55,9 @@ FULL_SPEED = math.radians(30.0)
 # What coarse plates and steps cost, docs/results/speed.md: plates of 8 mm stand within 0.2 mm.
 COARSE = 0.2e-3
 SCALE = Instruments()
-# Statics pushes the wheel down at 10 mm/s; at rest the sand carries a little less, and the wheel,
-# let down in 1.5 s, still sinks by some tenths of a millimetre a second.
-LET_DOWN = 0.5e-3
+# The wheel, let down in 1.5 s, has still to sink by a hundredth of a millimetre, at less than a
+# tenth of a millimetre a second.
+LET_DOWN = 0.1e-3
 # The same operations, compiled in two ways.
 COMPILED_APART = 1e-12
 # A speed on the wire is a single.
