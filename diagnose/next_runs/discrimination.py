@@ -329,8 +329,13 @@ def _stop_and_go(trial: Trial, top: float, settings: NextRunSettings = DEFAULT_N
 
 
 def _with_allowed_step(trial: Trial) -> Trial:
-    """The same with a time step chosen for it."""
-    return replace(trial, step=as_real(choose_step(trial).step))
+    """The same with a time step chosen for it, over as much of it as can be simulated."""
+    # Padded knots lie far beyond the end of the motion.
+    last = min(_end_of_motion(trial), trial.rows * trial.every * float(trial.step))
+    knots = max(2, int(np.searchsorted(np.asarray(trial.time), last, side="right")))
+    time, omega, vx = (each[:knots] for each in (trial.time, trial.omega, trial.vx))
+    chosen = choose_step(replace(trial, time=time, omega=omega, vx=vx))
+    return replace(trial, step=as_real(chosen.step))
 
 
 @eqx.filter_jit

@@ -108,4 +108,6 @@ def require_known(entry: str, name: str, known: Iterable[str]) -> None:
     if name not in known:
         near = get_close_matches(name, known, n=1, cutoff=0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"{entry} is {name!r}, must be one of {', '.join(map(repr, known))}{hint}")
+        listed = ", ".join(map(repr, known))
+        must = f"one of {listed}" if len(known) > 1 else listed
+        raise InputError(f"{entry} is {name!r}, must be {must}{hint}")

@@ -10,6 +10,8 @@ import numpy as np
 from drftjax.effects.catalogue import OURS, field_metadata, strengths
 from drftjax.physics.command import Command
 from drftjax.physics.state import Output, State
+from drftjax.physics.stress import ArcBisector, Dynamic
+from drftjax.physics.terrain import Terrain
 from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import simulate, with_first_row
 from drftjax.simulation.simulator import Simulator
@@ -49,7 +51,8 @@ def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple
 
 
 def simulator(wheel: AbstractWheel = GROUSERS) -> Simulator:
-    return Simulator(wheel)
+    # A run backward is the mirror image of one forward by this form of the height decrease only.
+    return Simulator(wheel, Terrain(law=Dynamic(bisector=ArcBisector())))
 
 
 def commands(omega) -> Command:

@@ -70,5 +70,5 @@ def coarse(name: str, run: RunLog, **options) -> PreparedRun:
 
 def recut(each: PreparedRun, plate_size: float = PLATE) -> PreparedRun:
     each.setup.wheel.plate_size = plate_size
-    trial = each.setup.trial(STEPS_A_ROW * each.setup.integrator.step)
+    trial = each.setup.trial(interval=0)
     return dataclasses.replace(each, trial=trial)

@@ -59,7 +59,7 @@ def given(peak: float = 30.0) -> SetUp:
 
 def test_sensitivities_and_information_are_those_of_central_differences():
     setup = given(80.0)
-    setup.integrator.method, setup.integrator.step = "held pace", 2.5e-4
+    setup.integrator.step = 2.5e-4
     trial = setup.trial()
     quantities = [parameter(name, shared=True).quantity for name in ("lambda", "zeta")]
     scale = jnp.asarray(parameter_scales(trial, quantities))

@@ -121,8 +121,13 @@ PARTS: dict[str, tuple[Part, ...]] = {
 DIRECTED = [name for name, parts in PARTS.items() if len(parts) > 1]
 
 
+# The reference model lowers the sand at x < 0, whichever way the wheel turns: its own convention,
+# and no image of itself.
+LEVEL = law("height_decrease", -1.0)
+
+
 def ran(part: Part, asked: PlannedRun) -> PlantReading:
-    return run_plant([part], asked, ZETA, settings=COARSE)
+    return run_plant([LEVEL, part], asked, ZETA, settings=COARSE)
 
 
 def apart(forward: PlantReading, backward: PlantReading) -> float:
@@ -135,7 +140,7 @@ def test_every_mechanism_that_can_be_drawn_is_mirrored_here():
     assert set(PARTS) == named | set(UNLISTED)
 
 
-@pytest.mark.parametrize("name", list(PARTS))
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "height_decrease"])
 def test_a_mechanism_goes_backward_as_its_mirror_image_goes_forward(name):
     parts = PARTS[name]
     forward = ran(parts[0], FORWARD)

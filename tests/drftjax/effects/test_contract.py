@@ -156,7 +156,9 @@ def test_at_zero_strength_every_hook_gives_back_what_it_was_given(name):
         sim.wheel.radius,
     )
     plates = sim.wheel.cut().plates(state.angle)
-    motion = plate_motion(plates, jnp.asarray(0.13), pair, moment.omega, jnp.asarray(0.0), pair)
+    motion = plate_motion(
+        plates, jnp.asarray(0.13), pair, moment.omega, jnp.asarray(0.0), 1e-6, sim.wheel.radius
+    )
 
     def same(a, b):
         assert jax.tree.structure(a) == jax.tree.structure(b)
@@ -333,7 +335,9 @@ def test_loads_factors_and_surfaces_act_in_any_order():
     )
     plates = sim.wheel.cut().plates(state.angle)
     height = jnp.asarray(0.13)
-    motion = plate_motion(plates, height, state.velocity, state.omega, height * 0, state.velocity)
+    motion = plate_motion(
+        plates, height, state.velocity, state.omega, height * 0, 1e-6, sim.wheel.radius
+    )
 
     def everything(effects):
         memory = composition.advance(effects, composition.begin(effects, state), moment)

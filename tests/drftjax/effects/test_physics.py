@@ -16,7 +16,7 @@ from drftjax.common.errors import InputError
 from drftjax.effects.stress import DepthHardening, HeightDecrease, MomentumFlux, RateHardening
 from drftjax.effects.wheel import GrouserHeight, Imbalance, WheelRadius
 from drftjax.physics.state import State
-from drftjax.physics.stress import REST_SPEED, Dynamic, plate_motion
+from drftjax.physics.stress import Dynamic, plate_motion
 from drftjax.physics.terrain import Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
@@ -58,6 +58,8 @@ QUOTIENT = 1e-12
 PILED = 1e-6
 
 SPEED, DT, EVERY = 2.0, 2e-3, 10
+# Width at rest of the paper's wheel [m/s].
+REST_SPEED = 5e-7 * np.sqrt(0.150 * 9.81)
 # The phase of seven periods a turn is that of the angle at an even speed over the step: what the
 # ripple itself adds in a step, times the ripple, is not in it.
 UNTOLD_PHASE = 7 * SPEED * DT
@@ -305,7 +307,8 @@ def _motion():
         jnp.zeros(2),
         jnp.zeros(()),
         jnp.zeros(()),
-        jnp.zeros(2),
+        REST_SPEED,
+        jnp.asarray(0.15),
     )
     nought = jnp.zeros(2)
     return replace(

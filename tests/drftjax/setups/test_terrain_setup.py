@@ -81,8 +81,8 @@ def test_an_unknown_law_is_refused_with_the_nearest_one(tmp_path):
 
 def test_an_unknown_integrator_is_refused_with_the_nearest_one():
     setup = SetUp(command=CommandSetUp([0, 1], [0, 1]))
-    setup.integrator.method = "rosenbrok"
-    said = "integrator.method is 'rosenbrok', must be one of .*; did you mean 'rosenbrock'"
+    setup.integrator.method = "implicid"
+    said = "integrator.method is 'implicid', must be .*; did you mean 'implicit'"
     with pytest.raises(InputError, match=said):
         setup.trial()
 

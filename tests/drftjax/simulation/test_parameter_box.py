@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.common.arrays import as_real
 from drftjax import configure_jax
+from drftjax.common.arrays import as_real
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage
 from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp
 from drftjax.simulation.step_choice import choose_step
