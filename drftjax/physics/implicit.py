@@ -104,7 +104,6 @@ class Root(eqx.Module):
         residual: Residual there [N s].
         forces: What else the balance gives there.
         jacobian: Derivative of the residual by the velocity [kg].
-        forces_by_velocity: Derivative of the forces by the velocity.
         evaluations: Evaluations of the force.
         found: Whether the last change of velocity was under the tolerance.
     """
@@ -113,19 +112,24 @@ class Root(eqx.Module):
     residual: Pair
     forces: Float[Array, " forces"]
     jacobian: Matrix
-    forces_by_velocity: Float[Array, "forces 2"]
     evaluations: Int[Array, ""]
     found: Bool[Array, ""]
 
 
-def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> Root:
-    (residual, forces), along = jax.linearize(lambda v: balance(v), velocity)
+def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix, Array]:
+    """The balance at a velocity, and the derivatives of residual and forces by it."""
+    values, along = jax.linearize(lambda v: balance(v), velocity)
     # One direction at a time: a batched pair keeps XLA from fusing it with the plates' other sums.
     directions = jnp.eye(2, dtype=velocity.dtype)
     columns = [along(directions[0]), along(directions[1])]
     jacobian, by_velocity = (jnp.stack(pair, axis=1) for pair in zip(*columns, strict=True))
+    return values, jacobian, by_velocity
+
+
+def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> Root:
+    (residual, forces), jacobian, _ = _linearized(balance, velocity)
     found = jnp.asarray(False)
-    return Root(velocity, residual, forces, jacobian, by_velocity, evaluations, found)
+    return Root(velocity, residual, forces, jacobian, evaluations, found)
 
 
 def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
@@ -196,8 +200,15 @@ def _at_root(balance: AbstractBalance, root: Root) -> tuple[Pair, Float[Array, "
 def _by_implicit_function(primals, tangents):
     balance, root = primals
     by_balance, _ = tangents
-    _, (residual, forces) = eqx.filter_jvp(lambda b: b(root.velocity), (balance,), (by_balance,))
-    growth = balance.inverse_norm_bound(root.jacobian)
-    velocity = -balance.solve(root.jacobian, residual) * jnp.minimum(1, LARGEST_GROWTH / growth)
-    change = forces + root.forces_by_velocity @ velocity
-    return (root.velocity, root.forces), (velocity, change)
+    # By the function itself, so that derivatives of this derivative see the root move.
+    velocity, forces = _at_root(balance, root)
+    _, jacobian, forces_by_velocity = _linearized(balance, velocity)
+    _, changes = eqx.filter_jvp(lambda b: b(velocity), (balance,), (by_balance,))
+    # Of what depends on nothing that changes, as the sand's force at a rig's load, there is none.
+    residual, change = (
+        jnp.zeros_like(value) if each is None else each
+        for value, each in zip((velocity, forces), changes, strict=True)
+    )
+    growth = balance.inverse_norm_bound(jacobian)
+    by = -balance.solve(jacobian, residual) * jnp.minimum(1, LARGEST_GROWTH / growth)
+    return (velocity, forces), (by, change + forces_by_velocity @ by)

@@ -25,6 +25,10 @@ INSTANT = 1e-9
 EARTH_GRAVITY = 9.81
 
 
+# Speed of the axle over that of the rim [-] below which a wheel turns on the spot.
+ON_THE_SPOT = 1e-3
+
+
 class PlateLoad(eqx.Module):
     """Stress on each plate, for figures.
 
@@ -186,7 +190,7 @@ class Simulator(eqx.Module):
         zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
         start = self.rig.carriage.approach(state.velocity, command)
         balance = StepBalance(self, start, state, memory, moment, zeta)
-        guess = start * _growth(state.omega, omega)
+        guess = _guess(state.omega, start, omega, radius)
         velocity, sand, _ = root_of(balance, guess, self.integrator.newton)
         return self._moved(state, velocity, sand, memory, moment, zeta)
 
@@ -281,10 +285,28 @@ class Simulator(eqx.Module):
         )
 
 
-def _growth(before: Float[Array, ""], omega: Float[Array, ""]) -> Float[Array, ""]:
-    """Change of angular velocity [-] that a quasi-static motion goes along with; at most double."""
+def _guess(
+    before: Float[Array, ""],
+    start: Float[Array, "2"],
+    omega: Float[Array, ""],
+    radius: Float[Array, ""],
+) -> Float[Array, "2"]:
+    """Velocity (x, z) that the search for the root begins with [m/s].
+
+    Quasi-static motion goes along with the angular velocity; it is doubled at most. A wheel that
+    turns on the spot is at a corner of the leading-plate rule, so it is given half its rim's speed.
+
+    Args:
+        before, omega: Angular velocity at the step's start and end [rad/s].
+        start: Velocity at its start [m/s].
+        radius: Rim radius [m].
+    """
     turning = before != 0
-    return jnp.where(turning, jnp.clip(omega / jnp.where(turning, before, 1), 0, 2), 1)
+    growth = jnp.where(turning, jnp.clip(omega / jnp.where(turning, before, 1), 0, 2), 1)
+    rim = radius * omega
+    spins = jnp.abs(start[0]) < ON_THE_SPOT * jnp.abs(rim)
+    along = jnp.where(spins, rim / 2, growth * start[0])
+    return jnp.stack([along, growth * start[1]])
 
 
 class StepBalance(AbstractBalance):

@@ -38,8 +38,7 @@ class Block(AbstractBalance):
         return jnp.stack([d * first - b * second, a * second - c * first]) / (a * d - b * c)
 
     def inverse_norm_bound(self, jacobian):
-        (a, b), (c, d) = jacobian / MASS
-        return jnp.sqrt(a**2 + b**2 + c**2 + d**2) / jnp.abs(a * d - b * c)
+        return 1 / jnp.linalg.svd(jacobian / MASS, compute_uv=False)[-1]
 
     def speed_scale(self):
         return jnp.ones(())

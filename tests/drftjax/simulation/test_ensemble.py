@@ -10,7 +10,7 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
-from drftjax.physics.wheel import GrouserWheel
+from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.ensemble import simulate_ensemble, stack
 from drftjax.simulation.rollout import simulate
 from drftjax.simulation.simulator import Simulator
@@ -73,7 +73,7 @@ def test_gradients_pass_through_an_ensemble_as_through_a_run():
 
 def test_runs_that_differ_in_more_than_numbers_are_refused():
     with pytest.raises(InputError, match="numbers only"):
-        stack([Simulator(), Simulator()])
+        stack([Simulator(), Simulator(PlainWheel())])
 
 
 def test_arrays_without_a_common_axis_of_runs_are_refused():
