@@ -19,6 +19,7 @@ from identify.crosscheck.comparison import compare_series, lag, ripple, sustaine
 from identify.crosscheck.crosscheck import crosscheck
 from identify.crosscheck.replays import TunerSetting
 from identify.crosscheck.report import plot, tables
+from tests.helpers.synthetic_runs import DEEPER
 from tests.studies.crosscheck import known_run, known_setup
 
 PLATE_SIZE, STEP, TICK = 8e-3, 2e-3, 0.01
@@ -49,6 +50,7 @@ def faint(time):
 def recorded(name, path, seed=1):
     setup = known_setup(name, path, GRID, TIME, OMEGA, PLATE_SIZE)
     setup.integrator = IntegratorSetUp(step=STEP)
+    setup.start.sinkage *= DEEPER
     return known_run(setup, np.random.default_rng(seed))
 
 

@@ -27,8 +27,12 @@ NINETY = 1.645
 
 # The structured Jacobian and the plain one are the same sums in another order.
 ROUNDING = 1e-10
-# Central differences of a simulation with corners (docs/theory/integrator.md), at a step of 1e-7.
-DIFFERENCES = 1e-4
+# Central differences of a simulation with corners (docs/theory/integrator.md), at a change of 1e-7:
+# where a step's balance all but folds, its derivative is scaled to what dissipation allows
+# (`drftjax.physics.implicit.LARGEST_GROWTH`), which takes 1.4 % off at this step.
+DIFFERENCES = 2e-2
+# The same derivatives by two compiled programs.
+SAME_DERIVATIVES = 1e-4
 # Compiled in two ways, a run that starts from rest agrees to some nanometres once it moves.
 SAME_RUN = 1e-8
 # Two fits of one run stop where a hundredth of a residual variance is left to gain
@@ -231,7 +235,7 @@ def test_padding_to_a_number_of_devices_changes_nothing(slow_runs, slow_problem)
         blocks[1][:, moving],
         bare_blocks[0][:, moving],
         rtol=0,
-        atol=DIFFERENCES * np.abs(bare_blocks).max(),
+        atol=SAME_DERIVATIVES * np.abs(bare_blocks).max(),
     )
 
 

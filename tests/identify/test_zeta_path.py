@@ -24,11 +24,12 @@ from identify.zeta_path.evidence import (
 from identify.zeta_path.path import SEGMENTS, ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.simulate import predict_path
 from identify.zeta_path.smoother import zeta_paths
+from tests.helpers.synthetic_runs import DEEPER
 from tests.studies.crosscheck import NOISE, RATE, known_run, known_setup
 
-# Coarse plates and the fit's own integrator: the program is tested, not the step's error. At longer
-# steps the misfit grows rough, by the corners that plates pass as they begin to lead.
-PLATE_SIZE, STEP = 8e-3, 1e-3
+# Coarse plates: the program is tested, not their error. With coarser ones and at longer steps the
+# misfit grows rough, by the corners that plates pass as they begin to lead.
+PLATE_SIZE, STEP = 5e-3, 1e-3
 TIME, OMEGA = (0.0, 0.5, 2.0, 4.0, 5.5, 6.0), (0.0, 0.0, 45.0, 45.0, 0.0, 0.0)
 # A stretch about the fourth knot, which a recording lost [s].
 LOST = (2.0, 3.5)
@@ -38,8 +39,9 @@ FINE = np.linspace(0.0, 5.5, 111)
 SPACING = 5.5 / 6
 RUNS = 4
 # Steps have corners, where plates begin to lead, and derivatives jump there: differences over so
-# small a change cross none. What is left is their rounding.
-DIFFERENCES = 1e-4
+# small a change cross none. What is left is what is taken off where a step's balance all but folds
+# (`drftjax.physics.implicit.LARGEST_GROWTH`), less than 1 % at this step.
+DIFFERENCES = 1e-2
 # Rise of the bed [-]; and what zeta at knots, the plates' ripple between them, may leave of z.
 RISE, FEW_FLOORS = 0.012, 5 * NOISE
 # Root mean squares of 275 samples scatter by 1 / sqrt(2 * 275) of themselves, 4 %, and of the 140
@@ -66,6 +68,7 @@ def path_of(number: int):
 def made(name: str, path, seed: int, time=TIME, omega=OMEGA, effects=(), step=STEP) -> PreparedRun:
     setup = known_setup(name, path, FINE, time, omega, PLATE_SIZE)
     setup.integrator = IntegratorSetUp(step=step)
+    setup.start.sinkage *= DEEPER
     setup.effects = [*effects]
     run = known_run(setup, np.random.default_rng(seed))
     each = prepare_run(name, run, step=step)
