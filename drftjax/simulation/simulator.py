@@ -24,6 +24,9 @@ INSTANT = 1e-9
 # Gravitational acceleration at which zeta is the scaling factor of the stress [m/s2].
 EARTH_GRAVITY = 9.81
 
+# Growth over one [-] that is believed of a change of momentum in one step of a rolling wheel. At
+# 1 ms the paper's wheel tips by up to this where a plate begins to lead; folds show 1 to 1000.
+TIPPING = 0.2
 
 # Speed of the axle over that of the rim [-] below which a wheel turns on the spot.
 ON_THE_SPOT = 1e-3
@@ -345,7 +348,7 @@ class StepBalance(AbstractBalance):
         still = jnp.zeros_like(residual)
         return self.simulator.rig.carriage.advance(still, residual, jacobian)
 
-    def inverse_norm_bound(self, jacobian: Float[Array, "2 2"]) -> Float[Array, ""]:
+    def growth(self, jacobian: Float[Array, "2 2"]) -> Float[Array, ""]:
         root = jnp.sqrt(self.simulator.rig.mass())
         scaled = jacobian / root[:, None] / root[None, :]
         if not isinstance(self.simulator.rig.carriage, FreeCarriage):
@@ -355,6 +358,13 @@ class StepBalance(AbstractBalance):
         squares = jnp.sum(scaled**2)
         apart = jnp.sqrt(jnp.maximum(squares**2 - 4 * determinant**2, 0))
         return jnp.sqrt((squares + apart) / 2) / jnp.abs(determinant)
+
+    def largest_growth(self) -> Float[Array, ""]:
+        """1 where sand only dissipates, as at rest and in a fall; a wheel that rolls may tip."""
+        rim = jnp.abs(self.moment.omega) * self.simulator.wheel.radius
+        speed = jnp.hypot(self.state.velocity[0], self.state.velocity[1])
+        rolls = rim / (jnp.maximum(rim, (rim + speed) / 2) + jnp.finfo(rim.dtype).tiny)
+        return 1 + TIPPING * rolls
 
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
