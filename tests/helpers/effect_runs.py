@@ -10,7 +10,7 @@ import numpy as np
 from drftjax.effects.catalogue import OURS, field_metadata, strengths
 from drftjax.physics.command import Command
 from drftjax.physics.state import Output, State
-from drftjax.physics.stress import ArcBisector, Dynamic
+from drftjax.physics.stress import AbstractStressLaw, Dynamic
 from drftjax.physics.terrain import Terrain
 from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import simulate, with_first_row
@@ -50,9 +50,8 @@ def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple
     return tuple(KNOWN[name](**fields[name]) for name in only if name not in leave_out)
 
 
-def simulator(wheel: AbstractWheel = GROUSERS) -> Simulator:
-    # A run backward is the mirror image of one forward by this form of the height decrease only.
-    return Simulator(wheel, Terrain(law=Dynamic(bisector=ArcBisector())))
+def simulator(wheel: AbstractWheel = GROUSERS, law: AbstractStressLaw | None = None) -> Simulator:
+    return Simulator(wheel, Terrain(law=Dynamic() if law is None else law))
 
 
 def commands(omega) -> Command:
@@ -60,9 +59,14 @@ def commands(omega) -> Command:
     return Command(omega, jnp.zeros_like(omega), jnp.zeros_like(omega))
 
 
-def with_effects(wheel: AbstractWheel, values, only: tuple[str, ...] = tuple(KNOWN)) -> Simulator:
+def with_effects(
+    wheel: AbstractWheel,
+    values,
+    only: tuple[str, ...] = tuple(KNOWN),
+    law: AbstractStressLaw | None = None,
+) -> Simulator:
     leave_out = () if isinstance(wheel, GrouserWheel) else ("grouser_height",)
-    return replace(simulator(wheel), effects=built(values, leave_out, only))
+    return replace(simulator(wheel, law), effects=built(values, leave_out, only))
 
 
 def rows(sim: Simulator, start: State, omega, dt, every: int) -> Output:

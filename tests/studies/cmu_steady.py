@@ -155,15 +155,15 @@ def steady_states(
 
 
 class HeldForce(eqx.Module):
-    """Mean force of the sand on a wheel at a held height, `constant` + zeta `slope` [N].
+    """Mean force of the sand on a wheel at a held height, `constant` + zeta `slope`.
 
     Attributes:
-        constant, slope: Forward and up, shape (rows, 2).
+        constant, slope: Forward and up [N] and the drive torque [N m], shape (rows, 3).
         ripple: Standard deviation of the upward slope over a pitch [N], shape (rows,).
     """
 
-    constant: Float[Array, "rows 2"]
-    slope: Float[Array, "rows 2"]
+    constant: Float[Array, "rows 3"]
+    slope: Float[Array, "rows 3"]
     ripple: Float[Array, " rows"]
 
     def zeta(self, load: Float[Array, " rows"]) -> Float[Array, " rows"]:
@@ -174,17 +174,21 @@ class HeldForce(eqx.Module):
         """Forward force [N] at this zeta."""
         return self.constant[:, 0] + zeta * self.slope[:, 0]
 
+    def torque(self, zeta: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """Drive torque against the sand [N m] at this zeta."""
+        return self.constant[:, 2] + zeta * self.slope[:, 2]
+
 
 def _force_by_angle(
     simulator: Simulator, setting: Setting, sinkage: Float[Array, ""], zeta: Float[Array, ""]
-) -> Float[Array, "angles 2"]:
-    """Forward and upward force [N] over a pitch on a wheel that drives at a held height."""
+) -> Float[Array, "angles 3"]:
+    """Forward and upward force [N] and drive torque [N m] over a pitch, at a held height."""
     pitch = pitch_of(simulator.wheel)
     angles = jnp.arange(ANGLES if pitch else 1) / ANGLES * (pitch or 1.0)
     place = jnp.stack([jnp.zeros_like(sinkage), -sinkage])
     speed = jnp.stack([setting.vx, jnp.zeros_like(setting.vx)])
     turned = jax.vmap(lambda angle: simulator.wrench(place, speed, angle, setting.omega, zeta))
-    return turned(angles)[:, :2]
+    return turned(angles)
 
 
 @eqx.filter_jit

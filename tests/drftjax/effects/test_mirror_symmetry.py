@@ -48,6 +48,8 @@ BOUNDED = 50.0
 # Not zero: a grouser straight under the axle stands at the very corner of the leading-plate rule,
 # where a rounding decides which of its faces leads.
 ANGLE, SINKAGE = 0.1, 0.0176
+# A run backward is the mirror image of one forward by this form of the height decrease only.
+MIRRORED = Dynamic(bisector=ArcBisector())
 DT, EVERY = 1e-3, 10
 TIME = DT * np.arange(1, 2001)
 FAST = np.interp(TIME, [0.0, 0.2, 1.2, 1.8, 2.0], np.radians([0.0, 0.0, 300.0, 300.0, 200.0]))
@@ -107,7 +109,7 @@ def program():
 
     def run(values, angle, omega):
         start = State.at_rest(SINKAGE, angle=angle)
-        return rows(with_effects(GROUSERS, values), start, omega, DT, EVERY)
+        return rows(with_effects(GROUSERS, values, law=MIRRORED), start, omega, DT, EVERY)
 
     return jax.jit(run)
 
@@ -183,7 +185,7 @@ def slopes():
 
     def outcome(values):
         start = State.at_rest(SINKAGE, angle=jnp.asarray(ANGLE))
-        output = rows(with_effects(GROUSERS, values), start, REVERSED, DT, EVERY)
+        output = rows(with_effects(GROUSERS, values, law=MIRRORED), start, REVERSED, DT, EVERY)
         return jnp.sum(weights * jnp.stack([output.x, output.z])), output
 
     def both(values):

@@ -17,7 +17,7 @@ from tests.helpers.run_logs import example_run, flattened
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 EXAMPLES = [
     path
-    for folder in ("reference", "blind/practice/set_01", "granular")
+    for folder in ("reference_rigs", "blind/single_practice/set_01", "granular")
     for path in sorted((SHARED / folder).glob("*.h5"))
 ]
 
