@@ -16,8 +16,9 @@ linear solve with the last Jacobian, no derivative of the iteration and no secon
 the force.
 
 The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
-and its Jacobian be all but singular, at one step of a thousand. So the growth of a derivative in
-one step is bounded, and no product of steps explodes.
+and its Jacobian be all but singular, at one step of a thousand. A change of velocity grows there by
+more than any that can be seen: plates saturate. So the growth of a derivative is bounded, over all
+steps since it last shrank, and no product of steps explodes.
 """
 
 import abc

@@ -51,8 +51,8 @@ from tests.helpers.effect_runs import (
 # furthest, twice.
 ROUNDED = 20
 ROUNDING = 2
-# Of the largest change of that channel. The bound of a derivative's growth in a step takes 0.6 % of
-# one strength here, 0.4 % of another and under 0.3 % of all others.
+# About as in test_gradients: parts in a thousand, of the largest change of that channel. What
+# changes little is rougher beside its own size. (Of two strengths a force where a plate turns over.)
 AGREEMENT = 8e-3
 # Share of the typical strength. Longer changes pass corners, shorter ones drown in rounding.
 CHANGES = (1e-7, 3e-7, 1e-6)
