@@ -15,7 +15,7 @@ class AbstractCarriage(eqx.Module):
 
     @abc.abstractmethod
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
-        """Velocity [m/s] at which the sand's force is linearised."""
+        """Velocity [m/s] that a step starts from: of a driven carriage, the speed commanded."""
 
     @abc.abstractmethod
     def advance(

@@ -64,9 +64,9 @@ def start_state(
     begun = time >= -noise.clock_rounding
     first = time[begun][0]
     # Of a wheel that sets off sooner, no more than its rest gives the start.
-    window = min(settings.window, rest + noise.clock_rounding)
+    window = min(settings.window, rest) + noise.clock_rounding
     early = begun & (time <= max(window, first))
-    at_rest = early.sum() > 1 or window < settings.window
+    at_rest = early.sum() > 1 or rest < settings.window
     if _is_settling(time, run.measured, early, settings, noise):
         early = time == first
     start = msgspec.structs.replace(setup.start)

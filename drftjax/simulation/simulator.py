@@ -194,7 +194,7 @@ class Simulator(eqx.Module):
         zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
         start = self.rig.carriage.approach(state.velocity, command)
         balance = StepBalance(self, start, state, memory, moment, zeta)
-        guess = _guess(state.omega, start, omega, radius)
+        guess = self.rig.carriage.approach(_guess(state.omega, start, omega, radius), command)
         velocity, sand, root = root_of(balance, guess, self.integrator.newton)
         grown = jnp.minimum(balance.growth(root.jacobian), balance.largest_growth())
         grown = jax.lax.stop_gradient(jnp.maximum(state.growth * grown, 1))

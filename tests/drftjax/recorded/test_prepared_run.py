@@ -10,7 +10,7 @@ from drftjax.recorded.observation import ObservationSettings, observe, white_noi
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.recorded.start_state import StartSettings
 from drftjax.runlog.record import Measured, RecordedCommand
-from tests.helpers.synthetic_runs import recorded, setup_of
+from tests.helpers.synthetic_runs import DEEPER, recorded, setup_of
 
 RADIUS = 0.150
 # Second differences of 5,000 samples tell a standard deviation to 1.4 %; three times that.
@@ -18,11 +18,13 @@ WHITE = 0.05
 # A line through 26 readings of 20 um is off by 8 um at its end [m]; a mean over 0.2 s, of a wheel
 # that creeps so fast [m/s], by 45 um.
 LINE, CREEP = 20e-6, 5e-4
+# Times of rows are sums of steps [s].
+CLOCK = 1e-9
 # It slows down after so much [m], within 0.2 s.
 SLOWING = 3e-4
 
 
-@pytest.mark.parametrize(("rest", "counted"), [(0.0, 1), (0.01, 1), (0.1, 6), (0.2, 10), (0.4, 10)])
+@pytest.mark.parametrize(("rest", "counted"), [(0.0, 1), (0.01, 1), (0.1, 6), (0.2, 11), (0.4, 11)])
 def test_start_is_read_before_the_wheel_sets_off(rest, counted):
     """A wheel that sets off at once has travelled millimetres within the first 0.2 s."""
     time = [0.0, rest, rest + 0.1, 2.0] if rest else [0.0, 0.1, 2.0]
@@ -42,8 +44,8 @@ def test_the_sinkage_that_a_standing_wheel_creeps_by_is_none_of_its_start():
     creeping = dataclasses.replace(run, measured=Measured(time, x=run.measured.x, z=z))
     start = prepare_run("run", creeping).setup.start
     assert start.sinkage == pytest.approx(0.0176, abs=LINE)
-    assert -z[:10].mean() - 0.0176 > LINE
-    assert start.x == run.measured.x[:10].mean()
+    assert -z[:11].mean() - 0.0176 > LINE
+    assert start.x == run.measured.x[:11].mean()
     # Where it creeps ever slower, a straight line would be off by as much as the mean.
     curved = -0.0176 - SLOWING * (1 - np.exp(-time / 0.2)) + noise / 2
     assert -np.polyfit(time[:26], curved[:26], 1)[1] - 0.0176 > 2 * LINE
@@ -54,13 +56,13 @@ def test_the_sinkage_that_a_standing_wheel_creeps_by_is_none_of_its_start():
 @pytest.mark.parametrize("noise", [0.0, 20e-6])
 def test_start_of_a_wheel_that_still_settles_is_its_first_sample(noise):
     setup = setup_of(([0.0, 0.5, 1.0, 2.0], [0.0, 0.0, 0.5, 0.5]))
-    setup.start.sinkage -= 1.2e-3
+    setup.start.sinkage = setup.start.sinkage / DEEPER - 1.2e-3
     run = recorded(setup, noise=noise)
     start = prepare_run("run", run).setup.start
     assert start.sinkage == -run.measured.z[0]
     assert start.x == run.measured.x[0]
     # A mean over 0.2 s is that much deeper.
-    assert -run.measured.z[:10].mean() > start.sinkage + 0.3e-3
+    assert -run.measured.z[:11].mean() > start.sinkage + 0.3e-3
 
 
 def test_what_was_recorded_before_the_command_begins_is_neither_start_nor_compared():
@@ -96,7 +98,7 @@ def test_dust_on_a_wheel_that_is_locked_does_not_keep_its_carriage_moving():
     dusty = dataclasses.replace(plain.command, omega=np.array([2e-7, -2e-7, 2e-7, -2e-7, 2e-7]))
     found = observe(dataclasses.replace(plain, command=dusty), RADIUS)
     np.testing.assert_array_equal(found.counts, observe(plain, RADIUS).counts)
-    assert not found.counts[found.time > 3.0].any()
+    assert not found.counts[found.time > 3.0 + CLOCK].any()
     trial = prepare_run("dusty", dataclasses.replace(plain, command=dusty)).trial
     np.testing.assert_array_equal(
         is_commanded_to_move(trial, np.array([0.5, 2.5, 3.5])), [True, True, False]
@@ -127,8 +129,8 @@ def test_the_settings_decide_what_stands_and_how_little_noise_there_is():
     slow = dataclasses.replace(slow, motion=MotionSettings(standing_share=0.1))
     found = observe(plain, RADIUS, settings=slow)
     np.testing.assert_array_equal(found.noise, 1.0)
-    assert observe(plain, RADIUS).counts[found.time > 3.0].any()
-    assert not found.counts[found.time > 3.0].any()
+    assert observe(plain, RADIUS).counts[found.time > 3.0 + CLOCK].any()
+    assert not found.counts[found.time > 3.0 + CLOCK].any()
 
 
 def test_white_noise_is_told_from_a_slow_signal():
