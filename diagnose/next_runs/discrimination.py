@@ -291,7 +291,8 @@ def _started_and_stopped(
         return []
     words = f"{name} in stop and go, each time to {np.rad2deg(top):.0f} deg/s"
     trial = _stop_and_go(as_made.trial, top, settings)
-    return [_shortened(Variation(words, trial, _end_of_motion(trial)))]
+    # No longer than the run that it takes the place of.
+    return [_shortened(Variation(words, trial, _end_of_motion(trial)), as_made.duration)]
 
 
 def _other_loads(as_made: Variation, name: str, settings: NextRunSettings) -> list[Variation]:

@@ -4,7 +4,7 @@ from diagnose.dataset import RigDataset
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from drftjax.simulation.statics import sinkage_under_load
-from tests.helpers.synthetic_runs import coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import DEEPER, coarse, recorded, setup_of
 
 # Slow and fast, long enough that what grows with travel shows.
 PROFILES = (
@@ -36,7 +36,7 @@ def run_with(
     # The plates with which a run log is simulated again.
     setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
     setup.effects = [effect]
-    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
+    setup.start.sinkage = DEEPER * float(sinkage_under_load(setup.trial().simulator, zeta))
     return recorded(setup, seed=seed, noise=noise)
 
 

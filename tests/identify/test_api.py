@@ -296,6 +296,7 @@ def test_a_fit_of_fewer_steps_does_not_converge(runs):
         reweightings=1, solver=once, short_steps=BatchedSolverSettings(max_steps=1)
     )
     far = shared("lambda", start=20.0)
-    result = drftjax.fit(runs, parameters=["zeta", far], settings=hurried)
+    zeta = shared("zeta", start=1.5)
+    result = drftjax.fit(runs, parameters=[zeta, far], settings=hurried)
     assert result.status == "out of steps"
     assert result.steps == 1

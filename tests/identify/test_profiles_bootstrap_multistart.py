@@ -46,8 +46,10 @@ DRAWS = 400
 SCATTER = 3 / np.sqrt(2 * DRAWS)
 # Sums of a few products of doubles of order one.
 ROUNDING = 1e-14
-# Phases of a second tell zeta to a few thousandths, and the steady one to a thousandth.
-PHASE = 0.01
+# Phases of a second tell zeta to a hundredth, and the steady one to a thousandth.
+PHASE = 0.02
+# Zetas that differ by a hundredth, by straight lines: a tenth of the difference.
+STRAIGHT = 0.1
 # What a steady zeta is off by where a path of it is read between its phases' ends.
 ROUGHLY = 0.02
 
@@ -178,7 +180,7 @@ def test_bootstrap_over_runs_sees_what_runs_differ_by():
     estimate = fit(runs, [shared("zeta")]).estimate
     moves = resample_runs(estimate, DRAWS, np.random.default_rng(2))[:, 0]
     expected = np.std(np.log(zetas)) / np.sqrt(len(zetas))
-    assert moves.std() == pytest.approx(expected, rel=SCATTER)
+    assert moves.std() == pytest.approx(expected, rel=SCATTER + STRAIGHT)
 
 
 def test_too_few_draws_are_refused(result):

@@ -58,7 +58,7 @@ def test_plant_without_mechanisms_is_the_simulator_but_for_its_plates():
     setup = SetUp(command=CommandSetUp(time.tolist(), SHORT.omega(time).tolist()))
     setup.terrain.zeta = 0.78
     setup.start.sinkage = float(-run.z[0])
-    setup.integrator.setup.integrator.step = 1e-3
+    setup.integrator.step = 1e-3
     plain = simulated_run(setup).measured
     assert plain.x is not None
     assert plain.z is not None

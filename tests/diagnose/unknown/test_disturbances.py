@@ -40,6 +40,8 @@ from tests.helpers.synthetic_runs import BELIEVED_ZETA, coarse, recorded, setup_
 TRUE_ZETA = 0.75
 NOISE = 10e-6
 KNOTS = 6
+# About the step that is chosen for such runs [s].
+STEP = 2.5e-3
 # A step is differentiated once a node only, and plates cross corners in between.
 LINES_ERR = 0.25
 # What a stage explains that made the gap, and what a signal follows that made it: all but a tenth.
@@ -61,8 +63,8 @@ def dataset() -> RigDataset:
     for speed in (0.8, 1.0, 1.4):
         profile = ([0.0, 0.25, 1.25, 3.5, 4.5], [0.0, 0.0, speed, speed, 0.2 * speed])
         setup = setup_of(profile, TRUE_ZETA)
-        setup.integrator.step = 5e-4
-        runs.append(coarse(f"run {speed:g}", recorded(setup), step=5e-4))
+        setup.integrator.step = STEP
+        runs.append(coarse(f"run {speed:g}", recorded(setup), step=STEP))
     return RigDataset.of(runs)
 
 
