@@ -30,7 +30,7 @@ from tests.helpers.rig_datasets import run_with
 LENGTH, SWING = 0.45, 0.05
 # Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions. No run goes
 # much farther than the others: where only it has been, they tell no curve.
-CONDITIONS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (0.9, 18.8, 0.746), (0.8, 26.0, 0.752))
+CONDITIONS = ((1.0, 18.8, 0.75), (1.0, 18.8, 0.757), (1.1, 18.8, 0.746), (1.1, 26.0, 0.752))
 # All but a tenth; and of a curve's shape, whose knots stand for the bends between them, a fifth.
 NEARLY_ALL, SHAPE = 0.9, 0.2
 BUMP = (0.0, 0.05, 0.0, -0.02, 0.0)
