@@ -28,8 +28,8 @@ from tests.helpers.rig_datasets import run_with
 
 # A wave of the sand's strength along the bed [m], which no patch stands for.
 LENGTH, SWING = 0.45, 0.05
-# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions. No run goes
-# much farther than the others: where only it has been, they tell no curve.
+# Wheel speed [rad/s], mass on the wheel [kg] and zeta: two repeats, two other conditions. No run
+# goes much farther than the others: where only it has been, they tell no curve.
 CONDITIONS = ((1.0, 18.8, 0.75), (1.0, 18.8, 0.757), (1.1, 18.8, 0.746), (1.1, 26.0, 0.752))
 # All but a tenth; and of a curve's shape, whose knots stand for the bends between them, a fifth.
 NEARLY_ALL, SHAPE = 0.9, 0.2

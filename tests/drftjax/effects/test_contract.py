@@ -52,7 +52,7 @@ from tests.helpers.effect_runs import (
 ROUNDED = 20
 ROUNDING = 2
 # About as in test_gradients: parts in a thousand, of the largest change of that channel. What
-# changes little is rougher beside its own size. (Of two strengths a force where a plate turns over.)
+# changes little is rougher beside its own size; forces are, where a plate turns over.
 AGREEMENT = 8e-3
 # Share of the typical strength. Longer changes pass corners, shorter ones drown in rounding.
 CHANGES = (1e-7, 3e-7, 1e-6)

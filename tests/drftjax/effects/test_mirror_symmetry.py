@@ -33,15 +33,15 @@ from tests.helpers.effect_runs import (
 )
 
 # The plates of a mirrored wheel are added up in another order. Of a wheel on sand what rounding
-# changes dies out, but a plate that is about to lead tells of it in its force before [m], [N]. A wheel that
-# sets off is at such a corner, and goes some 1e-8 m farther or less.
+# changes dies out, but a plate that is about to lead tells of it in its force before [m], [N].
+# A wheel that sets off is at such a corner, and goes some 1e-8 m farther or less.
 ROUNDING, FORCE_ROUNDING = 1e-7, 1e-4
 # Nine lengths of a pile on, e^-9 = 1.2e-4 of it is still to come; twice that.
 PILED = 2.5e-4
 # Far over that, and far under what an effect fixed in space does on the wrong side [m].
 SEEN = 1e-6
-# Forward and reverse mode are two programs. Where a wheel turns round, what each rounds lets a plate
-# turn over a step earlier or later, which two of the derivatives feel.
+# Forward and reverse mode are two programs. Where a wheel turns round, what each rounds lets a
+# plate turn over a step earlier or later, which two of the derivatives feel.
 ORDER = 5e-3
 # No number changes a sum of some hundred samples by more than 14 per unit; derivatives that grow
 # from step to step pass 1e20 in a second.
@@ -50,7 +50,7 @@ BOUNDED = 50.0
 # Not zero: a grouser straight under the axle stands at the very corner of the leading-plate rule,
 # where a rounding decides which of its faces leads.
 ANGLE, SINKAGE = 0.1, 0.0176
-# A run backward is the mirror image of one forward by this form of the height decrease only.
+# A run backward mirrors one forward by this form of the height decrease only.
 MIRRORED = Dynamic(bisector=ArcBisector())
 DT, EVERY = 1e-3, 10
 TIME = DT * np.arange(1, 2001)
@@ -152,7 +152,7 @@ def test_a_fast_wheel_that_turns_backward_is_the_mirror_of_one_that_turns_forwar
 
     forward, backward = run(1.0, 1.0), run(-1.0, 1.0)
     assert_mirrors(forward, backward)
-    # It gets somewhere: of the metre that its rim turns, a plain wheel as fast as this slips by 0.6.
+    # It gets somewhere: of the metre that its rim turns a plain wheel loses 0.6.
     assert forward.x[-1] > 0.3
     # The sand lowered behind is what makes the two sides differ here.
     level = run(1.0, 0.0)

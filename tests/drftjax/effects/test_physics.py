@@ -49,11 +49,9 @@ TO_COME = 1e-3
 CENTRE = 1e-4
 # What a step of a millisecond turns at 1 rad/s.
 PLAY = 1e-3
-# Sums of a few doubles of order one.
-ROUNDING = 1e-12
-# A difference quotient errs by its half width's square, 1e-12 m2, times a sixth of the third
-# derivative of 10 / m2: over 0.1 m ahead.
-QUOTIENT = 1e-12
+# Sums of a few doubles of order one; and a difference quotient errs by its half width's square,
+# 1e-12 m2, times a sixth of the third derivative of 10 / m2: over 0.1 m ahead.
+ROUNDING = QUOTIENT = 1e-12
 SPEED, DT, EVERY = 2.0, 2e-3, 10
 # Width at rest of the paper's wheel [m/s].
 REST_SPEED = 5e-7 * np.sqrt(0.150 * 9.81)
@@ -61,11 +59,9 @@ REST_SPEED = 5e-7 * np.sqrt(0.150 * 9.81)
 # ripple itself adds in a step, times the ripple, is not in it.
 UNTOLD_PHASE = 7 * SPEED * DT
 SECONDS = 2 * 2 * np.pi / SPEED
-# A velocity that is found to 1e-8 of sqrt(r g) leaves this of a force unbalanced [N]. The last turn
-# begins fourteen lengths on, where e^-14 of a pile, far less, is still to come.
-FOUND = 1.2e-8 * 18.837 / DT
-# And this of a depth that is approached from step to step [m].
-REACHED = 1.2e-8
+# A velocity that is found to 1e-8 of sqrt(r g) leaves this of a force unbalanced [N], and a depth
+# that is approached from step to step off by this [m].
+FOUND, REACHED = 1.2e-8 * 18.837 / DT, 1.2e-8
 STEPS = EVERY * round(SECONDS / DT / EVERY)
 HOLD = np.full(STEPS, SPEED)
 STARTING = SPEED * np.clip(DT * np.arange(1, STEPS + 1) / 2.0, 0, 1)
@@ -436,8 +432,7 @@ def test_friction_of_the_guide_keeps_a_dropped_wheel_up_longer(name):
 def test_friction_at_rest_does_not_shake_the_wheel():
     values = vector(vertical_coulomb={"force": 50.0}, horizontal_coulomb={"force": 30.0})
     output = program()(jnp.asarray(values), start(False), np.zeros(STEPS))
-    # A guide that carries a quarter of the weight leaves it standing, but for a creep of a few
-    # widths at rest: less than a quarter of a millimetre a minute.
+    # It stands, but for a creep of a few widths at rest: under 0.25 mm a minute.
     assert np.abs(output.vz[5:]).max() < 6 * REST_SPEED
     assert np.abs(output.vx[5:]).max() < 6 * REST_SPEED
 
