@@ -85,39 +85,50 @@ def machine() -> dict[str, Any]:
 
 
 class Truth:
-    """What z should be: the reference run for the single run, our fine solution for the many."""
+    """What z and the final x should be: of the single run by the reference, of the many by ours."""
 
     def __init__(self, worker: Worker):
         with h5py.File(SHARED / "reference_rigs" / "paper.h5") as file:
-            self._time, self._z = (np.asarray(file[f"measured/{name}"]) for name in ("time", "z"))
-        self._fine = np.asarray(worker.ask("plain", cases.FINE, detail=True)["z"])
+            self._time, self._z, self._x = (
+                np.asarray(file[f"measured/{name}"]) for name in ("time", "z", "x")
+            )
+        fine = worker.ask("plain", cases.FINE, detail=True)
+        self._fine, self._fine_x = np.asarray(fine["z"]), np.asarray(fine["x"])
         self._fine_time = cases.FINE.row * np.arange(1, self._fine.shape[1] + 1)
 
     def of_one(self, time: np.ndarray, z: np.ndarray) -> list[float]:
-        """Largest error of the single run [mm]."""
-        return [1e3 * float(np.abs(z - np.interp(time, self._time, self._z)).max())]
+        """Largest error of the single run while its wheel turns [mm]."""
+        turns = (time >= cases.TURNS) & (time <= cases.STOPS)
+        return [1e3 * float(np.abs(z - np.interp(time, self._time, self._z))[turns].max())]
 
     def of_many(self, time: np.ndarray, z: np.ndarray) -> list[float]:
-        """Largest error from `DRIVEN` on [mm]: of the median run checked, and of the worst."""
+        """Largest error from `DRIVEN` to the stop [mm]: of the median run checked, and worst."""
         true = np.stack([np.interp(time, self._fine_time, fine) for fine in self._fine])
-        worst = 1e3 * np.abs(z - true)[:, time >= cases.DRIVEN - 1e-9].max(axis=1)
+        driven = (time >= cases.DRIVEN - 1e-9) & (time <= cases.STOPS)
+        worst = 1e3 * np.abs(z - true)[:, driven].max(axis=1)
         return [float(np.median(worst)), float(worst.max())]
 
     def of(self, case: Case, z: list) -> list[float]:
         heights = np.asarray(z)
         time = case.row * np.arange(1, heights.shape[-1] + 1)
-        if case.runs == 1:
-            return self.of_one(time, heights)
-        checked = heights[cases.CHECKED] if case.runs == cases.RUNS else heights
-        return self.of_many(time, checked)
+        return (self.of_one if case.runs == 1 else self.of_many)(time, heights)
+
+    def of_place(self, case: Case, x: list) -> float:
+        """Error of the final x [mm], of an ensemble the worst of the runs checked."""
+        true = self._x[-1] if case.runs == 1 else self._fine_x
+        return 1e3 * float(np.abs(np.asarray(x) - true).max())
 
     def of_yardstick(self, yardstick: Yardstick, runs: int, dt: float) -> list[float]:
         if runs == 1:
             time = np.arange(1, 241) * 0.1
             return self.of_one(time, yardstick.heights(cases.PAPER_ZETA, dt, time))
-        time = np.arange(cases.DRIVEN, cases.DURATION + 1e-9, 0.5).round(1)
-        zetas = cases.ZETAS[cases.CHECKED]
+        time = np.arange(cases.DRIVEN, cases.STOPS + 1e-9, 0.5).round(1)
+        zetas = cases.zetas_of(runs)[cases.checked(runs)]
         return self.of_many(time, np.stack([yardstick.heights(z, dt, time) for z in zetas]))
+
+
+# The yardstick in the precision of each of ours.
+BESIDE = {"float64": "double", "float32": "float", PLAIN_XLA: "double"}
 
 
 def speeds(
@@ -125,39 +136,42 @@ def speeds(
 ) -> list[dict[str, Any]]:
     """A row for each case and precision, and for the yardstick; all measured in turns."""
     rows, timers = [], []
-    for runs, ours in ((1, [cases.SINGLE]), (cases.RUNS, [cases.EQUAL, cases.ALIKE, cases.CLOSE])):
+    for case in (cases.SINGLE, *cases.ENSEMBLES):
+        runs, dt = case.runs, cases.YARDSTICK_DT
         for real, yardstick in yardsticks.items():
-            dt = cases.YARDSTICK_DT
             rows.append({
-                "what": f"yardstick, {real}", "runs": runs, "dt": dt, "plates": 240,
-                "error_mm": truth.of_yardstick(yardstick, runs, dt),
+                "what": f"yardstick, {real}", "real": real, "runs": runs, "dt": dt, "plates": 240,
+                "error_mm": truth.of_yardstick(yardstick, runs, dt), "place_mm": None,
             })  # fmt: skip
             timers.append(lambda y=yardstick, n=runs, dt=dt: y.seconds(n, dt, cases.DURATION))
-        for case in ours:
-            for name, worker in workers.items():
-                if runs > 1 and name == PLAIN_XLA:
-                    continue
-                detail = worker.ask("plain", case, detail=True)
-                rows.append({
-                    "what": f"drftjax, {name}", "runs": runs, "dt": case.dt,
-                    "plates": detail["plates"], "error_mm": truth.of(case, detail["z"]),
-                })  # fmt: skip
-                timers.append(lambda w=worker, c=case: w.ask("plain", c)["seconds"])
+        for name, worker in workers.items():
+            if runs > 1 and name == PLAIN_XLA:
+                continue
+            detail = worker.ask("plain", case, detail=True)
+            rows.append({
+                "what": f"drftjax, {name}", "real": BESIDE[name], "runs": runs, "dt": case.dt,
+                "plates": detail["plates"], "error_mm": truth.of(case, detail["z"]),
+                "place_mm": truth.of_place(case, detail["x"]),
+            })  # fmt: skip
+            timers.append(lambda w=worker, c=case: w.ask("plain", c)["seconds"])
     times = [[timer() for timer in timers] for _ in range(repeats)]
     for row, taken in zip(rows, zip(*times, strict=True), strict=True):
         row["seconds"], row["median"] = min(taken), statistics.median(taken)
         row["us_per_run_step"] = 1e6 * min(taken) / row["runs"] / round(cases.DURATION / row["dt"])
     for row in rows:
-        best = min(r["seconds"] for r in rows if r["runs"] == row["runs"] and "yard" in r["what"])
-        row["ratio"] = row["seconds"] / best
+        (beside,) = (
+            r["seconds"] for r in rows
+            if r["runs"] == row["runs"] and r["what"] == f"yardstick, {row['real']}"
+        )  # fmt: skip
+        row["ratio"] = row["seconds"] / beside
     return rows
 
 
 def gradients(workers: dict[str, Worker], repeats: int) -> list[dict[str, Any]]:
-    """Cost of derivatives of the single run by zeta and lambda, over the run's own."""
+    """Cost of derivatives of the single run, over the run's own."""
     rows = []
     for name, worker in workers.items():
-        kinds = ("plain", "forward", "batched", "reverse")
+        kinds = ("plain", "eight", "reverse")
         detail = {kind: worker.ask(kind, cases.SINGLE, detail=True) for kind in kinds}
         times = [
             [worker.ask(kind, cases.SINGLE)["seconds"] for kind in kinds] for _ in range(repeats)
@@ -176,9 +190,9 @@ def gradients(workers: dict[str, Worker], repeats: int) -> list[dict[str, Any]]:
 
 def study(worker: Worker, yardstick: Yardstick, truth: Truth) -> list[dict[str, Any]]:
     """Error of z against step, for the single run and for the many."""
-    rows, checked = [], len(cases.CHECKED)
+    rows, checked = [], cases.CHECKED
     for dt in cases.STUDY_STEPS:
-        both = [truth.of_yardstick(yardstick, runs, dt) for runs in (1, cases.RUNS)]
+        both = [truth.of_yardstick(yardstick, runs, dt) for runs in (1, cases.CHECKED)]
         rows.append({"what": "yardstick", "plate_size": None, "dt": dt, "errors_mm": both})
     for size in cases.STUDY_PLATES:
         for dt in cases.STUDY_STEPS:
@@ -196,8 +210,8 @@ def errors(figures: list[float]) -> str:
 
 def speed_table(rows: list[dict[str, Any]], cores: int) -> Table:
     table = Table(title=f"The 24 s profile on {cores} cores (a single run uses one)")
-    for heading in ("runs", "program", "step", "plates", "error of z", "least", "median",
-                    "a run-step", "over the fastest yardstick"):  # fmt: skip
+    for heading in ("runs", "program", "step", "plates", "error of z", "of the final x",
+                    "least", "median", "a run-step", "over the yardstick"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "program" else "right")
     runs = 1
     for row in rows:
@@ -206,7 +220,9 @@ def speed_table(rows: list[dict[str, Any]], cores: int) -> Table:
             table.add_section()
         table.add_row(
             str(row["runs"]), row["what"], f"{1e3 * row['dt']:g} ms",
-            str(row["plates"]), errors(row["error_mm"]) + " mm", f"{1e3 * row['seconds']:.1f} ms",
+            str(row["plates"]), errors(row["error_mm"]) + " mm",
+            "not told" if row["place_mm"] is None else f"{row['place_mm']:.2f} mm",
+            f"{1e3 * row['seconds']:.1f} ms",
             f"{1e3 * row['median']:.1f} ms", f"{row['us_per_run_step']:.3f} us",
             f"{row['ratio']:.2f}",
         )  # fmt: skip
@@ -215,8 +231,7 @@ def speed_table(rows: list[dict[str, Any]], cores: int) -> Table:
 
 GRADIENT_NAMES = {
     "plain": "the run itself",
-    "forward": "forward, by zeta and lambda one after the other",
-    "batched": "forward, by zeta and lambda as a batch",
+    "eight": "the run and its derivatives by eight numbers",
     "reverse": "reverse, a loss by zeta and lambda",
 }
 
