@@ -13,6 +13,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -132,11 +133,15 @@ BESIDE = {"float64": "double", "float32": "float", PLAIN_XLA: "double"}
 
 
 def speeds(
-    workers: dict[str, Worker], yardsticks: dict[str, Yardstick], truth: Truth, repeats: int
+    workers: dict[str, Worker],
+    yardsticks: dict[str, Yardstick],
+    truth: Truth,
+    repeats: int,
+    measured: Sequence[Case],
 ) -> list[dict[str, Any]]:
     """A row for each case and precision, and for the yardstick; all measured in turns."""
     rows, timers = [], []
-    for case in (cases.SINGLE, *cases.ENSEMBLES):
+    for case in measured:
         runs, dt = case.runs, cases.YARDSTICK_DT
         for real, yardstick in yardsticks.items():
             rows.append({
@@ -275,6 +280,7 @@ def main() -> None:
     parser.add_argument(
         "--study", action="store_true", help="also study steps and plates (minutes)"
     )
+    parser.add_argument("--many", action="store_true", help="also 4,096 runs, once (minutes)")
     options = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 150)
     here = machine()
@@ -293,7 +299,11 @@ def main() -> None:
             truth = Truth(workers["float64"])
             result: dict[str, Any] = {"machine": here, "repeats": options.repeats}
             console.print(f"{here['cpu']}, {here['cores']} cores, least of {options.repeats}")
-            result["speed"] = speeds(workers, yardsticks, truth, options.repeats)
+            ensemble, many = cases.ENSEMBLES
+            rows = speeds(workers, yardsticks, truth, options.repeats, (cases.SINGLE, ensemble))
+            if options.many:
+                rows += speeds(workers, yardsticks, truth, 1, (many,))
+            result["speed"] = rows
             console.print(speed_table(result["speed"], here["cores"]))
             result["gradients"] = gradients(workers, options.repeats)
             console.print(gradient_table(result["gradients"]))
