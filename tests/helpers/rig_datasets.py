@@ -4,7 +4,7 @@ from diagnose.dataset import RigDataset
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from drftjax.simulation.statics import sinkage_under_load
-from tests.helpers.synthetic_runs import DEEPER, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # Slow and fast, long enough that what grows with travel shows.
 PROFILES = (
@@ -19,7 +19,13 @@ CONDITIONS = ((0.8, 18.8, 0.75), (0.8, 18.8, 0.757), (1.2, 18.8, 0.746), (0.8, 2
 
 
 def run_with(
-    effect: dict, speed: float, mass: float, zeta: float, seed: int, noise: float = 10e-6
+    effect: dict,
+    speed: float,
+    mass: float,
+    zeta: float,
+    seed: int,
+    noise: float = 10e-6,
+    deeper: float = 1.0,
 ) -> RunLog:
     """A run of a rig with an effect, whose wheel stands at first and slows down at last.
 
@@ -30,13 +36,14 @@ def run_with(
         zeta: Scaling factor [-].
         seed: Of the noise.
         noise: Standard deviation of x and z [m].
+        deeper: Sinkage of the standing wheel over what its load asks for [-].
     """
     setup = setup_of(([0.0, 0.25, 1.25, 3.5, 4.25], [0.0, 0.0, speed, speed, 0.3 * speed]), zeta)
     setup.rig.mass_z = mass
     # The plates with which a run log is simulated again.
     setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
     setup.effects = [effect]
-    setup.start.sinkage = DEEPER * float(sinkage_under_load(setup.trial().simulator, zeta))
+    setup.start.sinkage = deeper * float(sinkage_under_load(setup.trial().simulator, zeta))
     return recorded(setup, seed=seed, noise=noise)
 
 

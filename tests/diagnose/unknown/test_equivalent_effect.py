@@ -25,6 +25,7 @@ from drftjax.effects.correction import Curve, correction_class, with_values
 from drftjax.effects.terrain import TerrainVariation
 from drftjax.runlog.hdf5.api import write_run
 from tests.helpers.rig_datasets import run_with
+from tests.helpers.synthetic_runs import DEEPER
 
 # A wave of the sand's strength along the bed [m], which no patch stands for.
 LENGTH, SWING = 0.45, 0.05
@@ -54,7 +55,7 @@ def found(tmp_path_factory) -> Diagnosis:
         patch.setitem(catalogue(), "furrows", Furrows)
         for number, (speed, mass, zeta) in enumerate(CONDITIONS):
             effect = {"name": "furrows", "swing": SWING}
-            run = run_with(effect, speed, mass, zeta, seed=number)
+            run = run_with(effect, speed, mass, zeta, seed=number, deeper=DEEPER)
             write_run(folder / f"run_{number}.h5", run)
     return diagnose(RigDataset.of(gather_runs([folder]).runs), (TerrainVariation,))
 

@@ -19,6 +19,8 @@ EXAMPLES = [
     path
     for folder in ("reference_rigs", "blind/single_practice/set_01", "granular")
     for path in sorted((SHARED / folder).glob("*.h5"))
+    # It starts above the sand, which the check tells.
+    if path.stem != "drop_20mm"
 ]
 
 
