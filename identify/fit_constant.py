@@ -17,7 +17,12 @@ from drftjax.recorded.prepared_run import PreparedRun
 from identify.parameters.bijector import Interval
 from identify.parameters.parameter import Parameter
 from identify.parameters.phase_zeta import PhaseZeta, has_phase_zeta, with_phases
-from identify.results.findings import FINDING_SETTINGS, FindingSettings, findings
+from identify.results.findings import (
+    FINDING_SETTINGS,
+    FindingSettings,
+    findings,
+    step_doubts,
+)
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
@@ -381,6 +386,7 @@ def _result(
         findings=[
             *findings(problem.parameters, shared, fits, spread, hidden, scatter, settings.findings),
             *prior_conflicts(estimate, settings.priors),
+            *step_doubts(estimate.runs),
         ],
         labels=estimate.labels,
         covariance=estimate.covariance_of_values,

@@ -40,7 +40,7 @@ class PlateMotion(eqx.Module):
         depth: Depth below the surface [m], negative above it.
         behind: True behind the contact's bisector: on the side that the wheel turns away from.
         velocity_x, velocity_z: Plate velocity [m/s].
-        direction_x, direction_z: Its direction, fading to zero within `REST_SPEED` of rest [-].
+        direction_x, direction_z: Its direction, fading to zero at rest over a small speed [-].
         normal_speed: Speed along the outward normal [m/s].
         share: Share of its load that the plate carries by the leading-plate rule [-], 0 to 1.
         height_decrease: Loss of height of the sand behind the wheel, r (r omega^2 / g) [m].
@@ -64,6 +64,7 @@ def plate_motion(
     omega: Float[Array, ""],
     height_decrease: Float[Array, ""],
     pace: Float[Array, "2"],
+    rest_speed: Float[Array, ""] | float = REST_SPEED,
 ) -> PlateMotion:
     """Depth and motion of plates on a wheel that translates and turns.
 
@@ -75,14 +76,15 @@ def plate_motion(
         height_decrease: See `PlateMotion`.
         pace: Axle velocity [m/s] whose plate speeds, where they are under `HELD_SPEED`, divide
             the plate velocities into directions: `velocity` itself, unless an integrator holds it.
+        rest_speed: Width [m/s] over which direction and leading-plate rule fade in at rest.
     """
     velocity_x = velocity[0] + omega * plates.z
     velocity_z = velocity[1] - omega * plates.x
     pace_x = pace[0] + omega * plates.z
     pace_z = pace[1] - omega * plates.x
-    held_square = pace_x**2 + pace_z**2 + REST_SPEED**2
+    held_square = pace_x**2 + pace_z**2 + rest_speed**2
     held = jnp.sqrt(held_square)
-    now = jnp.sqrt(velocity_x**2 + velocity_z**2 + REST_SPEED**2)
+    now = jnp.sqrt(velocity_x**2 + velocity_z**2 + rest_speed**2)
     # Fast plates follow the velocity, slow ones keep the pace's speed.
     speed = held + held_square / (held_square + HELD_SPEED**2) * (now - held)
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
@@ -96,7 +98,7 @@ def plate_motion(
         direction_z=velocity_z / speed,
         normal_speed=normal_speed,
         # At rest along its normal a plate still carries fully, so that a standing wheel holds.
-        share=jnp.clip(1 + normal_speed / REST_SPEED, 0, 1),
+        share=jnp.clip(1 + normal_speed / rest_speed, 0, 1),
         height_decrease=height_decrease,
     )
 

@@ -25,6 +25,7 @@ from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
+from drftjax.simulation.step_choice import StepChoice, choose_step
 from drftjax.simulation.trial import Trial
 
 # Fits step with the method that keeps its derivatives bounded at rest; docs/theory/integrator.md.
@@ -44,6 +45,7 @@ class PreparedRun:
         trial: Simulator, start and command, built from the set-up.
         observation: Recorded channels that a simulation is compared with.
         made_in_loop: The run log itself where it was made in the loop; None for others.
+        step_choice: The step that was chosen for an implicit run, and its estimated error.
     """
 
     name: str
@@ -51,6 +53,7 @@ class PreparedRun:
     trial: Trial
     observation: Observation
     made_in_loop: RunLog | None = None
+    step_choice: StepChoice | None = None
 
 
 def prepare_run(
@@ -89,8 +92,16 @@ def prepare_run(
             run, setup.wheel.radius, keep_rest=keep_rest, compare=compare, settings=settings
         )
         setup.start = start_state(run, setup, start_settings, settings)
-        trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
-        return PreparedRun(name, setup, trial, observation, made_in_loop)
+        if method != "implicit":
+            trial = setup.trial(STEPS_A_ROW * setup.integrator.step)
+            return PreparedRun(name, setup, trial, observation, made_in_loop)
+        choice = None
+        if step is None:
+            choice = choose_step(setup.trial())
+            setup.integrator.step = choice.step
+        # A row for every step, so that runs of any step share one program.
+        trial = setup.trial(interval=0)
+        return PreparedRun(name, setup, trial, observation, made_in_loop, choice)
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 
@@ -112,7 +123,8 @@ def setup_for(
         fitted: Names of parameters to be fitted: effects whose numbers are among them are added.
         zeta: Scaling factor to start from [-]; the set-up's where none is given.
         method: Integrator, by its name in a set-up file.
-        step: Its step [s]; where none is given, the longest that the command allows.
+        step: Its step [s]; where none is given, the longest that the command allows, and by
+            'implicit' the one that `choose_step` gives.
 
     Raises:
         InputError: names what the run log lacks.

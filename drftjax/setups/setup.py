@@ -24,6 +24,7 @@ from drftjax.physics.integrator import (
     AbstractIntegrator,
     Explicit,
     HeldPace,
+    Implicit,
     Rosenbrock,
 )
 from drftjax.physics.outline_wheel import OutlineWheel, read_outline
@@ -53,6 +54,7 @@ INTEGRATORS: dict[str, type[AbstractIntegrator]] = {
     "rosenbrock": Rosenbrock,
     "held pace": HeldPace,
     "explicit": Explicit,
+    "implicit": Implicit,
 }
 
 

@@ -1,20 +1,31 @@
 """Simulation of a set-up as a run log."""
 
+import dataclasses
 import math
 
 import equinox as eqx
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 
 from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
+from drftjax.physics.integrator import Implicit
+from drftjax.physics.state import Output
 from drftjax.runlog import record
 from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
 
-_run = eqx.filter_jit(Trial.run)
+CHANNELS = tuple(field.name for field in dataclasses.fields(Output))
+
+
+@eqx.filter_jit
+def _run(trial: Trial) -> Output:
+    if isinstance(trial.simulator.integrator, Implicit):
+        return Output(*trial.run_to(jnp.asarray(trial.rows), CHANNELS))
+    return trial.run()
 
 
 # Rounding of the times of rows, written in decimals [s].

@@ -64,6 +64,7 @@ def sweep(
     keep: Callable[[Output], Float[Array, " kept"]],
     *,
     every: int = 1,
+    stride: Int[Array, ""] | int = 1,
 ) -> Float[Array, "kept all_rows"]:
     """As `simulate`, for a number of rows that is known at run time; differentiable forward only.
 
@@ -73,6 +74,7 @@ def sweep(
         simulator, state, commands, dt, every: As for `simulate`.
         rows: Rows to make, at most shape (steps,) // every.
         keep: Values kept of each row, shape (kept,).
+        stride: Steps of `dt` that are made as one, at the command of the last; divides `every`.
 
     Returns:
         The values kept, with the state at the start as a first row and zero beyond `rows`, shape
@@ -85,15 +87,19 @@ def sweep(
     room = commands.omega.shape[0] // every
     table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
 
+    length = jnp.asarray(stride, jnp.asarray(dt).dtype) * dt
+
     def step(number: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
-        state, output = simulator.step(both[0], jax.tree.map(lambda c: c[number], commands), dt)
+        last = (number + 1) * stride - 1
+        state, output = simulator.step(both[0], jax.tree.map(lambda c: c[last], commands), length)
         return state, keep(output)
 
     # The step stands in the program once: its compilation is most of what a short run costs.
     def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
         state, table = carried
-        start = number * every
-        state, kept = jax.lax.fori_loop(start, start + every, step, (state, begun))
+        parts = every // stride
+        start = number * parts
+        state, kept = jax.lax.fori_loop(start, start + parts, step, (state, begun))
         return state, table.at[number + 1].set(kept)
 
     return jax.lax.fori_loop(0, rows, row, (state, table))[1].T

@@ -10,8 +10,9 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
 from drftjax.effects.base import AbstractAdjustment, AbstractEffect, StepContext
 from drftjax.physics.command import Command
-from drftjax.physics.integrator import AbstractIntegrator, Rosenbrock, value_and_jacobian
-from drftjax.physics.rig import Rig
+from drftjax.physics.implicit import AbstractBalance, root_of
+from drftjax.physics.integrator import AbstractIntegrator, Implicit, Rosenbrock, value_and_jacobian
+from drftjax.physics.rig import FreeCarriage, Rig
 from drftjax.physics.state import Output, State, slip
 from drftjax.physics.stress import PlateMotion, plate_motion
 from drftjax.physics.terrain import Terrain
@@ -19,6 +20,13 @@ from drftjax.physics.wheel import AbstractWheel, GrouserWheel, Plates
 
 # Time [s] that an observation takes of an instrument that lags: none, but for a division.
 INSTANT = 1e-9
+
+# Gravitational acceleration at which zeta is the scaling factor of the stress [m/s2].
+EARTH_GRAVITY = 9.81
+
+
+# Speed of the axle over that of the rim [-] below which a wheel turns on the spot.
+ON_THE_SPOT = 1e-3
 
 
 class PlateLoad(eqx.Module):
@@ -133,9 +141,12 @@ class Simulator(eqx.Module):
         plates = chain.move_plates(self.effects, self.wheel.cut().plates(angle), angle)
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
-        motion = plate_motion(plates, height, velocity, omega, height_decrease, pace)
+        width = self.integrator.rest_speed(radius, self.rig.gravity, omega)
+        motion = plate_motion(plates, height, velocity, omega, height_decrease, pace, width)
         motion = chain.relative_to_surface(self.effects, memory, motion, position[0], plates.x)
-        stress_x, stress_z = self.terrain.law.stress(motion, plates, zeta)
+        # The sand's strength goes with gravity, so that zeta is a number of the sand.
+        strength = zeta * (self.rig.gravity / EARTH_GRAVITY)
+        stress_x, stress_z = self.terrain.law.stress(motion, plates, strength)
         factor = chain.stress_factor(self.effects, motion)
         return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
 
@@ -196,6 +207,12 @@ class Simulator(eqx.Module):
             return chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
 
         start = self.rig.carriage.approach(state.velocity, command)
+        if isinstance(self.integrator, Implicit):
+            balance = StepBalance(self, start, state, memory, moment, zeta)
+            guess = _guess(state.omega, start, omega, radius)
+            velocity, sand, _ = root_of(balance, guess, self.integrator.newton)
+            travel = (state.velocity + velocity) / 2
+            return self._moved(state, velocity, travel, sand, memory, moment, zeta)
         sand, by_velocity = self.integrator.linearise(sand_wrench, start)
         held, held_by_velocity = value_and_jacobian(rig_load, start)
         damping = jnp.stack([self.rig.damping_x, self.rig.damping_z])
@@ -207,11 +224,35 @@ class Simulator(eqx.Module):
         # z moves by the velocity that its force was balanced at. x bears on no force, so it may
         # move by the mean, which has no error of first order while the wheel speeds up.
         travel = jnp.stack([(state.velocity[0] + velocity[0]) / 2, velocity[1]])
-        position = state.position + dt * travel
-        memory = chain.advance(effects, memory, moment)
-        after = State(time, position, velocity, angle, omega)
-        truth = self._output(after, sand + by_velocity @ (velocity - start), zeta)
-        reading, memory = chain.measure(effects, memory, truth, dt)
+        sand = sand + by_velocity @ (velocity - start)
+        return self._moved(state, velocity, travel, sand, memory, moment, zeta)
+
+    def _moved(
+        self,
+        state: State,
+        velocity: Float[Array, "2"],
+        travel: Float[Array, "2"],
+        sand: Float[Array, "3"],
+        memory: chain.Memories,
+        moment: StepContext,
+        zeta: Float[Array, ""],
+    ) -> tuple[State, Output]:
+        """State and reading after a step.
+
+        Args:
+            state: State at the start of the step.
+            velocity: Velocity (x, z) at its end [m/s].
+            travel: Mean velocity (x, z) over it, by which the axle moves [m/s].
+            sand: Wrench of the sand on the wheel [N, N, N m].
+            memory: What the effects remember during it.
+            moment: Context of the step.
+            zeta: Scaling factor [-].
+        """
+        position = state.position + moment.dt * travel
+        memory = chain.advance(self.effects, memory, moment)
+        after = State(moment.time, position, velocity, moment.angle, moment.omega)
+        truth = self._output(after, sand, zeta)
+        reading, memory = chain.measure(self.effects, memory, truth, moment.dt)
         return dataclasses.replace(after, memory=memory), reading
 
     def held(self, state: State, command: Command) -> Float[Array, "2"]:
@@ -276,3 +317,85 @@ class Simulator(eqx.Module):
             sinkage=-z,
             zeta=zeta,
         )
+
+
+def _guess(
+    before: Float[Array, ""],
+    start: Float[Array, "2"],
+    omega: Float[Array, ""],
+    radius: Float[Array, ""],
+) -> Float[Array, "2"]:
+    """Velocity (x, z) that the search for the root begins with [m/s].
+
+    Quasi-static motion goes along with the angular velocity; it is doubled at most. A wheel that
+    turns on the spot is at a corner of the leading-plate rule, so it is given half its rim's speed.
+
+    Args:
+        before, omega: Angular velocity at the step's start and end [rad/s].
+        start: Velocity at its start [m/s].
+        radius: Rim radius [m].
+    """
+    turning = before != 0
+    growth = jnp.where(turning, jnp.clip(omega / jnp.where(turning, before, 1), 0, 2), 1)
+    rim = radius * omega
+    spins = jnp.abs(start[0]) < ON_THE_SPOT * jnp.abs(rim)
+    along = jnp.where(spins, rim / 2, growth * start[0])
+    return jnp.stack([along, growth * start[1]])
+
+
+class StepBalance(AbstractBalance):
+    """Balance of momentum over one step of a simulator.
+
+    Attributes:
+        simulator: Prepared, with its wheel cut.
+        start: Velocity (x, z) that the step starts from [m/s].
+        state: State at the start of the step.
+        memory: What the effects remember during it.
+        moment: Context of the step.
+        zeta: Scaling factor [-].
+    """
+
+    simulator: Simulator
+    start: Float[Array, "2"]
+    state: State
+    memory: chain.Memories
+    moment: StepContext
+    zeta: Float[Array, ""]
+
+    def __call__(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "3"]]:
+        simulator, memory, moment, dt = self.simulator, self.memory, self.moment, self.moment.dt
+        position = self.state.position + dt * (velocity + self.start) / 2
+        effects, rig = simulator.effects, simulator.rig
+        sand = simulator.wrench(
+            position, velocity, moment.angle, moment.omega, self.zeta, None, memory
+        )
+        piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
+        sand = sand.at[:2].add(piled)
+        held = chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
+        forces = sand[:2] + rig.load(velocity) + held
+        return rig.mass() * (velocity - self.start) - dt * forces, sand
+
+    def solve(
+        self, jacobian: Float[Array, "2 2"], residual: Float[Array, "2"]
+    ) -> Float[Array, "2"]:
+        still = jnp.zeros_like(residual)
+        return self.simulator.rig.carriage.advance(still, residual, jacobian)
+
+    def inverse_norm_bound(self, jacobian: Float[Array, "2 2"]) -> Float[Array, ""]:
+        root = jnp.sqrt(self.simulator.rig.mass())
+        scaled = jacobian / root[:, None] / root[None, :]
+        if not isinstance(self.simulator.rig.carriage, FreeCarriage):
+            return 1 / jnp.abs(scaled[1, 1])
+        determinant = scaled[0, 0] * scaled[1, 1] - scaled[0, 1] * scaled[1, 0]
+        # The largest singular value of a matrix of two rows, over the product of both.
+        squares = jnp.sum(scaled**2)
+        apart = jnp.sqrt(jnp.maximum(squares**2 - 4 * determinant**2, 0))
+        return jnp.sqrt((squares + apart) / 2) / jnp.abs(determinant)
+
+    def speed_scale(self) -> Float[Array, ""]:
+        return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
+
+    def size(self, residual: Float[Array, "2"]) -> Float[Array, ""]:
+        speed = residual / self.simulator.rig.mass()
+        free = isinstance(self.simulator.rig.carriage, FreeCarriage)
+        return jnp.hypot(speed[0], speed[1]) if free else jnp.abs(speed[1])

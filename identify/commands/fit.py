@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-METHODS = ("rosenbrock", "held pace")
+METHODS = ("rosenbrock", "held pace", "implicit")
 
 
 EXAMPLES = """
@@ -96,7 +96,7 @@ def fit(
         int | None, typer.Option(help="Draws of a bootstrap: intervals and bands of readings.")
     ] = None,
     method: Annotated[
-        str, typer.Option(help="Integrator: 'held pace' or 'rosenbrock'.")
+        str, typer.Option(help="Integrator: 'held pace', 'rosenbrock' or 'implicit'.")
     ] = "held pace",
     step: Annotated[
         float | None,

@@ -8,6 +8,7 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.observation import SHOWN
+from drftjax.recorded.prepared_run import PreparedRun
 from identify.parameters.parameter import Parameter
 from identify.results.noise_floor import fast_scatter, noise_floor
 from identify.results.outliers import (
@@ -43,6 +44,19 @@ FINDING_SETTINGS = FindingSettings()
 
 
 NO_SCATTER: Mapping[str, float] = MappingProxyType({})
+
+
+def step_doubts(runs: Sequence[PreparedRun]) -> list[str]:
+    """Sentences on runs whose step is too long for the error wanted, or their derivatives unsure.
+
+    Args:
+        runs: Runs of the fit.
+    """
+    return [
+        f"{run.name} is simulated, and its derivatives are, less closely than wanted: {choice}"
+        for run in runs
+        if (choice := run.step_choice) is not None and not choice.within
+    ]
 
 
 def findings(

@@ -245,10 +245,13 @@ def test_all_bad_files_are_listed_and_refused(drft, folder, tmp_path):
         (["--share", "rig.mass"], "there is no parameter 'rig.mass'; did you mean rig.mass_"),
         (["--own", "zeta", "--share", "zeta"], "terrain.zeta is asked for twice"),
         (["--own", "zeta", "--own", "terrain.zeta"], "terrain.zeta is asked for twice"),
-        (["--method", "euler"], "--method is 'euler', must be one of rosenbrock, held pace"),
+        (
+            ["--method", "euler"],
+            "--method is 'euler', must be one of rosenbrock, held pace, implicit",
+        ),
         (
             ["--method", "explicit"],
-            "must be one of rosenbrock, held pace; explicit steps are wrong",
+            "must be one of rosenbrock, held pace, implicit; explicit steps are wrong",
         ),
         (["--start-zeta", "-1"], "--start-zeta is -1, must be over 0"),
         (["--start-zeta", "nan"], "--start-zeta is nan, must be over 0"),

@@ -1,0 +1,214 @@
+r"""Implicit Euler in the velocity: a step that stands at rest, with the derivatives of its root.
+
+The sand's force does not depend on how fast a wheel moves but on which way, so at rest it jumps:
+whatever holds the wheel, up to what the sand can bear. An explicit step chatters there. Here the
+velocity at a step's end is the root of the balance of momentum over the step,
+
+$$\mathbf G(\mathbf v) = M(\mathbf v - \mathbf v_0) - h\,\mathbf F(\mathbf x_0 + h\mathbf v,\,
+  \mathbf v) = 0,$$
+
+found by Newton's method with step halving. Quasi-static motion is proportional to the angular
+velocity, so the last velocity times the change of angular velocity starts it close by.
+
+Derivatives by anything that the step depends on follow from the implicit function theorem at the
+root, $\partial\mathbf v = -(\partial\mathbf G/\partial\mathbf v)^{-1}\,\partial\mathbf G$: one
+linear solve with the last Jacobian, no derivative of the iteration and no second derivative of
+the force.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+# The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
+# and its Jacobian be all but singular, at one step of a thousand. Sand dissipates, so a change of
+# velocity shrinks in a step; where its derivative says more than this [-], it is scaled to this,
+# and no product of steps can grow without bound.
+LARGEST_GROWTH = 1.0
+
+Pair = Float[Array, "2"]
+Matrix = Float[Array, "2 2"]
+
+
+class AbstractBalance(eqx.Module):
+    """Balance of momentum over one step, as a function of the velocity at its end."""
+
+    @abc.abstractmethod
+    def __call__(self, velocity: Pair) -> tuple[Pair, Float[Array, " forces"]]:
+        """Residual G [N s] of the balance at a velocity [m/s], and the forces that go into it.
+
+        Args:
+            velocity: Velocity (x, z) at the end of the step [m/s].
+        """
+
+    @abc.abstractmethod
+    def solve(self, jacobian: Matrix, residual: Pair) -> Pair:
+        """Change of velocity [m/s] that the linearised balance asks for, on the axes that are free.
+
+        Args:
+            jacobian: Derivative of the residual by the velocity [kg].
+            residual: Residual [N s].
+        """
+
+    @abc.abstractmethod
+    def inverse_norm_bound(self, jacobian: Matrix) -> Float[Array, ""]:
+        """Bound of the growth [-] of a change of momentum by the inverse, in units of the masses.
+
+        Sand that only dissipates lets no change of velocity grow: 1 at most.
+
+        Args:
+            jacobian: Derivative of the residual by the velocity [kg].
+        """
+
+    @abc.abstractmethod
+    def speed_scale(self) -> Float[Array, ""]:
+        """Speed [m/s] that the tolerance of the search is a share of."""
+
+    @abc.abstractmethod
+    def size(self, residual: Pair) -> Float[Array, ""]:
+        """Residual as a velocity [m/s], over the axes that are free."""
+
+
+class NewtonSettings(eqx.Module):
+    """Numbers of the search for the root, all without a unit.
+
+    Attributes:
+        tolerance: A change of velocity, as a share of the balance's scale, below which the root is
+            found: for the paper's wheel a thousandth of a millimetre in 100 s.
+        most_evaluations: Evaluations of the force at most. A wheel that rolls needs 3 or 4, one
+            that is stopped within a step some 20.
+        shrink: Factor on the part of a Newton step that is tried next where the residual does not
+            fall. Dry friction turns over within a millionth of the step: a third gets there in
+            fewer evaluations than a half (17 to 27 of a block on a rough floor).
+        grow: Factor on that part for the next Newton step, up to a whole one.
+        shortest: Part of a Newton step that is taken even where the residual does not fall.
+        decrease: Least relative decrease of the squared residual by a full step (Armijo).
+    """
+
+    tolerance: float = eqx.field(static=True, default=1e-8)
+    most_evaluations: int = eqx.field(static=True, default=60)
+    shrink: float = eqx.field(static=True, default=0.3)
+    grow: float = eqx.field(static=True, default=2.0)
+    shortest: float = eqx.field(static=True, default=1e-9)
+    decrease: float = eqx.field(static=True, default=1e-4)
+
+
+class Root(eqx.Module):
+    """End of the search for a root.
+
+    Attributes:
+        velocity: Velocity (x, z) [m/s].
+        residual: Residual there [N s].
+        forces: What else the balance gives there.
+        jacobian: Derivative of the residual by the velocity [kg].
+        evaluations: Evaluations of the force.
+        found: Whether the last change of velocity was under the tolerance.
+    """
+
+    velocity: Pair
+    residual: Pair
+    forces: Float[Array, " forces"]
+    jacobian: Matrix
+    evaluations: Int[Array, ""]
+    found: Bool[Array, ""]
+
+
+def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix, Array]:
+    """The balance at a velocity, and the derivatives of residual and forces by it."""
+    values, along = jax.linearize(lambda v: balance(v), velocity)
+    # One direction at a time: a batched pair keeps XLA from fusing it with the plates' other sums.
+    directions = jnp.eye(2, dtype=velocity.dtype)
+    columns = [along(directions[0]), along(directions[1])]
+    jacobian, by_velocity = (jnp.stack(pair, axis=1) for pair in zip(*columns, strict=True))
+    return values, jacobian, by_velocity
+
+
+def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> Root:
+    (residual, forces), jacobian, _ = _linearized(balance, velocity)
+    found = jnp.asarray(False)
+    return Root(velocity, residual, forces, jacobian, evaluations, found)
+
+
+def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
+    """Root of the balance by Newton's method with step halving.
+
+    Args:
+        balance: Whose root is looked for.
+        guess: Velocity (x, z) to begin with [m/s].
+        settings: Numbers of the search.
+    """
+
+    tolerance = settings.tolerance * balance.speed_scale()
+
+    def judged(root: Root, step: Pair) -> Root:
+        return eqx.tree_at(lambda r: r.found, root, jnp.max(jnp.abs(step)) < tolerance)
+
+    def step_of(root: Root) -> Pair:
+        return -balance.solve(root.jacobian, root.residual)
+
+    def going_on(carried: tuple[Root, Pair, Array]) -> Bool[Array, ""]:
+        root, _, _ = carried
+        return ~root.found & (root.evaluations < settings.most_evaluations)
+
+    def turn(carried: tuple[Root, Pair, Array]) -> tuple[Root, Pair, Array]:
+        root, step, part = carried
+        tried = _evaluated(balance, root.velocity + part * step, root.evaluations + 1)
+        bound = (1 - settings.decrease * part) * balance.size(root.residual) ** 2
+        accepted = balance.size(tried.residual) ** 2 <= bound
+        accepted |= part <= settings.shortest
+        root = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), tried, root)
+        root = eqx.tree_at(lambda r: r.evaluations, root, tried.evaluations)
+        step = jnp.where(accepted, step_of(root), step)
+        grown = jnp.minimum(1, settings.grow * part)
+        part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
+        return judged(root, part * step), step, part
+
+    first = _evaluated(balance, guess, jnp.asarray(1))
+    step, whole = step_of(first), jnp.ones((), guess.dtype)
+    first = judged(first, step)
+    return jax.lax.while_loop(going_on, turn, (first, step, whole))[0]
+
+
+def root_of(
+    balance: AbstractBalance, guess: Pair, settings: NewtonSettings
+) -> tuple[Pair, Float[Array, " forces"], Root]:
+    """Velocity and forces at the root of the balance, differentiable by all that it depends on.
+
+    Args:
+        balance: Whose root is looked for.
+        guess: Velocity (x, z) to begin with [m/s]; nothing depends on it.
+        settings: Numbers of the search.
+
+    Returns:
+        The velocity [m/s], the forces there, and the search's end, which is a constant.
+    """
+    frozen = jax.lax.stop_gradient(balance)
+    root = newton(frozen, jax.lax.stop_gradient(guess), settings)
+    velocity, forces = _at_root(balance, root)
+    return velocity, forces, root
+
+
+@eqx.filter_custom_jvp
+def _at_root(balance: AbstractBalance, root: Root) -> tuple[Pair, Float[Array, " forces"]]:
+    return root.velocity, root.forces
+
+
+@_at_root.def_jvp
+def _by_implicit_function(primals, tangents):
+    balance, root = primals
+    by_balance, _ = tangents
+    # By the function itself, so that derivatives of this derivative see the root move.
+    velocity, forces = _at_root(balance, root)
+    _, jacobian, forces_by_velocity = _linearized(balance, velocity)
+    _, changes = eqx.filter_jvp(lambda b: b(velocity), (balance,), (by_balance,))
+    # Of what depends on nothing that changes, as the sand's force at a rig's load, there is none.
+    residual, change = (
+        jnp.zeros_like(value) if each is None else each
+        for value, each in zip((velocity, forces), changes, strict=True)
+    )
+    growth = balance.inverse_norm_bound(jacobian)
+    by = -balance.solve(jacobian, residual) * jnp.minimum(1, LARGEST_GROWTH / growth)
+    return (velocity, forces), (by, change + forces_by_velocity @ by)
