@@ -14,6 +14,11 @@ Derivatives by anything that the step depends on follow from the implicit functi
 root, $\partial\mathbf v = -(\partial\mathbf G/\partial\mathbf v)^{-1}\,\partial\mathbf G$: one
 linear solve with the last Jacobian, no derivative of the iteration and no second derivative of
 the force.
+
+The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
+and its Jacobian be all but singular, at one step of a thousand. A change of velocity grows there by
+more than any that can be seen: plates saturate. So the growth of a derivative is bounded, over all
+steps since it last shrank, and no product of steps explodes.
 """
 
 import abc
@@ -22,12 +27,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
-
-# The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
-# and its Jacobian be all but singular, at one step of a thousand. Sand dissipates, so a change of
-# velocity shrinks in a step; where its derivative says more than this [-], it is scaled to this,
-# and no product of steps can grow without bound.
-LARGEST_GROWTH = 1.0
 
 Pair = Float[Array, "2"]
 Matrix = Float[Array, "2 2"]
@@ -54,14 +53,16 @@ class AbstractBalance(eqx.Module):
         """
 
     @abc.abstractmethod
-    def inverse_norm_bound(self, jacobian: Matrix) -> Float[Array, ""]:
-        """Bound of the growth [-] of a change of momentum by the inverse, in units of the masses.
-
-        Sand that only dissipates lets no change of velocity grow: 1 at most.
+    def growth(self, jacobian: Matrix) -> Float[Array, ""]:
+        """Most [-] that a change of momentum, in units of the masses, grows by in the step.
 
         Args:
             jacobian: Derivative of the residual by the velocity [kg].
         """
+
+    @abc.abstractmethod
+    def largest_growth(self) -> Float[Array, ""]:
+        """Growth [-] that is believed; a derivative that grows by more is scaled to this."""
 
     @abc.abstractmethod
     def speed_scale(self) -> Float[Array, ""]:
@@ -209,6 +210,6 @@ def _by_implicit_function(primals, tangents):
         jnp.zeros_like(value) if each is None else each
         for value, each in zip((velocity, forces), changes, strict=True)
     )
-    growth = balance.inverse_norm_bound(jacobian)
-    by = -balance.solve(jacobian, residual) * jnp.minimum(1, LARGEST_GROWTH / growth)
+    believed = jnp.minimum(1, balance.largest_growth() / balance.growth(jacobian))
+    by = -believed * balance.solve(jacobian, residual)
     return (velocity, forces), (by, change + forces_by_velocity @ by)

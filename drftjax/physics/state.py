@@ -19,6 +19,8 @@ class State(eqx.Module):
         angle: Wheel angle, positive driving forward [rad].
         omega: Angular velocity [rad/s].
         memory: Memory of each effect; empty before `Simulator.begin`.
+        growth: Most that a derivative by the velocity has grown by since it last was as small as
+            it began [-]; see `drftjax.physics.implicit`.
     """
 
     time: Float[Array, ""]
@@ -27,6 +29,7 @@ class State(eqx.Module):
     angle: Float[Array, ""]
     omega: Float[Array, ""]
     memory: tuple[Any, ...] = ()
+    growth: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
 
     @classmethod
     def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0, speed: Real = 0.0) -> "State":

@@ -205,9 +205,10 @@ def test_command_that_starts_late_keeps_its_clock(drft, short, tmp_path):
     np.testing.assert_array_equal(late.command.time, [5, 5.2, 5.5, 6])
 
 
-def test_driven_carriage_goes_where_it_is_told(drft, short, tmp_path):
+@pytest.mark.parametrize("integrator", ["", "[integrator]\nmethod = 'implicit'\n"])
+def test_driven_carriage_goes_where_it_is_told(drft, short, tmp_path, integrator):
     driven = SHORT + "vx = [0, 0, 0.1, 0.1]\n[rig]\ncarriage = 'driven'\n"
-    short.write_text(driven)
+    short.write_text(driven + integrator)
     run = final(drft, tmp_path, short)
     np.testing.assert_array_equal(run.command.vx, [0, 0, 0.1, 0.1])
     # The knots' trapezia.

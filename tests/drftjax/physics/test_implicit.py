@@ -37,8 +37,11 @@ class Block(AbstractBalance):
         first, second = residual
         return jnp.stack([d * first - b * second, a * second - c * first]) / (a * d - b * c)
 
-    def inverse_norm_bound(self, jacobian):
+    def growth(self, jacobian):
         return 1 / jnp.linalg.svd(jacobian / MASS, compute_uv=False)[-1]
+
+    def largest_growth(self):
+        return jnp.ones(())
 
     def speed_scale(self):
         return jnp.ones(())
