@@ -142,7 +142,7 @@ def test_derivatives_are_those_of_the_other_implementation(rigs, name):
     found = jax.jit(jax.jacfwd(outcome))(jnp.zeros(len(table)))
     expected = np.array(list(table.values())).T
     largest = np.abs(expected).max(axis=1, keepdims=True)
-    if name == "stiff_sand":
-        return
     allowed = np.maximum(RELATIVE * np.abs(expected), OF_LARGEST * largest)
+    if name == "stiff_sand":  # z by the radius is the one that is wrong, by three times as much
+        allowed[0, list(table).index("radius")] = np.inf
     assert np.all(np.abs(found - expected) < allowed)
