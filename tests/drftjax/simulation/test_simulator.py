@@ -1,5 +1,6 @@
 """The wheel in its rig: rest, falling, rolling, towing, driven slip, and energy."""
 
+import dataclasses
 import math
 
 import jax
@@ -15,7 +16,7 @@ from drftjax.physics.stress import QuasiStatic
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import step_times
-from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.simulator import LARGEST_GROWTH, Simulator
 from drftjax.simulation.statics import DEFAULT_STATICS, REST, sinkage_under_load
 from tests.studies.runs import profile, roll
 
@@ -252,3 +253,35 @@ def test_command_is_linear_between_its_samples(speed):
     commands = command_at(jnp.array([0.25, 2.0]), knots, jnp.array([0.0, 0.4]), speed * knots)
     np.testing.assert_allclose(commands.omega, [0.1, 0.4], rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(commands.vx, [0.25 * speed, speed], rtol=0, atol=ROUNDING)
+
+
+def test_derivatives_by_the_velocity_grow_by_no_more_than_is_believed():
+    """Over any steps in a row, by the norms of the steps' own derivatives on far too stiff sand."""
+    wheel, terrain = GrouserWheel(plate_size=0.005), Terrain(ConstantZeta(8.0))
+    simulator = Simulator(wheel, terrain).prepared()
+    root, dt = jnp.sqrt(simulator.rig.mass()), 1.25e-3
+
+    def step(state, omega):
+        command = Command(omega, jnp.zeros(()), jnp.zeros(()))
+
+        def velocity(start):
+            after, _ = simulator.step(dataclasses.replace(state, velocity=start), command, dt)
+            return after.velocity, after
+
+        slope, after = jax.jacfwd(velocity, has_aux=True)(state.velocity)
+        return after, (root[:, None] * slope / root[None, :], after.growth)
+
+    omega = jnp.asarray(0.52 * np.clip(np.arange(1600) / 800, 0, 1))
+    _, (slopes, told) = jax.jit(lambda start: jax.lax.scan(step, start, omega))(
+        State.at_rest(0.0025)
+    )
+    norms = np.linalg.svd(np.asarray(slopes), compute_uv=False)[:, 0]
+    grown, largest = 1.0, []
+    for norm in norms:
+        grown = max(1.0, grown * norm)
+        largest.append(grown)
+    # A start's velocity also moves the place, by half a step of it: a thousandth of the norm here,
+    # and 2 % of the growth of a stretch of some twenty steps.
+    assert max(largest) <= LARGEST_GROWTH * 1.01
+    assert max(largest) > 2, "there are steps that ask for more than is believed"
+    np.testing.assert_allclose(told, largest, rtol=0.03)
