@@ -49,6 +49,10 @@ FINE_PLATE_SIZE = 2e-5
 PLATE_DEPTH = 0.010
 # Depths whose stress a cohesion is given [m].
 COHESIVE_DEPTHS = (0.0, 0.002, 0.005, 0.010, 0.030)
+# Shares of the lugs' height that are tried [-].
+SHARES = (0.25, 0.3, 1 / 3, 0.4, 0.5, 0.6, 0.8, 1.0)
+# Grousers of KLS-1 by its spacing of 36 degrees; the table says 16.
+KLS_BY_SPACING = 10
 # By label in the table: name for print.
 WHEELS = {
     "ding2011_smooth_w80": "Ding, smooth",
@@ -436,6 +440,35 @@ def arc_table(tests: dict[str, WheelTest]) -> Table:
     return made
 
 
+def shares_table(tests: dict[str, WheelTest]) -> Table:
+    """Errors at one zeta by the share of the lugs' height."""
+    title = "One zeta, by the share of the lugs' height: RMSE of H mm, Fx N, T N m"
+    made = table(title, "wheel", *(f"{share:.2f}" for share in SHARES))
+    for name, test in tests.items():
+        if not test.grouser_count:
+            continue
+        cells = []
+        for share in SHARES:
+            sinkage, forward, torque = one_zeta(grousered(test, fraction=share), test).errors(test)
+            cells.append(f"{sinkage * MM:.1f}, {forward:.1f}, " + _number(torque, f"{torque:.2f}"))
+        made.add_row(name, *cells)
+    return made
+
+
+def largest_by_speed(tests: dict[str, WheelTest]) -> float:
+    """Largest change of any sinkage [m] by half and twice the carriage's speed, at one zeta."""
+    changes = []
+    for test in tests.values():
+        reading = true_wheel(test)
+        zeta = float(one_zeta(reading, test).zeta[0])
+        at = at_one_zeta(reading, test, zeta).sinkage
+        changes += [
+            np.abs(at_one_zeta(reading, test, zeta, factor * CARRIAGE_SPEED).sinkage - at).max()
+            for factor in (0.5, 2.0)
+        ]
+    return float(max(changes))
+
+
 def cohesion_table(tests: dict[str, WheelTest]) -> Table:
     """One zeta, its error of sinkage, and the fall of the needed zeta, by cohesion."""
     title = "With the stress of a further depth: one zeta, RMSE of H mm, largest over last own zeta"
@@ -484,6 +517,16 @@ def main() -> None:
         f"most {np.abs(fine.sinkage).max() * 1e6:.2f} um."
     )
     console.print(cohesion_table(tests))
+    console.print(shares_table(tests))
+    console.print(
+        "At half and twice the carriage's speed no sinkage moves by more than "
+        f"{largest_by_speed(tests) * MM:.4f} mm."
+    )
+    kls = replace(tests["KLS-1, grousers"], grouser_count=KLS_BY_SPACING)
+    console.print(
+        f"KLS-1 with {KLS_BY_SPACING} grousers: RMSE of H "
+        f"{one_zeta(true_wheel(kls), kls).errors(kls)[0] * MM:.2f} mm."
+    )
 
 
 if __name__ == "__main__":
