@@ -36,7 +36,8 @@ os.environ |= {
 # first.
 os.environ.setdefault(
     "XLA_FLAGS",
-    f"--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 {WHOLE_LOOPS}",
+    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 "
+    f"--xla_llvm_disable_expensive_passes=true {WHOLE_LOOPS}",
 )
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")

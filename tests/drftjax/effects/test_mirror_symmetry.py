@@ -34,8 +34,9 @@ from tests.helpers.effect_runs import (
 
 # The plates of a mirrored wheel are added up in another order. Of a wheel on sand what rounding
 # changes dies out, but a plate that is about to lead tells of it in its force before [m], [N].
-# A wheel that sets off is at such a corner, and goes some 1e-8 m farther or less.
-ROUNDING, FORCE_ROUNDING = 1e-7, 3e-4
+# A wheel that sets off is at such a corner, and goes some 1e-8 m farther or less; its slip is that
+# speed over a rim's of some centimetres a second.
+ROUNDING, FORCE_ROUNDING = 1e-6, 3e-4
 # Share of the top speed.
 SETTING_OFF = 0.02
 # Nine lengths of a pile on, e^-9 = 1.2e-4 of it is still to come; twice that.
