@@ -39,6 +39,11 @@ from identify.solver.settings import (
     SolverSettings,
 )
 from identify.uncertainty.covariance import null_directions
+from identify.uncertainty.derivative_check import (
+    DERIVATIVE_CHECK_SETTINGS,
+    DerivativeCheckSettings,
+    derivative_doubts,
+)
 from identify.uncertainty.estimate import Estimate
 from identify.uncertainty.noise_model import AbstractNoise, White
 from identify.uncertainty.priors import (
@@ -72,7 +77,7 @@ class FitSettings:
         finest: Share of a channel's constant simulation error (`MODEL_ERROR`) below which no
             channel is weighted as finer, however fine its readings: the others tell as much then.
         finest_run: Smallest residual of a run; see `identify.solver.whitening.Whitening`.
-        solver, short_steps, multistart, priors: Numbers of these.
+        solver, short_steps, multistart, priors, derivatives: Numbers of these.
         findings: Numbers of the sentences on the result.
     """
 
@@ -86,6 +91,7 @@ class FitSettings:
     short_steps: BatchedSolverSettings = BATCHED_SETTINGS
     multistart: MultistartSettings = MULTISTART_SETTINGS
     priors: PriorSettings = PRIOR_SETTINGS
+    derivatives: DerivativeCheckSettings = DERIVATIVE_CHECK_SETTINGS
     findings: FindingSettings = FINDING_SETTINGS
 
 
@@ -163,12 +169,13 @@ def fit(
         stuck = _stuck_at_bounds(problem, start, solution.coordinates, settings.farthest)
         if any(stuck):
             solution = _in_short_steps(problem, len(kept), start, solution, stuck, report, settings)
+    doubts = derivative_doubts(problem, solution, coordinates, kept, settings.derivatives)
     estimate = Estimate.of(problem, solution, tuple(kept), model_error, settings.finest_run)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         estimate = apply_priors(
             estimate, lambda s, size: report("fit with its priors", s, np.nan), settings.priors
         )
-    return replace(_result(estimate, before, failures, settings), starts=summary)
+    return replace(_result(estimate, before, failures, doubts, settings), starts=summary)
 
 
 def _in_short_steps(
@@ -327,9 +334,13 @@ def _lower_median(values: np.ndarray) -> float:
 
 
 def _result(
-    estimate: Estimate, before: np.ndarray, failures: dict[str, str], settings: FitSettings
+    estimate: Estimate,
+    before: np.ndarray,
+    failures: dict[str, str],
+    doubts: list[str],
+    settings: FitSettings,
 ) -> FitResult:
-    """Return the result of a fit, with its findings."""
+    """Return the result of a fit, with its findings and doubts of its derivatives."""
     problem, solution = estimate.problem, estimate.solution
     error = np.sqrt(np.diag(estimate.covariance))
     shared_coordinates, own_coordinates = solution.coordinates
@@ -387,6 +398,7 @@ def _result(
             *findings(problem.parameters, shared, fits, spread, hidden, scatter, settings.findings),
             *prior_conflicts(estimate, settings.priors),
             *step_doubts(estimate.runs),
+            *doubts,
         ],
         labels=estimate.labels,
         covariance=estimate.covariance_of_values,

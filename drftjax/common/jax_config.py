@@ -36,6 +36,9 @@ def configure_jax(
     # Programs run threads of their own, which those of NumPy's BLAS would only slow down.
     # Read when NumPy is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # XLA logs alarms of its own (a slow compilation, a thread that waits), for its developers. Only
+    # what ends the program is told. Read when JAX is first imported.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax  # here, so that `drft --help` needs no JAX
 
     jax.config.update("jax_enable_x64", precision == "float64")

@@ -1,0 +1,86 @@
+"""Derivatives of a fit beside one finite difference along the way that the fit went.
+
+Where a plate turns over at every step, as on far too stiff sand, the derivative of a run is no
+slope over any change that matters. One more simulation shows it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drftjax.recorded.prepared_run import PreparedRun
+from identify.solver.levenberg_marquardt import Solution
+from identify.solver.problem import Coordinates, Problem
+
+
+@dataclass(frozen=True)
+class DerivativeCheckSettings:
+    """Numbers of the check.
+
+    Attributes:
+        change: Largest change of a coordinate [-]; of a positive number its logarithm: half a per
+            cent, as wide as a secant over corners that a run passes must be.
+        doubtful: Relative difference of a run's change from the predicted one that is told: twice
+            what corners leave in a derivative that is right.
+    """
+
+    change: float = 5e-3
+    doubtful: float = 0.1
+
+
+DERIVATIVE_CHECK_SETTINGS = DerivativeCheckSettings()
+
+
+def derivative_doubts(
+    problem: Problem,
+    solution: Solution,
+    start: Coordinates,
+    runs: Sequence[PreparedRun],
+    settings: DerivativeCheckSettings = DERIVATIVE_CHECK_SETTINGS,
+) -> list[str]:
+    """Sentences on runs whose derivatives a finite difference contradicts.
+
+    Args:
+        problem: Of the fit.
+        solution: Its end.
+        start: Coordinates from which the fit came.
+        runs: Runs of the fit.
+        settings: Numbers of the check.
+    """
+    errors = derivative_errors(problem, solution, start, settings)
+    return [
+        f"{run.name}: over a small step its simulation changes otherwise than its derivatives say,"
+        f" by {100 * error:.2g} %, so its errors, and whether it converged, are doubtful"
+        for run, error in zip(runs, errors, strict=False)
+        if error > settings.doubtful
+    ]
+
+
+def derivative_errors(
+    problem: Problem,
+    solution: Solution,
+    start: Coordinates,
+    settings: DerivativeCheckSettings = DERIVATIVE_CHECK_SETTINGS,
+) -> np.ndarray:
+    """Relative difference of each run's change from the one predicted, shape (runs,).
+
+    Zero for a run that is put aside or that no coordinate moved.
+    """
+    ways = [np.asarray(end - begin) for end, begin in zip(solution.coordinates, start, strict=True)]
+    # A run that is put aside ends anywhere.
+    ways[1] = np.where(solution.active[:, None], ways[1], 0)
+    longest = max((float(np.abs(way).max(initial=0)) for way in ways), default=0.0)
+    if not longest > 0:
+        return np.zeros(len(solution.active))
+    shared, own = (settings.change / longest * way for way in ways)
+    moved = solution.coordinates[0] + shared, solution.coordinates[1] + own
+    moved = problem.on_all_devices(moved)
+    change = np.asarray(problem.residual(*moved)) - solution.residual
+    errors = []
+    for run, active in enumerate(solution.active):
+        predicted = solution.blocks[run] @ np.concatenate([shared, own[run]])
+        size = float(np.linalg.norm(predicted))
+        found = float(np.linalg.norm(change[run] - predicted))
+        errors.append(found / size if active and size > 0 else 0.0)
+    return np.array(errors)
