@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-# XLA sums these windows of a constant while it compiles, takes some seconds, and raises an alarm after 1.
+# XLA sums these windows of a constant while it compiles, for some seconds: an alarm after one.
 SLOW_TO_COMPILE = """
 import jax, jax.numpy as jnp, numpy as np
 table = jnp.asarray(np.ones((200, 200), np.float32))
