@@ -69,10 +69,6 @@ class AbstractBalance(eqx.Module):
         """Speed [m/s] that the tolerance of the search is a share of."""
 
     @abc.abstractmethod
-    def corner(self) -> Float[Array, ""]:
-        """Change of velocity [m/s] over which the forces turn over: they are smooth below it."""
-
-    @abc.abstractmethod
     def size(self, residual: Pair) -> Float[Array, ""]:
         """Residual as a velocity [m/s], over the axes that are free."""
 
@@ -81,9 +77,8 @@ class NewtonSettings(eqx.Module):
     """Numbers of the search for the root, all without a unit.
 
     Attributes:
-        tolerance: Error of the velocity, as a share of the balance's scale, at which the root is
-            found: for the paper's wheel a thousandth of a millimetre in 100 s. The last Newton step
-            is taken without another evaluation: its error goes with its square.
+        tolerance: A change of velocity, as a share of the balance's scale, below which the root is
+            found: for the paper's wheel a thousandth of a millimetre in 100 s.
         most_evaluations: Evaluations of the force at most. A wheel that rolls needs 3 or 4, one
             that is stopped within a step some 20.
         shrink: Factor on the part of a Newton step that is tried next where the residual does not
@@ -110,16 +105,14 @@ class Root(eqx.Module):
         residual: Residual there [N s].
         forces: What else the balance gives there.
         jacobian: Derivative of the residual by the velocity [kg].
-        forces_by_velocity: Derivative of the forces by the velocity.
         evaluations: Evaluations of the force.
-        found: Whether the last step leads to the root within the tolerance.
+        found: Whether the last change of velocity was under the tolerance.
     """
 
     velocity: Pair
     residual: Pair
     forces: Float[Array, " forces"]
     jacobian: Matrix
-    forces_by_velocity: Float[Array, "forces 2"]
     evaluations: Int[Array, ""]
     found: Bool[Array, ""]
 
@@ -135,9 +128,9 @@ def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix
 
 
 def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> Root:
-    (residual, forces), jacobian, by_velocity = _linearized(balance, velocity)
+    (residual, forces), jacobian, _ = _linearized(balance, velocity)
     found = jnp.asarray(False)
-    return Root(velocity, residual, forces, jacobian, by_velocity, evaluations, found)
+    return Root(velocity, residual, forces, jacobian, evaluations, found)
 
 
 def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
@@ -149,9 +142,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         settings: Numbers of the search.
     """
 
-    # A step within a corner is off by its square over the corner's width.
-    error = settings.tolerance * balance.speed_scale()
-    tolerance = jnp.sqrt(error * jnp.maximum(balance.corner(), error))
+    tolerance = settings.tolerance * balance.speed_scale()
 
     def judged(root: Root, step: Pair) -> Root:
         return eqx.tree_at(lambda r: r.found, root, jnp.max(jnp.abs(step)) < tolerance)
@@ -179,10 +170,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     first = _evaluated(balance, guess, jnp.asarray(1))
     step, whole = step_of(first), jnp.ones((), guess.dtype)
     first = judged(first, step)
-    root, step, part = jax.lax.while_loop(going_on, turn, (first, step, whole))
-    last = jnp.where(root.found, part * step, 0)
-    velocity, forces = root.velocity + last, root.forces + root.forces_by_velocity @ last
-    return eqx.tree_at(lambda r: (r.velocity, r.forces), root, (velocity, forces))
+    return jax.lax.while_loop(going_on, turn, (first, step, whole))[0]
 
 
 def root_of(

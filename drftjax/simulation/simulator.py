@@ -369,11 +369,6 @@ class StepBalance(AbstractBalance):
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
 
-    def corner(self) -> Float[Array, ""]:
-        simulator, omega = self.simulator, self.moment.omega
-        radius, gravity = simulator.wheel.radius, simulator.rig.gravity
-        return simulator.integrator.rest_speed(radius, gravity, omega)
-
     def size(self, residual: Float[Array, "2"]) -> Float[Array, ""]:
         speed = residual / self.simulator.rig.mass()
         free = isinstance(self.simulator.rig.carriage, FreeCarriage)

@@ -46,9 +46,6 @@ class Block(AbstractBalance):
     def speed_scale(self):
         return jnp.ones(())
 
-    def corner(self):
-        return jnp.asarray(WIDTH)
-
     def size(self, residual):
         return jnp.sqrt(jnp.sum(residual**2)) / MASS
 
