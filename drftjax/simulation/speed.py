@@ -49,7 +49,7 @@ CPP_ANSWER = re.compile(r"steps (\d+): ([\d.]+) s, ([\d.]+) us")
 
 @dataclass(frozen=True)
 class Speed:
-    """How long one program took.
+    """Time that one program took.
 
     Attributes:
         program: Its name.

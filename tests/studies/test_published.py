@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.studies import published as study
-from tests.studies.published import WheelTest
+from tests.studies import published_wheels as study
+from tests.studies.published import FINE_PLATE_SIZE
+from tests.studies.published_wheels import WheelTest
 
 # Figures of docs/results/measured.md are repeatable to their last digit. Between plates of 1 mm and
 # 0.5 mm zeta changes by 0.3 % and a sinkage by 0.1 mm; this leaves room for another plate size.
@@ -153,7 +154,7 @@ def test_depth_independent_stress_leaves_the_fall_of_zeta_with_slip(smooth, lugs
 
 def test_arc_does_nothing_at_10_mm_per_second(smooth):
     assert study.height_decrease(smooth).max() == pytest.approx(0.064e-3, rel=0.01)
-    fine = partial(study.bare, plate_size=study.FINE_PLATE_SIZE)
+    fine = partial(study.bare, plate_size=FINE_PLATE_SIZE)
     change = study.arc_change(smooth, 2.05, make=fine)
     assert 0 < np.abs(change.sinkage).max() < ARC
 
