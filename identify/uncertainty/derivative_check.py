@@ -23,10 +23,13 @@ class DerivativeCheckSettings:
             cent, as wide as a secant over corners that a run passes must be.
         doubtful: Relative difference of a run's change from the predicted one that is told: twice
             what corners leave in a derivative that is right.
+        least: Difference per sample below which none is told, in the RMS of the channel's
+            residuals [-]: where a run hardly changes, only corners do.
     """
 
     change: float = 5e-3
     doubtful: float = 0.1
+    least: float = 0.1
 
 
 DERIVATIVE_CHECK_SETTINGS = DerivativeCheckSettings()
@@ -65,7 +68,7 @@ def derivative_errors(
 ) -> np.ndarray:
     """Relative difference of each run's change from the one predicted, shape (runs,).
 
-    Zero for a run that is put aside or that no coordinate moved.
+    Zero for a run that is put aside, that no coordinate moved, or whose difference is negligible.
     """
     ways = [np.asarray(end - begin) for end, begin in zip(solution.coordinates, start, strict=True)]
     # A run that is put aside ends anywhere.
@@ -77,10 +80,12 @@ def derivative_errors(
     moved = solution.coordinates[0] + shared, solution.coordinates[1] + own
     moved = problem.on_all_devices(moved)
     change = np.asarray(problem.residual(*moved)) - solution.residual
+    counted = (np.asarray(problem.batch.observed.weight) > 0).sum(axis=(1, 2))
     errors = []
     for run, active in enumerate(solution.active):
         predicted = solution.blocks[run] @ np.concatenate([shared, own[run]])
         size = float(np.linalg.norm(predicted))
         found = float(np.linalg.norm(change[run] - predicted))
-        errors.append(found / size if active and size > 0 else 0.0)
+        told = active and size > 0 and found > settings.least * np.sqrt(counted[run])
+        errors.append(found / size if told else 0.0)
     return np.array(errors)
