@@ -71,6 +71,7 @@ class AbstractTerrainSetUp(msgspec.Struct, forbid_unknown_fields=True, tag_field
         Raises:
             InputError: says which number cannot be.
         """
+        # Every law has its own; msgspec's metaclass lets no method be abstract.
         raise NotImplementedError
 
     def stress_coefficients(self) -> StressCoefficients:

@@ -45,8 +45,7 @@ def simulate_in_numpy(
     if not isinstance(rig.carriage, FreeCarriage):
         raise InputError("a run in plain NumPy has a free carriage")
     cut = simulator.wheel.cut()
-    pitch = cut.pitch if isinstance(cut, TurningCut) else np.inf
-    outline = cut.outline if isinstance(cut, TurningCut) else cut.plates(jnp.zeros(()))
+    outline = cut.plates(jnp.zeros(()))
     rx, rz, nx, nz, area = (
         np.asarray(each, float)
         for each in (outline.x, outline.z, outline.normal_x, outline.normal_z, outline.area)
@@ -81,9 +80,10 @@ def simulate_in_numpy(
     place, velocity, angle = np.array([0.0, -sinkage]), np.zeros(2), 0.0
     rows = np.empty((len(omega), 2))
     for number, speed in enumerate(omega):
-        angle += dt * speed
-        # The outline repeats every pitch, and only plates near the sand are carried.
-        angle -= pitch * round(angle / pitch) if angle > pitch / 2 else 0.0
+        if isinstance(cut, TurningCut):
+            angle += dt * speed
+            # The outline repeats every pitch, and only plates near the sand are carried.
+            angle -= cut.pitch * round(angle / cut.pitch)
         # With the place moved along, so that depth's own stiffness is in the slope.
         at = lambda v: force(place[1] + dt * v[1], v, angle, speed)  # noqa: E731, B023
         here = at(velocity)

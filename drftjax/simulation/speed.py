@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -43,7 +44,7 @@ LINEAR_STEP = 2e-3
 ROW = 0.1
 """Time between the rows that an ensemble keeps [s]."""
 
-CPP_FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp", "-DREAL=double")
+CPP_FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp")
 CPP_ANSWER = re.compile(r"steps (\d+): ([\d.]+) s, ([\d.]+) us")
 
 
@@ -74,6 +75,11 @@ class Speed:
         return self.seconds / self.runs / round(TIMES[-1] / self.step)
 
 
+def profile(step: float) -> Command:
+    """Commands of the profile at the end of every step [s], shape (steps,)."""
+    return command_at(step_times(round(TIMES[-1] / step), step), as_real(TIMES), as_real(OMEGA))
+
+
 def measure(runs: int, repeats: int, cpp: Path | None = None) -> list[Speed]:
     """Time one run and an ensemble by each program.
 
@@ -82,17 +88,21 @@ def measure(runs: int, repeats: int, cpp: Path | None = None) -> list[Speed]:
         repeats: Times that each is measured, in turns; the least counts.
         cpp: Source of a C++ program of the same model, which is built and run; None for none.
 
+    Returns:
+        One entry for each program and number of runs.
+
     Raises:
         InputError: the C++ program cannot be built or does not answer as it must.
     """
     with tempfile.TemporaryDirectory() as folder:
-        built = None if cpp is None else _built(cpp, Path(folder))
+        built = None if cpp is None else build_cpp(cpp, Path(folder) / "program")
         step = choose_step(Trial.of(*_start(), RecordedCommand(TIMES, OMEGA), LINEAR_STEP)).step
         programs: list[tuple[str, int, float, Callable[[], float]]] = []
         for count in (1, runs):
             programs.append(("drftjax", count, step, _ours(count, step)))
             if built is not None:
-                programs.append(("C++", count, LINEAR_STEP, _theirs(built, count)))
+                theirs = partial(cpp_seconds, built, count, LINEAR_STEP, TIMES[-1])
+                programs.append(("C++", count, LINEAR_STEP, theirs))
         programs.append(("plain NumPy", 1, LINEAR_STEP, _numpy))
         times = [[clock() for *_, clock in programs] for _ in range(repeats)]
         return [
@@ -123,10 +133,6 @@ def table(speeds: list[Speed]) -> Table:
     return made
 
 
-def _commands(step: float) -> Command:
-    return command_at(step_times(round(TIMES[-1] / step), step), as_real(TIMES), as_real(OMEGA))
-
-
 def _start() -> tuple[Simulator, State]:
     return Simulator(), State.at_rest(SINKAGE)
 
@@ -136,7 +142,7 @@ def _with_zeta(zeta: jax.Array) -> Simulator:
 
 
 def _ours(runs: int, step: float) -> Callable[[], float]:
-    commands, every = _commands(step), max(1, round(ROW / step))
+    commands, every = profile(step), max(1, round(ROW / step))
     if runs == 1:
         program = eqx.filter_jit(lambda: simulate(*_start(), commands, step, every=every))
     else:
@@ -148,7 +154,7 @@ def _ours(runs: int, step: float) -> Callable[[], float]:
 
 
 def _numpy() -> float:
-    omega = np.asarray(_commands(LINEAR_STEP).omega)
+    omega = np.asarray(profile(LINEAR_STEP).omega)
     return _seconds(lambda: simulate_in_numpy(Simulator(), SINKAGE, omega, LINEAR_STEP))
 
 
@@ -158,33 +164,38 @@ def _seconds(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def _built(source: Path, folder: Path) -> Path:
+def build_cpp(source: Path, program: Path, real: str = "double") -> Path:
+    """Build a C++ program of the model in a precision, "double" or "float"; return its path.
+
+    Raises:
+        InputError: there is no source or no g++, or it does not build.
+    """
     if not source.is_file():
-        raise InputError(f"--cpp {source}: there is no such file, needs a C++ source")
+        raise InputError(f"{source}: there is no such file, needs a C++ source")
     if shutil.which("g++") is None:
-        raise InputError(
-            f"--cpp {source}: there is no g++ to build it, install it or leave --cpp out"
-        )
-    program = folder / "program"
-    made = subprocess.run(
-        ["g++", *CPP_FLAGS, str(source), "-o", str(program)], capture_output=True, check=False
-    )
-    if made.returncode:
-        raise InputError(f"--cpp {source}: g++ cannot build it with {' '.join(CPP_FLAGS)}")
+        raise InputError(f"{source}: there is no g++ to build it, which must be installed")
+    command = ["g++", *CPP_FLAGS, f"-DREAL={real}", str(source), "-o", str(program)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        raise InputError(f"{source}: g++ cannot build it with {' '.join(CPP_FLAGS)}")
     return program
 
 
-def _theirs(program: Path, runs: int) -> Callable[[], float]:
-    words = [str(program), str(runs), str(LINEAR_STEP), str(TIMES[-1])]
+def cpp_seconds(program: Path, runs: int, step: float, duration: float) -> float:
+    """Time that a C++ program says that it took [s], its own start left out.
 
-    def clock() -> float:
-        told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
-        found = CPP_ANSWER.search(told)
-        if not found:
-            raise InputError(
-                f"--cpp: its program answers {told[:80]!r}, must print 'steps N: S s, U us'"
-            )
-        # The microseconds have more digits than the seconds.
-        return float(found[3]) * 1e-6 * runs * int(found[1])
+    Args:
+        program: By `build_cpp`.
+        runs: Runs to make.
+        step: Step [s].
+        duration: Of a run [s].
 
-    return clock
+    Raises:
+        InputError: it does not answer as it must.
+    """
+    words = [str(program), str(runs), str(step), str(duration)]
+    told = subprocess.run(words, capture_output=True, text=True, check=False).stdout
+    found = CPP_ANSWER.search(told)
+    if not found:
+        raise InputError(f"the C++ program answers {told[:80]!r}, must print 'steps N: S s, U us'")
+    # The microseconds have more digits than the seconds.
+    return float(found[3]) * 1e-6 * runs * int(found[1])

@@ -4,21 +4,22 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-DURATION = 24.0
+from drftjax.simulation.speed import ENSEMBLE_ZETA, TIMES
+
+DURATION = float(TIMES[-1])
 # z is compared while the wheel turns: the yardstick smooths rest over 0.1 mm/s and creeps [s].
 TURNS, STOPS = 2.0, 22.0
 # Of the many, from full speed on. Before, light sand lets the wheel drop from its starting height,
 # and where it is caught hangs on the last digit of step and plates.
 DRIVEN = 7.0
 PAPER_ZETA = 0.7823
-LEAST_ZETA, MOST_ZETA = 0.6, 1.0
 # So many runs of an ensemble, both ends among them, are held against the fine solution.
 CHECKED = 16
 
 
 def zetas_of(runs: int) -> np.ndarray:
     """Scaling factors of an ensemble, as the yardstick has them; shape (runs,)."""
-    return np.linspace(LEAST_ZETA, MOST_ZETA, runs)
+    return np.linspace(*ENSEMBLE_ZETA, runs)
 
 
 def checked(runs: int) -> np.ndarray:

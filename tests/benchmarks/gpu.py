@@ -17,13 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from drftjax.common.arrays import as_real
-from drftjax.physics.command import command_at
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel
-from drftjax.simulation.rollout import simulate, step_times
+from drftjax.simulation.rollout import simulate
 from drftjax.simulation.simulator import Simulator
-from drftjax.simulation.speed import OMEGA, SINKAGE, TIMES
+from drftjax.simulation.speed import SINKAGE, TIMES, profile
 from tests.benchmarks.cases import DRIVEN, STOPS, checked, zetas_of
 from tests.benchmarks.worker import REACH
 
@@ -41,7 +40,7 @@ def heights(zeta: jax.Array, step: float) -> tuple[jax.Array, jax.Array]:
         zeta: Of each run, shape (runs,).
         step: [s].
     """
-    commands = command_at(step_times(round(TIMES[-1] / step), step), as_real(TIMES), as_real(OMEGA))
+    commands = profile(step)
 
     def one(zeta: jax.Array) -> tuple[jax.Array, jax.Array]:
         simulator = Simulator(GrouserWheel(reach=REACH), Terrain(ConstantZeta(zeta)))

@@ -15,25 +15,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from drftjax.physics.command import command_at
 from drftjax.physics.state import State
 from drftjax.physics.stress import Dynamic
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.ensemble import simulate_ensemble
-from drftjax.simulation.rollout import simulate, step_times
+from drftjax.simulation.rollout import simulate
 from drftjax.simulation.simulator import Simulator
-from tests.benchmarks.cases import DURATION, PAPER_ZETA, Case, checked, zetas_of
+from drftjax.simulation.speed import SINKAGE, profile
+from tests.benchmarks.cases import PAPER_ZETA, Case, checked, zetas_of
 
 # Deep enough for the lightest sand of the cases, and half of the wheel is left out.
 REACH = math.pi / 3
-
-PROFILE = ((0.0, 2.0, 7.0, 17.0, 22.0, 24.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0))
-
-
-def commands(dt: float):
-    knots, share = (jnp.asarray(values, float) for values in PROFILE)
-    return command_at(step_times(round(DURATION / dt), dt), knots, share * math.pi / 6)
 
 
 def simulator(case: Case, zeta, inertial=1.1) -> Simulator:
@@ -44,14 +37,14 @@ def simulator(case: Case, zeta, inertial=1.1) -> Simulator:
 
 def places(case: Case, zeta, inertial=1.1):
     """z and the last x [m], z at the end of every row; `zeta` a number, or one for each run."""
-    rows = commands(case.dt)
+    rows = profile(case.dt)
     if jnp.ndim(zeta) == 0:
-        start = State.at_rest(0.0176)
+        start = State.at_rest(SINKAGE)
         made = simulator(case, zeta, inertial)
         output = simulate(made, start, rows, case.dt, every=case.every)[1]
         return output.z, output.x[-1]
     simulators = eqx.filter_vmap(lambda zeta: simulator(case, zeta))(zeta)
-    starts = eqx.filter_vmap(State.at_rest)(jnp.full(zeta.shape, 0.0176))
+    starts = eqx.filter_vmap(State.at_rest)(jnp.full(zeta.shape, SINKAGE))
     output = simulate_ensemble(simulators, starts, rows, case.dt, every=case.every)[1]
     return output.z, output.x[:, -1]
 
@@ -91,7 +84,7 @@ def by_eight(case: Case):
             values = eight_numbers(plain)
             changed = [v * jnp.exp(by) for v, by in zip(values, logarithms, strict=True)]
             made = eqx.tree_at(eight_numbers, plain, changed)
-            start, commanded = State.at_rest(0.0176), commands(case.dt)
+            start, commanded = State.at_rest(SINKAGE), profile(case.dt)
             z = simulate(made, start, commanded, case.dt, every=case.every)[1].z
             return z, z
 

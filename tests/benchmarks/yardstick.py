@@ -1,13 +1,12 @@
 """The yardstick: the same plates, force law and step hand-written in C++, built where g++ is."""
 
-import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp")
+from drftjax.common.errors import InputError
+from drftjax.simulation.speed import build_cpp, cpp_seconds
 
 # To measure its accuracy the program must take any zeta and print all digits; the step is as it is.
 PROBE = (("%.5f", "%.9f"), ("B==1?.7823:", "B==1?atof(v[4]):"))
@@ -23,8 +22,6 @@ class Yardstick:
     def __init__(self, source: Path, folder: Path, real: str):
         if not source.is_file():
             raise Unavailable("there is no shared/yardstick/drft.cpp beside the repository")
-        if shutil.which("g++") is None:
-            raise Unavailable("there is no g++")
         text = source.read_text()
         probe = folder / f"probe_{real}.cpp"
         asked = text
@@ -33,14 +30,11 @@ class Yardstick:
                 raise Unavailable(f"drft.cpp no longer has {old!r}, which the probe replaces")
             asked = asked.replace(old, new)
         probe.write_text(asked)
-        self._timed = self._build(source, folder / f"drft_{real}", real)
-        self._probe = self._build(probe, folder / f"probe_{real}", real)
-
-    @staticmethod
-    def _build(source: Path, program: Path, real: str) -> Path:
-        command = ["g++", *FLAGS, f"-DREAL={real}", str(source), "-o", str(program)]
-        subprocess.run(command, check=True)
-        return program
+        try:
+            self._timed = build_cpp(source, folder / f"drft_{real}", real)
+            self._probe = build_cpp(probe, folder / f"probe_{real}", real)
+        except InputError as why:
+            raise Unavailable(str(why)) from why
 
     @staticmethod
     def _run(*command: object) -> str:
@@ -49,10 +43,7 @@ class Yardstick:
 
     def seconds(self, runs: int, dt: float, duration: float) -> float:
         """Time it takes [s], by its own clock: without starting the program."""
-        line = self._run(self._timed, runs, dt, duration)
-        steps, seconds, each = re.findall(r"steps (\d+): ([\d.]+) s, ([\d.]+) us", line)[0]
-        # The microseconds have more digits, the seconds only four decimals.
-        return max(float(each) * 1e-6 * runs * int(steps), 0.0) or float(seconds)
+        return cpp_seconds(self._timed, runs, dt, duration)
 
     def heights(self, zeta: float, dt: float, times: np.ndarray) -> np.ndarray:
         """z [m] at `times` [s]: the program prints the last one only, so it runs up to each."""
