@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from drftjax.common.arrays import as_real
-from drftjax.physics.command import Command, command_at
-from drftjax.physics.state import Output, State
+from drftjax.physics.command import Command
 from drftjax.physics.terrain import AbstractZeta
-from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.rollout import sweep
 from drftjax.simulation.trial import Trial
 
 # One program serves all runs whose rows and knots round up to the same power of two.
@@ -174,39 +173,11 @@ class _ScaledZeta(AbstractZeta):
 def _program(
     trial: Trial, interval: Float[Array, ""], rows: Int[Array, ""], parts: Int[Array, ""]
 ) -> Float[Array, "4 rows"]:
-    def path(factor: Float[Array, ""]) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
+    def path(factor: Float[Array, ""]) -> Float[Array, "2 rows"]:
         zeta = _ScaledZeta(trial.simulator.terrain.zeta, factor)
-        simulator = eqx.tree_at(lambda s: s.terrain.zeta, trial.simulator, zeta).prepared()
-        return _rollout(trial, simulator, interval, rows, parts)
+        simulator = eqx.tree_at(lambda s: s.terrain.zeta, trial.simulator, zeta)
+        start = simulator, trial.start, trial.command, interval, parts, rows, trial.rows
+        return sweep(*start, lambda output: jnp.stack([output.z, output.x]))[:, 1:]
 
     one = jnp.ones_like(interval)
-    place, slope = jax.jvp(path, (one,), (one,))
-    return jnp.stack([*place, *slope])
-
-
-def _rollout(
-    trial: Trial,
-    simulator: Simulator,
-    interval: Float[Array, ""],
-    rows: Int[Array, ""],
-    parts: Int[Array, ""],
-) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
-    """z and x at every row, with a number of steps a row that is known at run time."""
-    dt = interval / parts.astype(interval.dtype)
-
-    def at(time: Float[Array, ""]) -> Command:
-        return command_at(time, trial.time, trial.omega, trial.vx)
-
-    state = simulator.remembered(trial.start, at(jnp.zeros_like(dt)))
-
-    def step(number: Int[Array, ""], both: tuple[State, Output]) -> tuple[State, Output]:
-        return simulator.step(both[0], at((number + 1).astype(dt.dtype) * dt), dt)
-
-    def row(number: Int[Array, ""], carried):
-        both, z, x = carried
-        both = jax.lax.fori_loop(number * parts, (number + 1) * parts, step, both)
-        return both, z.at[number].set(both[1].z), x.at[number].set(both[1].x)
-
-    nothing = jnp.zeros(trial.rows, dt.dtype)
-    begun = simulator.observe(state, at(jnp.zeros_like(dt)))
-    return jax.lax.fori_loop(0, rows, row, ((state, begun), nothing, nothing))[1:]
+    return jnp.concatenate(jax.jvp(path, (one,), (one,)))
