@@ -42,12 +42,12 @@ class StepSettings:
     """
 
     longest: float = 1e-2
-    turn: float = 5e-3
+    turn: float = 5.3e-3
     halvings: int = 4
     sinkage: float = 4e-5
     sinkage_of_radius: float = 2.5e-4
     travel: float = 1e-3
-    slope: float = 0.02
+    slope: float = 0.05
 
 
 DEFAULT_STEPS = StepSettings()
