@@ -1,7 +1,10 @@
-"""Table of docs/theory/integrator.md: error of a run by its step, and how little zeta changes it.
+"""Of docs/theory/integrator.md: error of a run by its step, how little zeta changes it, and lambda.
 
 python -m tests.studies.step_error
 """
+
+from pathlib import Path
+from unittest import mock
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +17,10 @@ from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.statics import sinkage_under_load
 from drftjax.simulation.step_choice import choose_step
 from drftjax.simulation.trial import Trial
+from identify.api import fit
+from identify.solver.problem import Problem
 
+EXAMPLES = Path(__file__).parents[2] / "data" / "runs"
 ZETA, OTHER = 0.7823, 0.73
 # Top speed [deg/s], and the times of the ramps [s].
 PROFILES = {
@@ -52,8 +58,14 @@ def rms(values: np.ndarray) -> str:
     return " | ".join(f"{1e3 * size:.3f}" for size in np.sqrt(np.mean(values**2, axis=1)))
 
 
+def fitted_lambda() -> str:
+    """Lambda of the example runs, and its error."""
+    found = fit([*sorted(EXAMPLES.glob("*.h5"))]).shared["terrain.inertial_coefficient"]
+    return f"{found.value:.3f} ± {found.error:.3f}"
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the table, and lambda with and without the correction."""
     configure_jax()
     print("| speed [deg/s] | step [ms] | x [mm] | z [mm] | left in x [mm] | left in z [mm] |")
     print("|--:|--:|--:|--:|--:|--:|")
@@ -61,6 +73,9 @@ def main() -> None:
         step, here = error_at(ZETA, speed, times)
         _, there = error_at(OTHER, speed, times, step)
         print(f"| {speed} | {1e3 * step:g} | {rms(here)} | {rms(here - there)} |")
+    print(f"lambda of data/runs: {fitted_lambda()}")
+    with mock.patch.object(Problem, "without_step_error", lambda problem, _: problem):
+        print(f"with the step's error left in: {fitted_lambda()}")
 
 
 if __name__ == "__main__":
