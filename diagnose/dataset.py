@@ -22,7 +22,7 @@ from drftjax.recorded.matched_zeta import (
 )
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.recorded.step_error import finer_parts, step_error
+from drftjax.recorded.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 
 # Lengths are padded to this at least [samples]; padding costs next to nothing.
@@ -310,7 +310,9 @@ def without_step_errors(
 ) -> RigDataset:
     """The dataset whose simulated channels are those of far shorter steps.
 
-    What they differ by is found with the reference model at each run's early mean sinkage.
+    A run is simulated in steps that turn its wheel by little, as effects change what longer ones
+    are wrong by. What is left of the error is found with the reference model at the run's early
+    mean sinkage.
 
     Args:
         dataset: The runs.
@@ -325,6 +327,8 @@ def without_step_errors(
 
     def corrected(run: int) -> PreparedRun:
         each, trial = dataset.runs[run], dataset.trials[run]
+        parts = jnp.asarray(parts_within_turn(trial), trial.parts.dtype)
+        trial = eqx.tree_at(lambda t: t.parts, trial, parts)
         plain = jnp.zeros_like(dataset.observations[run].step_error)
         observed = eqx.tree_at(lambda o: o.step_error, dataset.observations[run], plain)
         observed = eqx.tree_at(lambda o: o.compared_rows, observed, observed.all_rows)
@@ -334,9 +338,13 @@ def without_step_errors(
             at = as_real(log_zeta[run]), np.zeros(0)
             return np.asarray(predict(AugmentedModel(), dataset.channels, finer, observed, *at))
 
-        error = step_error(simulated, finer_parts(trial))[:, : len(each.observation.time)]
+        error = step_error(simulated, trial)[:, : len(each.observation.time)]
         rows = [dataset.channels.index(name) for name in each.observation.channels]
-        return replace(each, observation=replace(each.observation, step_error=error[rows]))
+        return replace(
+            each,
+            trial=eqx.tree_at(lambda t: t.parts, each.trial, parts),
+            observation=replace(each.observation, step_error=error[rows]),
+        )
 
     return RigDataset.of(pool.map(corrected, dataset.run_numbers), dataset.settings)
 

@@ -133,6 +133,7 @@ def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]
     """
     dataset = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
     with RunPool() as pool:
+        dataset = without_step_errors(dataset, pool)
         before = match_runs(dataset, AugmentedModel(), np.zeros(0), pool)
         after = match_runs(dataset, *as_model(diagnosis.selected.effects), pool)
     return gaps(dataset, residuals_of(before), residuals_of(after), diagnosis.floors)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Int
 
 from drftjax.simulation.trial import Trial
 
@@ -21,43 +22,49 @@ class StepErrorSettings:
     Attributes:
         turn: Angle that a wheel turns by in a step at most [rad]: a tenth of a degree, half of
             that over which a plate of a rolling wheel begins to lead.
-        fewest: Steps in place of one at least.
+        refinement: Steps in place of one at least, an even number.
     """
 
     turn: float = 1.75e-3
-    fewest: int = 4
+    refinement: int = 4
 
 
 DEFAULT_STEP_ERROR = StepErrorSettings()
 
 
-def finer_parts(trials: Trial, settings: StepErrorSettings = DEFAULT_STEP_ERROR) -> np.ndarray:
-    """Steps to be made in place of one, an even number.
+def parts_within_turn(
+    trials: Trial, settings: StepErrorSettings = DEFAULT_STEP_ERROR
+) -> Int[np.ndarray, "*runs"]:
+    """Steps to be made in place of one, so that none turns the wheel by more than `turn`.
 
     Args:
         trials: A trial, or several stacked along a leading axis of runs.
         settings: Numbers of the shorter steps.
-
-    Returns:
-        Shape () or (runs,).
     """
     radius = np.asarray(trials.simulator.wheel.radius)[..., None]
     rim = np.maximum(np.abs(np.asarray(trials.omega)), np.abs(np.asarray(trials.vx)) / radius)
-    parts = np.asarray(trials.step) * rim.max(axis=-1) / settings.turn
-    return 2 * np.ceil(np.maximum(parts, settings.fewest) / 2).astype(int)
+    turned = np.asarray(trials.step) * rim.max(axis=-1)
+    return np.maximum(1, np.ceil(turned / settings.turn)).astype(int)
 
 
-def step_error(simulated: Callable[[np.ndarray], np.ndarray], parts: np.ndarray) -> np.ndarray:
+def step_error(
+    simulated: Callable[[np.ndarray], np.ndarray],
+    trials: Trial,
+    settings: StepErrorSettings = DEFAULT_STEP_ERROR,
+) -> np.ndarray:
     """Simulated channels less those of far shorter steps, extrapolated (Richardson).
 
     Args:
-        simulated: Channels with so many steps in place of one.
-        parts: Of the shortest steps, even, by `finer_parts`.
+        simulated: Channels with so many steps in place of one, by run.
+        trials: A trial, or several stacked along a leading axis of runs.
+        settings: Numbers of the shorter steps.
 
     Returns:
         Shape of the channels; zero where one of the three is not finite.
     """
-    longer = np.ones_like(parts)
-    found, half, fine = (simulated(each) for each in (longer, parts // 2, parts))
+    parts = np.asarray(trials.parts)
+    enough = np.maximum(settings.refinement * parts, parts_within_turn(trials, settings))
+    finest = 2 * np.ceil(enough / 2).astype(int)
+    found, half, fine = (simulated(each) for each in (parts, finest // 2, finest))
     error = found - (2 * fine - half)
     return np.where(np.isfinite(error), error, 0.0)

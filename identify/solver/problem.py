@@ -8,7 +8,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from drftjax.recorded.batch import Batch, PaddedObservations, Values, between_rows, map_over_runs
-from drftjax.recorded.step_error import finer_parts, step_error
+from drftjax.recorded.step_error import step_error
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 from identify.solver.abstract_noise import AbstractNoise
@@ -98,7 +98,7 @@ class Problem(eqx.Module):
             finer = jnp.asarray(parts, trials.parts.dtype)
             return predict(eqx.tree_at(lambda p: p.batch.trials.parts, plain, finer), coordinates)
 
-        error = jnp.asarray(step_error(simulated, finer_parts(trials)))
+        error = jnp.asarray(step_error(simulated, trials))
         return eqx.tree_at(lambda p: p.batch.observed.step_error, plain, error)
 
     @eqx.filter_jit

@@ -8,7 +8,7 @@ import pytest
 
 from drftjax.recorded.batch import device_mesh, make_batch
 from drftjax.recorded.observation import Observation
-from drftjax.recorded.step_error import finer_parts, step_error
+from drftjax.recorded.step_error import parts_within_turn, step_error
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.statics import sinkage_under_load
 from drftjax.simulation.trial import Trial
@@ -42,15 +42,23 @@ def test_a_row_in_several_steps_is_the_run_of_shorter_steps():
     np.testing.assert_allclose(swept(finer), swept(part)[:, ::4], atol=1e-12)
 
 
-@pytest.mark.parametrize(("speed", "parts"), [(0.1, 4), (1.0, 10), (3.0, 28)])
+@pytest.mark.parametrize(("speed", "parts"), [(0.1, 1), (1.0, 9), (3.0, 27)])
 def test_a_faster_wheel_is_made_in_more_steps(speed, parts):
-    # Of 10 ms: a tenth of a degree (1.75e-3 rad) each, an even number, four at least.
-    assert finer_parts(trial_of(ZETA, STEP, speed)) == parts
+    # Of 10 ms: a tenth of a degree each.
+    assert parts_within_turn(trial_of(ZETA, STEP, speed)) == parts
 
 
 def test_a_run_that_diverges_in_shorter_steps_is_left_as_it_is():
-    found = step_error(lambda parts: np.array([1.0, np.nan if parts > 1 else 2.0]), np.asarray(4))
+    each = trial_of(ZETA, STEP, 0.1)
+    found = step_error(lambda parts: np.array([1.0, np.nan if parts > 1 else 2.0]), each)
     assert found.tolist() == [0.0, 0.0]
+
+
+def test_the_error_is_taken_against_shorter_steps_extrapolated():
+    each = eqx.tree_at(lambda t: t.parts, trial_of(ZETA, STEP, 0.1), jnp.asarray(3))
+    # An error of first order is taken off whole: 7 + step.
+    found = step_error(lambda parts: np.array([7.0 + 1.0 / parts]), each)
+    np.testing.assert_allclose(found, 1 / 3, rtol=1e-12)
 
 
 def test_what_is_left_at_another_zeta_is_a_small_part():

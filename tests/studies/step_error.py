@@ -12,7 +12,7 @@ import numpy as np
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.recorded.prepared_run import RECORDED_STEPS
-from drftjax.recorded.step_error import finer_parts, step_error
+from drftjax.recorded.step_error import step_error
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.statics import sinkage_under_load
 from drftjax.simulation.step_choice import choose_step
@@ -51,7 +51,7 @@ def error_at(
     def simulated(parts: np.ndarray) -> np.ndarray:
         return np.asarray(_place(eqx.tree_at(lambda t: t.parts, trial, jnp.asarray(parts))))
 
-    return float(trial.step), step_error(simulated, finer_parts(trial))
+    return float(trial.step), step_error(simulated, trial)
 
 
 def rms(values: np.ndarray) -> str:
