@@ -22,7 +22,7 @@ from drftjax.recorded.matched_zeta import (
 )
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.recorded.step_error import parts_within_turn, step_error
+from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 
 # Lengths are padded to this at least [samples]; padding costs next to nothing.

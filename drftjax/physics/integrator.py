@@ -31,7 +31,7 @@ class ImplicitEuler(eqx.Module):
 
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
     standing: float = eqx.field(static=True, default=5e-7)
-    rolling: float = eqx.field(static=True, default=4e-3)
+    rolling: float = eqx.field(static=True, default=3e-3)
 
     def rest_speed(
         self, radius: Float[Array, ""], gravity: Float[Array, ""], omega: Float[Array, ""]

@@ -62,7 +62,7 @@ class Observation:
         counts: True for samples that are compared, shape (samples,).
         unused: Channels that were recorded and are not compared.
         step_error: Error of simulated channels by their step, which is taken off before they are
-            compared, by `drftjax.recorded.step_error`; like `values`, or None for none.
+            compared, by `drftjax.simulation.step_error`; like `values`, or None for none.
     """
 
     time: np.ndarray

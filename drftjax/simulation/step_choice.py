@@ -31,7 +31,7 @@ class StepSettings:
     Attributes:
         longest: Longest step [s].
         turn: Angle that a wheel turns by in a step at most [rad]: a plate of a rolling wheel begins
-            to lead within 4e-3, and steps that miss it are off by where they happen to fall.
+            to lead within 3e-3, and steps that miss it are off by where they happen to fall.
         halvings: Times that the longest step is halved at most.
         sinkage: RMS error of z [m]: under half of the 0.1 mm that a user may rely on, which
             leaves room for the length of plates and the width at rest.

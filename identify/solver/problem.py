@@ -8,7 +8,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from drftjax.recorded.batch import Batch, PaddedObservations, Values, between_rows, map_over_runs
-from drftjax.recorded.step_error import step_error
+from drftjax.simulation.step_error import step_error
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 from identify.solver.abstract_noise import AbstractNoise

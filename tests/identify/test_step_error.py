@@ -8,9 +8,9 @@ import pytest
 
 from drftjax.recorded.batch import device_mesh, make_batch
 from drftjax.recorded.observation import Observation
-from drftjax.recorded.step_error import parts_within_turn, step_error
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.statics import sinkage_under_load
+from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import own
 from identify.solver.problem import Problem, predict

@@ -38,7 +38,8 @@ WAYS = {
     "0.1 % of the rim's speed, whole load": WholeLoad(rolling=1e-3),
     "0.4 %, whole load": WholeLoad(rolling=4e-3),
     "0.1 %, half of it": ImplicitEuler(rolling=1e-3),
-    "0.4 %, half of it (the default)": ImplicitEuler(),
+    "0.3 %, half of it (the default)": ImplicitEuler(),
+    "0.4 %, half of it": ImplicitEuler(rolling=4e-3),
     "1 %, half of it": ImplicitEuler(rolling=1e-2),
 }
 

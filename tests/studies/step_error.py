@@ -12,10 +12,10 @@ import numpy as np
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.recorded.prepared_run import RECORDED_STEPS
-from drftjax.recorded.step_error import step_error
 from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.statics import sinkage_under_load
 from drftjax.simulation.step_choice import choose_step
+from drftjax.simulation.step_error import step_error
 from drftjax.simulation.trial import Trial
 from identify.api import fit
 from identify.solver.problem import Problem

@@ -20,8 +20,8 @@ class StepErrorSettings:
     """Numbers of the shorter steps.
 
     Attributes:
-        turn: Angle that a wheel turns by in a step at most [rad]: a tenth of a degree, half of
-            that over which a plate of a rolling wheel begins to lead.
+        turn: Angle that a wheel turns by in a step at most [rad]: a tenth of a degree, well under
+            that over which a plate of a rolling wheel begins to lead (3e-3).
         refinement: Steps in place of one at least, an even number.
     """
 
