@@ -44,8 +44,8 @@ FALL = 1.1
 # The same step on c v = m g (1 - e^(-c t / m)) is late by c dt / 2 m at first, 5.3e-4; twice that.
 TERMINAL = 1e-3
 # A bare rim at one speed has no ripple: held at it, it goes on as it did, but for the tolerance of
-# the search for each step's root.
-SAME_MOTION = 1e-8
+# the search for each step's root, 1e-8 of 1.2 m/s, over the seconds in which it settles.
+SAME_MOTION = 3e-8
 # A few doubles of order one, and a sum of 12,000 of them.
 ROUNDING, SUM_ROUNDING = 1e-15, 1e-12
 
