@@ -24,9 +24,8 @@ from drftjax.tuning.step_tuner import (
 
 # The law by hand: a few roundings of numbers of order one.
 SAME = 1e-14
-# Central differences over 1e-6 of zeta. A derivative may grow by 3 at most where a plate turns
-# over, which takes 0.2 % of this one.
-BY_DIFFERENCES = 4e-3
+# Central differences over 1e-6 of zeta, in which plates cross corners: 3e-5 of this derivative.
+BY_DIFFERENCES = 1e-4
 # The proportional-integral law leaves 20 um alone, worth 8e-4 of zeta at 25 mm of sinkage a zeta;
 # the last readings [m] swing by half as much beyond.
 FOUND, MET = 1e-3, 3e-5
