@@ -24,7 +24,7 @@ os.environ |= {
     "JAX_NUMPY_DTYPE_PROMOTION": "strict",
     "JAX_NUM_CPU_DEVICES": "2",
     # Compiled programs outlive the run: the second run of the tests takes a fraction of the first.
-    "JAX_COMPILATION_CACHE_DIR": os.environ.get("CCD", str(ROOT / ".pytest_cache" / "jax")),
+    "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "jax"),
     # The least of them, too: every file of tests asks for the same hundred small ones.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "MPLBACKEND": "agg",
