@@ -22,6 +22,7 @@ from drftjax.recorded.matched_zeta import (
 )
 from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 
 # Lengths are padded to this at least [samples]; padding costs next to nothing.
@@ -251,7 +252,12 @@ def decimate(each: PreparedRun, max_rate: float = DEFAULT_DATASET.max_sample_rat
         for name, row in zip(seen.channels, values, strict=True)
     ]
     fewer = replace(
-        seen, time=seen.time[kept], values=values, counts=seen.counts[kept], noise=np.array(noise)
+        seen,
+        time=seen.time[kept],
+        values=values,
+        counts=seen.counts[kept],
+        noise=np.array(noise),
+        step_error=None if seen.step_error is None else seen.step_error[:, kept],
     )
     return replace(each, observation=fewer)
 
@@ -297,6 +303,50 @@ def match_initial_zeta(
     return np.array(
         pool.map(lambda run: _initial_zeta(dataset, run, settings), dataset.run_numbers)
     )
+
+
+def without_step_errors(
+    dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = DEFAULT_INITIAL_ZETA
+) -> RigDataset:
+    """The dataset whose simulated channels are those of far shorter steps.
+
+    A run is simulated in steps that turn its wheel by little, as effects change what longer ones
+    are wrong by. What is left of the error is found with the reference model at the run's early
+    mean sinkage.
+
+    Args:
+        dataset: The runs.
+        pool: Threads.
+        settings: Numbers of the search for zeta.
+
+    Raises:
+        InputError: where no run has a sinkage.
+        RunError: where a run cannot be simulated, or zeta does not change its sinkage.
+    """
+    log_zeta = match_initial_zeta(dataset, pool, settings)
+
+    def corrected(run: int) -> PreparedRun:
+        each, trial = dataset.runs[run], dataset.trials[run]
+        parts = jnp.asarray(parts_within_turn(trial), trial.parts.dtype)
+        trial = eqx.tree_at(lambda t: t.parts, trial, parts)
+        plain = jnp.zeros_like(dataset.observations[run].step_error)
+        observed = eqx.tree_at(lambda o: o.step_error, dataset.observations[run], plain)
+        observed = eqx.tree_at(lambda o: o.compared_rows, observed, observed.all_rows)
+
+        def simulated(parts: np.ndarray) -> np.ndarray:
+            finer = eqx.tree_at(lambda t: t.parts, trial, jnp.asarray(parts, trial.parts.dtype))
+            at = as_real(log_zeta[run]), np.zeros(0)
+            return np.asarray(predict(AugmentedModel(), dataset.channels, finer, observed, *at))
+
+        error = step_error(simulated, trial)[:, : len(each.observation.time)]
+        rows = [dataset.channels.index(name) for name in each.observation.channels]
+        return replace(
+            each,
+            trial=eqx.tree_at(lambda t: t.parts, each.trial, parts),
+            observation=replace(each.observation, step_error=error[rows]),
+        )
+
+    return RigDataset.of(pool.map(corrected, dataset.run_numbers), dataset.settings)
 
 
 def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:

@@ -11,7 +11,7 @@ from diagnose.checks.outlier_runs import (
     outliers_among_repeats,
     outliers_by_zeta,
 )
-from diagnose.dataset import RigDataset
+from diagnose.dataset import RigDataset, without_step_errors
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import discretization_errors
 from diagnose.gap.gap import gaps
@@ -70,6 +70,7 @@ def diagnose(
         RunError: where a run cannot be simulated.
     """
     with RunPool() as pool:
+        dataset = without_step_errors(dataset, pool, settings.screening.initial_zeta)
         return _Diagnosing(dataset, pool, report, settings).run(effects)
 
 

@@ -154,6 +154,8 @@ def fit(
         solution = _in_short_steps(
             problem, len(kept), coordinates, solution, stuck, report, settings
         )
+    problem = problem.without_step_error(solution.coordinates)
+    before = before - np.asarray(problem.batch.observed.step_error)
     for turn in range(settings.reweightings):
         active, start = solution.active, solution.coordinates
         problem = _reweighted(problem, predict(problem, start), noise, active, settings)

@@ -1,8 +1,8 @@
-"""Discretisation error: the change of the simulated runs on plates half as long.
+"""Discretisation error: the change of the simulated runs with finer numerics.
 
-Sand has no plates. A simulated wheel that is cut into other plates moves otherwise by some
-hundredths or tenths of a millimetre, more at high speed. A gap of that size is no property of the
-rig.
+Sand has no plates, and no width at rest. With plates half as long, which begin to lead over half
+the width, a simulated wheel moves otherwise by some hundredths or tenths of a millimetre, more at
+high speed. A gap of that size is no property of the rig.
 """
 
 from dataclasses import dataclass, replace
@@ -19,10 +19,10 @@ from drftjax.recorded.prepared_run import PreparedRun
 
 @dataclass(frozen=True)
 class DiscretizationSettings:
-    """Numbers of the comparison with finer plates.
+    """Numbers of the comparison with finer numerics.
 
     Attributes:
-        refinement: Finer plates per plate.
+        refinement: Finer plates per plate, and share of the width at rest.
         log_zeta_step: Difference between two log zetas [-], between which and beyond the response
             is taken as linear: sinkage bends little over so much, and changes by far more than the
             plates change it.
@@ -41,7 +41,7 @@ def discretization_errors(
     pool: RunPool,
     settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
 ) -> dict[str, float]:
-    """RMS change of each channel on finer plates, at the same mean sinkage [m, N, N m].
+    """RMS change of each channel with finer numerics, at the same mean sinkage [m, N, N m].
 
     Args:
         dataset: The runs.
@@ -50,7 +50,7 @@ def discretization_errors(
         settings: Numbers of the comparison.
 
     Returns:
-        By channel; runs that finer plates throw off the sand are left out.
+        By channel; runs that they throw off the sand are left out.
     """
     finer = [with_finer_plates(each, settings) for each in dataset.runs]
     fine = RigDataset.of(finer, dataset.settings)
@@ -101,11 +101,15 @@ def zeta_response(
 def with_finer_plates(
     run: PreparedRun, settings: DiscretizationSettings = DEFAULT_DISCRETIZATION
 ) -> PreparedRun:
-    """The run with its wheel cut into finer plates."""
-    wheel = run.setup.wheel
+    """The run with its wheel cut into finer plates, which begin to lead over a smaller width."""
+    wheel, integrator = run.setup.wheel, run.trial.simulator.integrator
     wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_size / settings.refinement)
     return replace(
         run,
         setup=msgspec.structs.replace(run.setup, wheel=wheel),
-        trial=eqx.tree_at(lambda t: t.simulator.wheel, run.trial, wheel.build()),
+        trial=eqx.tree_at(
+            lambda t: (t.simulator.wheel, t.simulator.integrator),
+            run.trial,
+            (wheel.build(), replace(integrator, rolling=integrator.rolling / settings.refinement)),
+        ),
     )

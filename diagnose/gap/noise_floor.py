@@ -73,7 +73,7 @@ def _sentence(dataset: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]
         elif second not in chain:
             chain.append(second)
     names = "; ".join(" and ".join(dataset.runs[r].name for r in chain) for chain in chains)
-    source = f"The noise floor is from repeats: {names}, and from what plates half as long would "
+    source = f"The noise floor is from repeats: {names}, and from what finer plates would "
     lacking = [channel for channel, each in pairs.items() if not each]
     if not lacking:
         return f"{source}change."

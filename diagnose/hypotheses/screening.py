@@ -276,8 +276,8 @@ class _Screening:
         ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
         hypotheses = [each for _, each in ranked]
         leading = hypotheses[: settings.max_continued]
-        hopeful = [e for e in hypotheses[: settings.max_relinearized] if self.leaves_gap(e)]
-        models = [each.model for each in hopeful]
+        hopeful = [e for e in hypotheses[1 : settings.max_relinearized] if self.leaves_gap(e)]
+        models = [each.model for each in (*leading[:1], *hopeful)]
         regressors.dataset.precompile(pool, predict_with_jacobian, models)
         simulations = settings.simulations_per_round
         leading = pool.map_outer(lambda each: self.refine(each, simulations), leading)
@@ -285,14 +285,19 @@ class _Screening:
         for place, each in enumerate(leading):
             best = done[0].score if done else -np.inf
             relinearized = place < settings.max_relinearized
-            done.append(self.finish_one(each, best) if relinearized else each)
+            leads = each.score > best
+            done.append(self.finish_one(each, best, leads) if relinearized else each)
         return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
 
-    def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:
-        """Refine a hypothesis with fresh derivatives, round by round, while that gains."""
+    def finish_one(self, here: Hypothesis, best_score: float, leads: bool) -> Hypothesis:
+        """Refine a hypothesis with fresh derivatives, round by round, while that gains.
+
+        The one that leads gets a round where it leaves no gap, too: its numbers are told.
+        """
         settings = self.settings
-        for _ in range(settings.max_rounds):
-            if not here.is_simulated or not self.leaves_gap(here):
+        for number in range(settings.max_rounds):
+            exact_numbers = leads and number == 0
+            if not here.is_simulated or not (exact_numbers or self.leaves_gap(here)):
                 break
             if here.score < best_score - settings.hopeless_deficit:
                 break

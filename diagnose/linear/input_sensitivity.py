@@ -275,7 +275,8 @@ def _through_a_step(
         after, output = simulator.step(
             start, command_at_time(trial, time + linearized.dt), linearized.dt
         )
-        memory = simulator.step(start, command_at_time(trial, time + node), node)[0].memory
+        if jax.tree.leaves(memory):
+            memory = simulator.step(start, command_at_time(trial, time + node), node)[0].memory
         return memory, (motion_of(after), jnp.stack([getattr(output, name) for name in FORCES]))
 
     rows = linearized.middle_time, linearized.middle_motion, linearized.middle_omega

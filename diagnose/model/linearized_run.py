@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int
 from diagnose.model.unknown_inputs import INPUTS, unknown_inputs
 from drftjax.physics.command import Command, split_at_reversals
 from drftjax.physics.state import State
-from drftjax.simulation.simulator import LARGEST_GROWTH, Simulator
+from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import Trial
 
 # Length of the state that is linearised: x, z, vx, vz, angle.
@@ -104,11 +104,8 @@ class LinearizedRun(eqx.Module):
 def state_of(
     motion: Float[Array, "5"], time: Float[Array, ""], omega: Float[Array, ""], memory=()
 ) -> State:
-    """A state from its motion (x, z, vx, vz, angle); derivatives by its velocity do not grow.
-
-    So no power of a step's derivative does.
-    """
-    return State(time, motion[:2], motion[2:4], motion[4], omega, memory, LARGEST_GROWTH)
+    """A state from its motion (x, z, vx, vz, angle)."""
+    return State(time, motion[:2], motion[2:4], motion[4], omega, memory)
 
 
 def motion_of(state: State) -> Float[Array, "5"]:

@@ -341,7 +341,7 @@ def _with_allowed_step(trial: Trial) -> Trial:
 
 @eqx.filter_jit
 def _simulate(model: AugmentedModel, trial: Trial, coordinates, rows):
-    return with_effects(trial, model.build(coordinates)).run_to(rows, CHANNELS)
+    return with_effects(trial, model.build(coordinates)).extrapolated(rows, CHANNELS)
 
 
 def _differences(

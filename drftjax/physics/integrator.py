@@ -31,7 +31,7 @@ class ImplicitEuler(eqx.Module):
 
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
     standing: float = eqx.field(static=True, default=5e-7)
-    rolling: float = eqx.field(static=True, default=1e-3)
+    rolling: float = eqx.field(static=True, default=3e-3)
 
     def rest_speed(
         self, radius: Float[Array, ""], gravity: Float[Array, ""], omega: Float[Array, ""]
@@ -44,3 +44,15 @@ class ImplicitEuler(eqx.Module):
             omega: Angular velocity [rad/s].
         """
         return self.standing * jnp.sqrt(radius * gravity) + self.rolling * radius * jnp.abs(omega)
+
+    def lead_speed(self, radius: Float[Array, ""], omega: Float[Array, ""]) -> Float[Array, ""]:
+        """Speed [m/s] along its normal from which on a plate carries its whole load.
+
+        Nothing on a wheel that stands, so that it holds. Half the width on one that rolls: what
+        plates carry that just do not lead makes up for what those do not that just lead.
+
+        Args:
+            radius: Rim radius [m].
+            omega: Angular velocity [rad/s].
+        """
+        return self.rolling * radius * jnp.abs(omega) / 2

@@ -63,6 +63,7 @@ def plate_motion(
     height_decrease: Float[Array, ""],
     rest_speed: Float[Array, ""] | float,
     radius: Float[Array, ""],
+    lead_speed: Float[Array, ""] | float = 0.0,
 ) -> PlateMotion:
     """Depth and motion of plates on a wheel that translates and turns.
 
@@ -74,6 +75,7 @@ def plate_motion(
         height_decrease: See `PlateMotion`.
         rest_speed: Width [m/s] over which direction and leading-plate rule fade in at rest.
         radius: Rim radius [m].
+        lead_speed: Speed [m/s] along its normal from which on a plate carries its whole load.
     """
     velocity_x = velocity[0] + omega * plates.z
     velocity_z = velocity[1] - omega * plates.x
@@ -86,8 +88,9 @@ def plate_motion(
         direction_x=velocity_x / speed,
         direction_z=velocity_z / speed,
         normal_speed=normal_speed,
-        # At rest along its normal a plate still carries fully, so that a standing wheel holds.
-        share=jnp.clip(1 + normal_speed / rest_speed, 0, 1),
+        # At rest along its normal a plate still carries fully, so that a standing wheel holds; on a
+        # rolling one it carries half, so that on the mean plates lead from rest on.
+        share=jnp.clip(1 + (normal_speed - lead_speed) / rest_speed, 0, 1),
         height_decrease=height_decrease,
         axle_depth=-height / radius,
         omega=omega,

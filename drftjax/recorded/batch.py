@@ -37,6 +37,7 @@ class PaddedObservations(eqx.Module):
         intervals: Usual intervals from the sample before, more than one after a gap, shape (runs,
             samples).
         values: Recorded channels, shape (runs, channels, samples).
+        step_error: Error of simulated channels by their step, which is taken off, like `values`.
         weight: 1 / noise of a sample that counts, 0 of a padded one, like `values`.
         compared_rows, all_rows: Rows of the simulation up to the last sample that counts, and up
             to the last one, shape (runs,).
@@ -46,6 +47,7 @@ class PaddedObservations(eqx.Module):
     share: Float[Array, "runs samples"]
     intervals: Float[Array, "runs samples"]
     values: Float[Array, "runs channels samples"]
+    step_error: Float[Array, "runs channels samples"]
     weight: Float[Array, "runs channels samples"]
     compared_rows: Int[Array, " runs"]
     all_rows: Int[Array, " runs"]
@@ -164,6 +166,7 @@ def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
         trial.step,
         trial.every,
         rows,
+        trial.parts,
     )
 
 
@@ -177,10 +180,12 @@ def _pad_observation(
     share = np.clip(place - row, 0, 1)
     extra = samples - len(observation.time)
     values = np.zeros((len(channels), len(observation.time)))
-    weight = np.zeros_like(values)
+    weight, step_error = np.zeros_like(values), np.zeros_like(values)
     for channel, (recorded, noise) in observation.by_channel().items():
         values[channels.index(channel)] = recorded
         weight[channels.index(channel)] = observation.counts / noise
+    if observation.step_error is not None:
+        step_error[[channels.index(each) for each in observation.channels]] = observation.step_error
 
     def padded(values: np.ndarray, dtype: type = float, filling: float = 0) -> Array:
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
@@ -191,6 +196,7 @@ def _pad_observation(
         padded(share),
         padded(observation.intervals, filling=1),
         padded(values),
+        padded(step_error),
         padded(weight),
         jnp.asarray(int(row[observation.counts].max(initial=-1)) + 1),
         jnp.asarray(int(row.max(initial=-1)) + 1),
@@ -205,9 +211,17 @@ def sample_channels(
 
 
 def between_rows(rows: Float[Array, "channels rows"], observed: PaddedObservations) -> Array:
-    """Channels at the recorded times of a run, shape (channels, samples)."""
+    """Channels at the recorded times of a run, their error by the step taken off.
+
+    Args:
+        rows: Simulated channels, shape (channels, rows).
+        observed: The run's recording.
+
+    Returns:
+        Shape (channels, samples).
+    """
     before, after = rows[:, observed.row], rows[:, observed.row + 1]
-    return before + observed.share * (after - before)
+    return before + observed.share * (after - before) - observed.step_error
 
 
 def map_over_runs(batch: Batch, mesh: Mesh, one: Callable, shared, own):

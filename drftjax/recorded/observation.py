@@ -61,6 +61,8 @@ class Observation:
         noise: Standard deviation of the instrument's white noise, shape (channels,).
         counts: True for samples that are compared, shape (samples,).
         unused: Channels that were recorded and are not compared.
+        step_error: Error of simulated channels by their step, which is taken off before they are
+            compared, by `drftjax.simulation.step_error`; like `values`, or None for none.
     """
 
     time: np.ndarray
@@ -69,6 +71,7 @@ class Observation:
     noise: np.ndarray
     counts: np.ndarray
     unused: tuple[str, ...] = ()
+    step_error: np.ndarray | None = None
 
     @property
     def after_start(self) -> np.ndarray:
@@ -95,12 +98,24 @@ class Observation:
         if not kept:
             raise InputError(f"nothing to compare; it has {', '.join(self.channels)} alone")
         others = tuple(name for name in self.channels if name not in compare)
+        return replace(self._at(kept), unused=(*self.unused, *others))
+
+    def in_order(self, channels: Sequence[str]) -> "Observation":
+        """The same with these of its channels, in this order.
+
+        Args:
+            channels: Names of channels that it has.
+        """
+        return self._at([self.channels.index(name) for name in channels])
+
+    def _at(self, numbers: Sequence[int]) -> "Observation":
+        picked = list(numbers)
         return replace(
             self,
-            channels=tuple(self.channels[number] for number in kept),
-            values=self.values[kept],
-            noise=self.noise[kept],
-            unused=(*self.unused, *others),
+            channels=tuple(self.channels[number] for number in picked),
+            values=self.values[picked],
+            noise=self.noise[picked],
+            step_error=None if self.step_error is None else self.step_error[picked],
         )
 
     def sinkage(self) -> np.ndarray:

@@ -24,7 +24,7 @@ CHANNELS = tuple(field.name for field in dataclasses.fields(Output))
 
 @eqx.filter_jit
 def _run(trial: Trial) -> Output:
-    return Output(*trial.run_to(jnp.asarray(trial.rows), CHANNELS))
+    return Output(*trial.extrapolated(jnp.asarray(trial.rows), CHANNELS))
 
 
 # Rounding of the times of rows, written in decimals [s].

@@ -1,8 +1,8 @@
 """The model's run in plain NumPy, step by step: what `drft bench` sets the speed against.
 
 The step is linearly implicit: one linear equation for the change of velocity, with the slope of the
-sand's force by differences. Direction and leading-plate rule fade in over `REST_SPEED`, ten
-thousand times more than in `drftjax.physics.integrator`, without which it would chatter at rest.
+sand's force by differences. At rest, direction and leading-plate rule fade in over `REST_SPEED`, a
+hundred times more than in `drftjax.physics.integrator`, without which it would chatter.
 """
 
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from drftjax.physics.wheel import TurningCut
 from drftjax.simulation.simulator import EARTH_GRAVITY, Simulator
 
 REST_SPEED = 1e-4
-"""Width at rest [m/s]."""
+"""Width of a wheel that stands [m/s]."""
 
 CHANGE = 1e-7
 """Change of a velocity by which the slope of the force is taken [m/s]."""
@@ -51,6 +51,7 @@ def simulate_in_numpy(
         for each in (outline.x, outline.z, outline.normal_x, outline.normal_z, outline.area)
     )
     a00, a10, b11, b01, bm11, c11, c01, cm11, d10 = np.asarray(law.coefficients.values, float)
+    rolling = simulator.integrator.rolling
     radius, gravity = float(simulator.wheel.radius), float(rig.gravity)
     masses, damping = np.asarray(rig.mass(), float), np.array([rig.damping_x, rig.damping_z], float)
     loads = np.array([float(rig.drawbar_load), masses[1] * gravity])
@@ -62,7 +63,9 @@ def simulate_in_numpy(
         x_, z_ = rx * cos + rz * sin, rz * cos - rx * sin
         nx_, nz_ = nx * cos + nz * sin, nz * cos - nx * sin
         px, pz = velocity[0] + speed * z_, velocity[1] - speed * x_
-        size = np.sqrt(px**2 + pz**2 + REST_SPEED**2)
+        lead = rolling * radius * abs(speed)
+        rest = max(REST_SPEED, lead)
+        size = np.sqrt(px**2 + pz**2 + rest**2)
         cosine, sine = px / size, -pz / size
         c, s = nz_**2 - nx_**2, -2 * nx_ * nz_
         alpha_z = a00 + a10 * c + (b01 + (b11 + bm11) * c) * sine + (b11 - bm11) * s * cosine
@@ -70,7 +73,7 @@ def simulate_in_numpy(
         normal = nx_ * px + nz_ * pz
         loss = float(law.height_decrease) * radius * (radius * speed**2 / gravity)
         depth = np.maximum(-(z + radius + z_) - loss * (x_ < 0), 0)
-        load = strength * depth * np.clip(1 + normal / REST_SPEED, 0, 1)
+        load = strength * depth * np.clip(1 + (normal - lead / 2) / rest, 0, 1)
         pressure = flux * np.where(depth > 0, np.maximum(normal, 0) ** 2, 0)
         return np.array(
             [-(alpha_x * load).sum() - (pressure * nx_).sum(),

@@ -58,49 +58,48 @@ def simulate(
 def sweep(
     simulator: Simulator,
     state: State,
-    commands: Command,
-    dt: Float[Array, ""] | float,
+    command: Callable[[Float[Array, ""]], Command],
+    interval: Float[Array, ""],
+    parts: Int[Array, ""],
     rows: Int[Array, ""],
+    room: int,
     keep: Callable[[Output], Float[Array, " kept"]],
-    *,
-    every: int = 1,
-    stride: Int[Array, ""] | int = 1,
 ) -> Float[Array, "kept all_rows"]:
-    """As `simulate`, for a number of rows that is known at run time; differentiable forward only.
+    """As `simulate`, for numbers of rows and steps known at run time; differentiable forward only.
 
-    Runs of any length share one compiled program, and none pays for another's.
+    Runs of any length and step share one compiled program, and none pays for another's.
 
     Args:
-        simulator, state, commands, dt, every: As for `simulate`.
-        rows: Rows to make, at most shape (steps,) // every.
+        simulator: Every number of wheel, terrain and rig.
+        state: State at the start.
+        command: Command at a time [s].
+        interval: Time between rows [s].
+        parts: Steps that an interval is made in.
+        rows: Rows to make, at most `room`.
+        room: Rows that the table has room for (static).
         keep: Values kept of each row, shape (kept,).
-        stride: Steps of `dt` that are made as one, at the command of the last; divides `every`.
 
     Returns:
         The values kept, with the state at the start as a first row and zero beyond `rows`, shape
-        (kept, steps // every + 1).
+        (kept, room + 1).
     """
     simulator = simulator.prepared()
-    first = jax.tree.map(lambda c: c[0], commands)
+    interval = jnp.asarray(interval)
+    first = command(jnp.zeros_like(interval))
     state = simulator.remembered(state, first)
     begun = keep(simulator.observe(state, first))
-    room = commands.omega.shape[0] // every
     table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
-
-    length = jnp.asarray(stride, jnp.asarray(dt).dtype) * dt
+    dt = interval / parts.astype(interval.dtype)
 
     def step(number: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
-        last = (number + 1) * stride - 1
-        state, output = simulator.step(both[0], jax.tree.map(lambda c: c[last], commands), length)
+        state, output = simulator.step(both[0], command((number + 1).astype(dt.dtype) * dt), dt)
         return state, keep(output)
 
     # The step stands in the program once: its compilation is most of what a short run costs.
     def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
         state, table = carried
-        parts = every // stride
-        start = number * parts
-        state, kept = jax.lax.fori_loop(start, start + parts, step, (state, begun))
-        return state, table.at[number + 1].set(kept)
+        both = jax.lax.fori_loop(number * parts, (number + 1) * parts, step, (state, begun))
+        return both[0], table.at[number + 1].set(both[1])
 
     return jax.lax.fori_loop(0, rows, row, (state, table))[1].T
 

@@ -143,7 +143,8 @@ class Simulator(eqx.Module):
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
         height = position[1] + radius
         width = self.integrator.rest_speed(radius, self.rig.gravity, omega)
-        motion = plate_motion(plates, height, velocity, omega, height_decrease, width, radius)
+        lead = self.integrator.lead_speed(radius, omega)
+        motion = plate_motion(plates, height, velocity, omega, height_decrease, width, radius, lead)
         motion = chain.relative_to_surface(self.effects, memory, motion, position[0], plates.x)
         # The sand's strength goes with gravity, so that zeta is a number of the sand.
         strength = zeta * (self.rig.gravity / EARTH_GRAVITY)

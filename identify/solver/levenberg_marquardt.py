@@ -92,7 +92,9 @@ def solve(
             if _gain(each, each_now, counted) <= least_gain:
                 status = "converged"
                 break
-            if not shortened and _gain(each_now, np.asarray(each_next), counted) <= least_gain:
+            promised = _gain(each_now, np.asarray(each_next), counted)
+            move = _longest_move(coordinates, state.y_eval)
+            if not shortened and promised <= least_gain and move <= settings.short_move:
                 # So short a step is taken by the linearisation, without a simulation.
                 ahead, status = state.y_eval, "converged"
                 break
@@ -157,6 +159,12 @@ def _gain(before: np.ndarray, now: np.ndarray, counted: np.ndarray) -> float:
     """Return a step's gain, each run's in its residual variances: no bad fit outweighs others."""
     variance = np.maximum(now, np.finfo(float).tiny) / np.maximum(counted, 1)
     return float(np.sum(np.where(counted > 0, np.abs(before - now) / variance, 0)))
+
+
+def _longest_move(before: Coordinates, after: Coordinates) -> float:
+    """Return the largest change of a coordinate [-]."""
+    moves = [np.abs(np.asarray(b - a)).max(initial=0.0) for a, b in zip(before, after, strict=True)]
+    return float(max(moves))
 
 
 def _whole_step(

@@ -8,6 +8,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from drftjax.recorded.batch import Batch, PaddedObservations, Values, between_rows, map_over_runs
+from drftjax.simulation.step_error import step_error
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 from identify.solver.abstract_noise import AbstractNoise
@@ -81,6 +82,24 @@ class Problem(eqx.Module):
             return jnp.stack(columns, axis=-1)
 
         return of(self.shared, shared), of(self.own, own) * true_run[:, None]
+
+    def without_step_error(self, coordinates: "Coordinates") -> "Problem":
+        """Return the problem whose simulated channels are those of far shorter steps.
+
+        Their difference at these coordinates is taken off at all others; derivatives remain those
+        of the runs' own steps.
+        """
+        trials, observed = self.batch.trials, self.batch.observed
+        plain = eqx.tree_at(
+            lambda p: p.batch.observed.step_error, self, jnp.zeros_like(observed.step_error)
+        )
+
+        def simulated(parts: np.ndarray) -> np.ndarray:
+            finer = jnp.asarray(parts, trials.parts.dtype)
+            return predict(eqx.tree_at(lambda p: p.batch.trials.parts, plain, finer), coordinates)
+
+        error = jnp.asarray(step_error(simulated, trials))
+        return eqx.tree_at(lambda p: p.batch.observed.step_error, plain, error)
 
     @eqx.filter_jit
     def prediction(

@@ -23,6 +23,8 @@ class SolverSettings:
         held_gain: A run whose roughness keeps the others from gaining more than this is held where
             it is while they go on; they go back where all together lose by it.
         negligible: Share of the sum of squares that is not worth a warning.
+        short_move: Change of a coordinate up to which a last step is taken unseen: a number that
+            the runs hardly tell is promised a long one, which may lead anywhere.
         max_steps: Steps, at most.
     """
 
@@ -32,6 +34,7 @@ class SolverSettings:
     max_failures: int = 3
     held_gain: float = 1.0
     negligible: float = 0.01
+    short_move: float = 0.05
     max_steps: int = 60
 
 

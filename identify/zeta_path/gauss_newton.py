@@ -350,13 +350,7 @@ def sinkage_and_travel(run: PreparedRun) -> Observation:
     channels = tuple(name for name in CHANNELS if name in observation.channels)
     if "z" not in channels:
         raise RunError(run.name, "has no /measured/z, so its sinkage is not known")
-    picked = [observation.channels.index(name) for name in channels]
-    return replace(
-        observation,
-        channels=channels,
-        values=observation.values[picked],
-        noise=observation.noise[picked],
-    )
+    return observation.in_order(channels)
 
 
 def _sinkage_correlation(time: np.ndarray, spacing: float) -> float:

@@ -52,7 +52,7 @@ def predict_path(
 ) -> Float[Array, "channels samples"]:
     """Return the channels of one run at its recorded times [m], up to the last one compared."""
     drawn = path_trial(trial, curve, coordinates)
-    return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
+    return between_rows(drawn.extrapolated(observed.compared_rows, channels), observed)
 
 
 @eqx.filter_jit

@@ -1,6 +1,7 @@
 """A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
-from diagnose.dataset import RigDataset
+from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.run_pool import RunPool
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from drftjax.simulation.statics import sinkage_under_load
@@ -58,4 +59,5 @@ def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
         setup.effects = list(effects)
         setup.start.sinkage *= scale
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
-    return RigDataset.of(found)
+    with RunPool() as pool:
+        return without_step_errors(RigDataset.of(found), pool)

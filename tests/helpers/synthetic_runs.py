@@ -14,7 +14,7 @@ from drftjax.simulation.statics import sinkage_under_load
 SLOW = ([0.0, 0.25, 1.0, 1.5], [0.0, 0.0, 0.5, 0.5])
 FAST = ([0.0, 0.25, 1.25, 2.25], [0.0, 0.0, 4.0, 4.0])
 # Steps at which derivatives are slopes over a fit's errors [s].
-SLOW_STEP, FAST_STEP = 1e-3, 2.5e-4
+SLOW_STEP, FAST_STEP = 4e-3, 1e-3
 # Sinkage of a wheel that stands over what its load asks for at the least [-].
 DEEPER = 1.1
 

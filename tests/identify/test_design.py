@@ -35,12 +35,12 @@ from tests.studies.design import fitted
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes, where a
 # derivative may grow by 3 at most: a derivative is 0.5 % off.
-CORNERS = 0.02
+CORNERS = 2e-3
 # Four runs tell a standard deviation to two fifths; twice that either way.
 SCATTER = (0.2, 1.9)
 # Differences over 0.001 still see plates that enter between one step and the next; the load's moves
 # all of them at once.
-SLOPES = 0.03
+SLOPES = 5e-3
 # The logarithm of a standard error with rounded corners is another one by some percent.
 ROUNDED = 0.05
 # Ways and speeds that meet their limits do so but for a few roundings; in a file, speeds are sums.

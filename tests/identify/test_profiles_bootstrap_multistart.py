@@ -47,7 +47,7 @@ SCATTER = 3 / np.sqrt(2 * DRAWS)
 # Sums of a few products of doubles of order one.
 ROUNDING = 1e-14
 # Phases of a second tell zeta to a hundredth, and the steady one to a thousandth.
-PHASE = 0.02
+PHASE = 0.01
 # Zetas that differ by a hundredth, by straight lines: a tenth of the difference.
 STRAIGHT = 0.1
 # What a steady zeta is off by where a path of it is read between its phases' ends.

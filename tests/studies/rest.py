@@ -10,7 +10,9 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from drftjax import configure_jax
 from drftjax.physics import implicit
@@ -23,11 +25,22 @@ RIGS = Path(__file__).parents[3] / "shared" / "reference_rigs"
 STEP, FINE = 1e-2, 6.25e-4
 
 
+class WholeLoad(ImplicitEuler):
+    """A plate at rest along its normal carries its whole load on a rolling wheel, too."""
+
+    def lead_speed(self, radius: Float[Array, ""], omega: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.zeros_like(omega)
+
+
 WAYS = {
-    "0.6 µm/s": ImplicitEuler(rolling=0.0),
-    "0.1 mm/s": ImplicitEuler(standing=8.24e-5, rolling=0.0),
-    "0.1 % of the rim's speed (the default)": ImplicitEuler(),
-    "0.4 %": ImplicitEuler(rolling=4e-3),
+    "0.6 µm/s, whole load": WholeLoad(rolling=0.0),
+    "0.1 mm/s, whole load": WholeLoad(standing=8.24e-5, rolling=0.0),
+    "0.1 % of the rim's speed, whole load": WholeLoad(rolling=1e-3),
+    "0.4 %, whole load": WholeLoad(rolling=4e-3),
+    "0.1 %, half of it": ImplicitEuler(rolling=1e-3),
+    "0.3 %, half of it (the default)": ImplicitEuler(),
+    "0.4 %, half of it": ImplicitEuler(rolling=4e-3),
+    "1 %, half of it": ImplicitEuler(rolling=1e-2),
 }
 
 
@@ -71,7 +84,7 @@ def main() -> None:
     """Print the table."""
     configure_jax()
     heads = (
-        "width at rest", "evaluations a step at 10 ms",
+        "width at rest, load of a plate there", "evaluations a step at 10 ms",
         "z by the step, RMS [mm]", "paper, z [mm]", "plain_wheel, z [mm]", "its final x [mm]",
         "creep in a minute [mm]",
     )  # fmt: skip

@@ -192,7 +192,7 @@ def standing_start(simulator: Simulator, settings: PlantSettings = DEFAULT_PLANT
 
 @eqx.filter_jit
 def _stored_rows(trial: Trial, rows: Int[Array, ""]) -> Float[Array, "2 rows"]:
-    return trial.run_to(rows, ("x", "z"))
+    return trial.extrapolated(rows, ("x", "z"))
 
 
 # Scaling factor of the sand of Table 3 [-].

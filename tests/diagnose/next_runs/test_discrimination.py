@@ -32,14 +32,18 @@ def pulled():
 
 
 @pytest.fixture(scope="module")
-def advice(pulled, pool):
+def both(pulled, pool):
     # Both pull back all the while as long as the carriage only goes forward.
     singles = {
         each.names: each
         for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
     }
-    first, second = (singles[(name,)] for name in NAMES)
-    return next_run(pulled, first, [second], FLOORS, pool)
+    return [singles[(name,)] for name in NAMES]
+
+
+@pytest.fixture(scope="module")
+def advice(both, pulled, pool):
+    return next_run(pulled, both[0], [both[1]], FLOORS, pool)
 
 
 def test_it_names_the_run_that_parts_two_explanations(advice):
@@ -57,10 +61,14 @@ def test_the_runs_that_may_be_proposed_can_be_varied(pulled):
     assert float(loaded.trial.simulator.rig.mass_z) == pytest.approx(0.5 * mass)
 
 
-def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(advice):
-    assert advice["channel"]["channel"] == "torque"
-    assert advice["channel"]["floors"] > DEFAULT_NEXT_RUN.min_floors
-    assert advice["channel"]["unit"] == "N m"
+def test_it_names_a_channel_that_would_part_them_on_a_run_as_made(both, pulled, pool):
+    # A force and a friction of one size differ where the wheel stands: in torque, by 0.14 N m.
+    enough = NextRunSettings(min_floors=1.0)
+    found = next_run(pulled, both[0], [both[1]], FLOORS, pool, enough)["channel"]
+    assert (found["channel"], found["unit"]) == ("torque", "N m")
+    assert found["floors"] > enough.min_floors
+    more = NextRunSettings(min_floors=found["floors"] + 0.1)
+    assert next_run(pulled, both[0], [both[1]], FLOORS, pool, more)["channel"] is None
 
 
 def test_no_run_goes_farther_than_the_longest_so_far(pulled):
@@ -156,12 +164,8 @@ def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled, pool):
     assert DEFAULT_NEXT_RUN.min_floors < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
 
 
-def test_where_no_run_parts_all_the_likeliest_rival_counts(pulled, pool):
-    singles = {
-        each.names: each
-        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
-    }
-    first, second = (singles[(name,)] for name in NAMES)
+def test_where_no_run_parts_all_the_likeliest_rival_counts(both, pulled, pool):
+    first, second = both
     # Nothing parts an explanation from itself.
     told = next_run(pulled, first, [second, first], FLOORS, pool)
     assert told == next_run(pulled, first, [second], FLOORS, pool)

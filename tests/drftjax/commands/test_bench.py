@@ -15,8 +15,9 @@ from drftjax.simulation.plain_numpy import simulate_in_numpy
 from drftjax.simulation.rollout import simulate, step_times
 from drftjax.simulation.simulator import Simulator
 
-# Largest difference of z [m]. The two smooth rest by 0.1 mm/s and by a thousandth of the rim's
-# speed, so the wheel starts as deep as it stands by both; both steps, of 2 ms, are of first order.
+# Largest difference of z [m]. Of a standing wheel the two smooth rest by 0.1 mm/s and by less than
+# a micrometre a second, so the wheel starts as deep as it stands by both; both steps, of 2 ms, are
+# of first order.
 SINKAGE = 5e-5
 SINKING_AT_REST = 0.0337
 

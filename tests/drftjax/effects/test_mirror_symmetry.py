@@ -43,9 +43,8 @@ SETTING_OFF = 0.02
 PILED = 2.5e-4
 # Far over that, and far under what an effect fixed in space does on the wrong side [m].
 SEEN = 1e-6
-# Forward and reverse mode are two programs. Where a wheel turns round, what each rounds lets a
-# plate turn over a step earlier or later, which two of the derivatives feel.
-ORDER = 5e-3
+# Forward and reverse mode are two programs, whose roundings a wheel that turns round magnifies.
+ORDER = 1e-6
 # No number changes a sum of some hundred samples by more than 14 per unit; derivatives that grow
 # from step to step pass 1e20 in a second.
 BOUNDED = 50.0

@@ -24,9 +24,8 @@ from drftjax.physics.integrator import DEFAULT_STEP
 from drftjax.simulation.rollout import simulate
 from tests.studies.runs import profile
 
-# At a few steps of thousands, where the balance all but folds, a derivative is scaled to what
-# dissipation allows (`drftjax.physics.implicit.LARGEST_GROWTH`): 1 % at steps of 2.5 ms.
-AGREEMENT = 1e-2
+# Of the largest change: differences cross corners where plates turn over.
+AGREEMENT = 1e-3
 WIDE = 1e-2
 METHODS = 2e-2
 # Forward and reverse mode multiply the same matrices in another order.

@@ -31,8 +31,8 @@ CLIMB = 5e-5
 TUNED_STANDING = 0.005
 # The table's slopes are of secants over 1 %, and average the corners that a plate passes there.
 RELATIVE, OF_LARGEST = 0.05, 0.02
-# Of the travel of a wheel that comes back [mm]; one way, it is some hundred times as much.
-REVERSED = 0.5
+# Of the travel of a wheel that comes back [mm]: 3 % of the slope of one way, 22 mm.
+REVERSED = 0.65
 
 NAMES = (
     "crawl", "damped", "driven_locked", "driven_slip30", "drop_20mm", "fast_300deg", "fast_90deg",
@@ -115,9 +115,8 @@ def test_derivatives_are_those_of_the_other_implementation(rigs, name):
     setup, _ = recorded(rigs, name)
     choice = choose_setup_step(setup)
     assert choice is not None
-    # Where a wheel tips over one grouser on stiff sand, a derivative is no slope over 1 %: it says
-    # so itself.
-    assert choice.within == (name not in ("stiff_sand", "drop_20mm"))
+    # After a fall z still changes with the step, and the choice says so.
+    assert choice.within == (name != "drop_20mm")
     trial = setup.trial()
 
     def outcome(logarithms):
@@ -134,8 +133,6 @@ def test_derivatives_are_those_of_the_other_implementation(rigs, name):
     expected = np.array(list(table.values())).T
     largest = np.abs(expected).max(axis=1, keepdims=True)
     allowed = np.maximum(RELATIVE * np.abs(expected), OF_LARGEST * largest)
-    if name == "stiff_sand":  # z by the radius is the one that is wrong, by three times as much
-        allowed[0, list(table).index("radius")] = np.inf
     # The way back cancels the way there: what is left is a small difference of both.
     allowed[1] += REVERSED if name == "reversal" else 0
     assert np.all(np.abs(found - expected) < allowed)
