@@ -41,9 +41,7 @@ def parts_within_turn(
         trials: A trial, or several stacked along a leading axis of runs.
         settings: Numbers of the shorter steps.
     """
-    radius = np.asarray(trials.simulator.wheel.radius)[..., None]
-    rim = np.maximum(np.abs(np.asarray(trials.omega)), np.abs(np.asarray(trials.vx)) / radius)
-    turned = np.asarray(trials.step) * rim.max(axis=-1)
+    turned = np.asarray(trials.step) * trials.top_speed()
     return np.maximum(1, np.ceil(turned / settings.turn)).astype(int)
 
 

@@ -1,6 +1,7 @@
 """Trial: simulator, start and command of a whole run."""
 
 import math
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -42,7 +43,7 @@ class Trial(eqx.Module):
     step: Float[Array, ""]
     every: int = eqx.field(static=True)
     rows: int = eqx.field(static=True)
-    parts: Int[Array, ""] = eqx.field(converter=jnp.asarray, default=1)
+    parts: Int[Array, ""] = eqx.field(converter=partial(jnp.asarray, dtype=int), default=1)
 
     @classmethod
     def of(
@@ -115,6 +116,14 @@ class Trial(eqx.Module):
         interval = self.every * self.step
         start = self.simulator, self.start, self.command, interval, parts, rows, self.rows
         return sweep(*start, keep)
+
+    def top_speed(self) -> Float[np.ndarray, "*runs"]:
+        """Fastest that the wheel turns, or would beside a carriage that slips by nothing [rad/s].
+
+        Of several trials stacked along a leading axis, of each.
+        """
+        radius = np.asarray(self.simulator.wheel.radius)[..., None]
+        return np.maximum(np.abs(self.omega), np.abs(self.vx) / radius).max(axis=-1)
 
     def command(self, time: Float[Array, ""]) -> Command:
         """The command at a time [s]."""
