@@ -53,7 +53,10 @@ def fit_paths(
     kept, joint, left_out = retry_without_failures(list(prepared), make)
     paths = [each.path() for each in joint.solvers]
     shared, own = joint.values
-    fits = [_run(*each) for each in zip(kept, paths, own, strict=True)]
+    errors = [
+        each.step_error_of(run.observation) for each, run in zip(joint.solvers, kept, strict=True)
+    ]
+    fits = [_run(*each) for each in zip(kept, paths, own, errors, strict=True)]
     findings = [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
         f"{int(path.identified.sum())} of {len(path.identified)} knots that the run tells"
@@ -79,7 +82,9 @@ def fit_paths(
     )
 
 
-def _run(each: PreparedRun, path: ZetaPath, values: dict[str, Value]) -> RunFit:
+def _run(
+    each: PreparedRun, path: ZetaPath, values: dict[str, Value], step_error: np.ndarray
+) -> RunFit:
     observation = each.observation
     status = "converged" if path.converged else "stalled"
     if any(value.at_bound for value in values.values()):
@@ -92,8 +97,8 @@ def _run(each: PreparedRun, path: ZetaPath, values: dict[str, Value]) -> RunFit:
         counts=observation.counts,
         channels=observation.channels,
         recorded=observation.values,
-        before=_at(each.trial, each),
-        after=_at(path.trial, each),
+        before=_at(each.trial, each) - step_error,
+        after=_at(path.trial, each) - step_error,
         status=status,
         path=path,
         believed=(each.setup.wheel, each.setup.rig),

@@ -57,6 +57,8 @@ class ZetaPathSolver:
         settled: No step is left to make.
         converged: The path is found.
         steps: Steps taken, rejected ones included.
+        step_error: Error of the simulated channels by their step, which is taken off, at the run's
+            samples, shape (channels, samples); None until the path is close.
     """
 
     def __init__(
@@ -103,6 +105,12 @@ class ZetaPathSolver:
         self.borrowed = False
         self.steps = 0
         self.settled = self.converged = False
+        self.step_error: np.ndarray | None = None
+
+    def take_off(self, step_error: Float[np.ndarray, "channels padded"]) -> None:
+        """Take note of the error by the step, which predictions are free of from here on."""
+        self.step_error = step_error[:, : len(self.run.observation.time)]
+        self.objective = np.inf  # With the error and without it, misfits are not comparable.
 
     def advance(
         self,
@@ -169,6 +177,14 @@ class ZetaPathSolver:
             self.settled = True
         else:
             self.coordinates = self.origin + self.move
+
+    def step_error_of(self, observation: Observation) -> Float[np.ndarray, "channels samples"]:
+        """Return the error by the step of all of an observation's channels, zero where unknown."""
+        found = np.zeros_like(observation.values)
+        if self.step_error is not None:
+            for channel, error in zip(self.channels, self.step_error, strict=True):
+                found[observation.channels.index(channel)] = error
+        return found
 
     @property
     def padded(self) -> Float[np.ndarray, " all"]:

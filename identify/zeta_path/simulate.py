@@ -1,5 +1,7 @@
 """Simulation of a run under a spline of log zeta, and its derivative by the knots."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,7 @@ from jaxtyping import Array, Float
 
 from drftjax.physics.terrain import KnotZeta
 from drftjax.recorded.batch import Batch, PaddedObservations, between_rows, map_over_runs
+from drftjax.simulation.step_error import step_error
 from drftjax.simulation.trial import Trial
 
 # Standard deviation of the start's sinkage and travel about their recorded means, the unit of their
@@ -52,7 +55,48 @@ def predict_path(
 ) -> Float[Array, "channels samples"]:
     """Return the channels of one run at its recorded times [m], up to the last one compared."""
     drawn = path_trial(trial, curve, coordinates)
-    return between_rows(drawn.extrapolated(observed.compared_rows, channels), observed)
+    return between_rows(drawn.run_to(observed.compared_rows, channels), observed)
+
+
+@eqx.filter_jit
+def _predictions(
+    batch: Batch,
+    mesh: Mesh,
+    curves: Float[Array, "runs ends knots"],
+    coordinates: Float[Array, "runs all"],
+) -> Float[Array, "runs channels samples"]:
+    def one(trial: Trial, observed: PaddedObservations, _, own: tuple[Array, Array]) -> Array:
+        return predict_path(trial, observed, batch.channels, *own)
+
+    return map_over_runs(batch, mesh, one, (), (curves, coordinates))
+
+
+def step_errors(
+    batch: Batch,
+    mesh: Mesh,
+    curves: Float[Array, "runs ends knots"],
+    coordinates: Float[Array, "runs all"],
+    runs: Sequence[int],
+) -> Float[np.ndarray, "runs channels samples"]:
+    """Return the error by the step of some runs' channels, to the last sample; zero for others.
+
+    Args:
+        batch, mesh, curves, coordinates: As for `predict_with_jacobian`.
+        runs: Numbers of the runs in the batch.
+    """
+    observed = batch.observed
+    rows = jnp.where(np.isin(np.arange(len(batch.order)), runs), observed.all_rows, 0)
+    whole = eqx.tree_at(
+        lambda b: (b.observed.compared_rows, b.observed.step_error),
+        batch,
+        (rows, jnp.zeros_like(observed.step_error)),
+    )
+
+    def simulated(parts: np.ndarray) -> np.ndarray:
+        finer = eqx.tree_at(lambda b: b.trials.parts, whole, jnp.asarray(parts, int))
+        return np.asarray(_predictions(finer, mesh, curves, coordinates))
+
+    return step_error(simulated, batch.trials)
 
 
 @eqx.filter_jit

@@ -11,7 +11,8 @@ own; that of sinkage lasts no longer than knots can resolve, as the rest is for 
 With the simulation linearised by its exact derivative, the probability of the data given w and the
 noise (the evidence, by Laplace's approximation) is a Gaussian integral in closed form. Its largest
 value over a grid of w, with the noise found by expectation-maximisation at each, chooses w;
-Gauss-Newton steps move the linearisation until they converge.
+Gauss-Newton steps move the linearisation until they converge. Close to its optimum the error by the
+integrator's step is taken off (`drftjax.simulation.step_error`).
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,12 @@ from drftjax.recorded.prepared_run import PreparedRun
 from identify.zeta_path.gauss_newton import ZetaPathSolver, sinkage_and_travel
 from identify.zeta_path.path import ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
-from identify.zeta_path.simulate import START_COORDINATES, predict_with_jacobian, with_zeta_knots
+from identify.zeta_path.simulate import (
+    START_COORDINATES,
+    predict_with_jacobian,
+    step_errors,
+    with_zeta_knots,
+)
 
 # Time from knot to knot, unless asked for otherwise [s].
 KNOT_SPACING = 1.0
@@ -111,6 +117,14 @@ def _solve_together(
             coordinates[number] = fit.padded
             if fit.settled:
                 compared = compared.at[number].set(0)
+        near = [number for number, fit in enumerate(fits) if fit.close and fit.step_error is None]
+        if near:
+            error = step_errors(batch, mesh, curves, jnp.asarray(coordinates), near)
+            for number in near:
+                fits[number].take_off(error[number])
+            batch = eqx.tree_at(
+                lambda b: b.observed.step_error, batch, batch.observed.step_error + error
+            )
         unsettled = eqx.tree_at(lambda b: b.observed.compared_rows, batch, compared)
         found = predict_with_jacobian(unsettled, mesh, curves, jnp.asarray(coordinates))
         predicted, derivative = (np.asarray(each)[: len(fits)] for each in found)
