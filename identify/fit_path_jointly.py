@@ -51,8 +51,6 @@ class JointFitSettings:
             standard error.
         least_information: Information on a coordinate that the runs do not determine: an error of
             10,000.
-        nearby: Distances from a coordinate at which its derivative may be taken: no derivative
-            changes by a tenth over them.
         noticeable: Fall of the log evidence for which a step is rejected; paths that stop elsewhere
             in the rough make a smaller one by themselves.
         max_rejections: Rejected steps in a row, each half as long, at most.
@@ -63,7 +61,6 @@ class JointFitSettings:
     max_iterations: int = 20
     small_step: float = 0.1
     least_information: float = 1e-8
-    nearby: tuple[float, ...] = (-0.04, -0.02, 0.0, 0.02, 0.04)
     noticeable: float = 1.0
     max_rejections: int = 3
     path: ZetaPathSettings = ZETA_PATH_SETTINGS
@@ -293,9 +290,7 @@ class _JointProblem:
                 curves[at], paths[at] = steps[run].curve, steps[run].padded
                 own[at] = coordinates[self.places_of(run)]
             inputs = map(jnp.asarray, (curves, paths, own))
-            found = np.asarray(
-                _slopes(batch, device_mesh(), self.parameters, self.settings.nearby, *inputs)
-            )
+            found = np.asarray(_slopes(batch, device_mesh(), self.parameters, *inputs))
             slopes |= {run: found[steps[run].number] for run in alike}
         return [
             _Linear(len(each.coordinates), *each.information_with(slopes[run][:, each.counts]))
@@ -370,16 +365,11 @@ def _slopes(
     batch: Batch,
     mesh: Mesh,
     parameters: tuple[Parameter, ...],
-    nearby: tuple[float, ...],
     curves: Float[Array, "runs ends knots"],
     paths: Float[Array, "runs path"],
     coordinates: Float[Array, "runs values"],
 ) -> Float[Array, "runs channels samples values"]:
-    """Return the derivative of every run's channels by its values' coordinates, its path held.
-
-    The smallest of those at nearby values: where a jump of the wheel is about to move by a step,
-    the derivative says how the jump multiplies, up to a thousandfold, not how the run goes on.
-    """
+    """Return the derivative of every run's channels by its values' coordinates, its path held."""
 
     def one(
         trial: Trial, observed: PaddedObservations, _, own: tuple[Array, Array, Array]
@@ -389,8 +379,6 @@ def _slopes(
         def simulated(at: Array) -> Array:
             return predict_path(_with(trial, parameters, at), observed, batch.channels, curve, path)
 
-        found = jax.vmap(jax.jacfwd(simulated))(here + np.array(nearby)[:, None])
-        size = jnp.linalg.norm(jnp.nan_to_num(found, nan=jnp.inf), axis=(1, 2))
-        return jnp.take_along_axis(found, jnp.argmin(size, axis=0)[None, None, None], axis=0)[0]
+        return jax.jacfwd(simulated)(here)
 
     return map_over_runs(batch, mesh, one, (), (curves, paths, coordinates))

@@ -101,8 +101,7 @@ class ZetaPathSolver:
         self.origin = self.coordinates
         self.move = np.zeros_like(self.coordinates)
         self.residual = np.zeros_like(self.values)
-        self.slopes: np.ndarray | None = None
-        self.borrowed = False
+        self.slopes = np.zeros((*self.values.shape, len(self.coordinates)))
         self.steps = 0
         self.settled = self.converged = False
         self.step_error: np.ndarray | None = None
@@ -127,25 +126,18 @@ class ZetaPathSolver:
             RunError: where the run cannot be simulated at the zeta it starts from.
         """
         residual, slopes = predicted[:, self.counts] - self.values, derivative[:, self.counts]
-        known = self.slopes is not None or np.isfinite(slopes).all()
-        if not (known and np.isfinite(residual).all()):
+        if not (np.isfinite(slopes).all() and np.isfinite(residual).all()):
             if self.steps == 0:
                 raise RunError(self.run.name, "its simulation diverges at the zeta it starts from")
             self._halve_step()
             return
         gain = np.inf if self.last is None else self.objective - self._objective(residual)
-        smooth = self._is_smooth(slopes)
         if gain < -1.0:
-            if smooth and self.borrowed:
-                self.slopes = slopes
             self._halve_step()
             return
         self.steps += 1
         self.rejections = 0
-        self.residual = residual
-        self.borrowed = not (smooth or self.slopes is None)
-        if self.slopes is None or not self.borrowed:
-            self.slopes = slopes
+        self.residual, self.slopes = residual, slopes
         self._step_from_here(gain)
 
     def _step_from_here(self, gain: float) -> None:
@@ -196,7 +188,7 @@ class ZetaPathSolver:
         """Return the linearised run's posterior, and whether its path bends as the data ask for."""
         self.fitted_channels = [*self.channels] if self.all_channels else ["z"]
         picked = [self.channels.index(name) for name in self.fitted_channels]
-        slopes = self._known_slopes()
+        slopes = self.slopes
         # Scatter of the residual, not of the readings: a wheel that speeds up moves from sample to
         # sample by more than its instruments scatter.
         instruments = [
@@ -226,16 +218,6 @@ class ZetaPathSolver:
         found = linear.maximize_evidence_given_noise(noise, least)
         return found, found.weight > 2 * least
 
-    def _is_smooth(self, slopes: np.ndarray) -> bool:
-        """Return whether a derivative says how the run goes on, not how a jump multiplies.
-
-        A knot's zeta e times as large moves no wheel up or down by more than its radius. In place
-        of another kind, the last derivative that was smooth is used.
-        """
-        radius = float(self.trial.simulator.wheel.radius)
-        steepest = np.abs(slopes[self.channels.index("z")]).max()
-        return bool(steepest < radius and np.isfinite(slopes).all())
-
     def _halve_step(self) -> None:
         """Halve the last step: the simulation does not keep what the linearisation promised."""
         numbers = self.settings
@@ -245,9 +227,7 @@ class ZetaPathSolver:
         self.rejections += 1
         if self.rejections == numbers.max_rejections or self.steps >= numbers.max_steps:
             self.coordinates = self.origin
-            self.settled = (self.all_channels and not self.borrowed) or (
-                self.steps >= numbers.max_steps
-            )
+            self.settled = self.all_channels or self.steps >= numbers.max_steps
             little = self.predicted_gain < numbers.close_gain * self.objective
             self.converged = bool(self.all_channels and little)
             # White noise leads no further; from here on the noise is found with the path.
@@ -283,7 +263,7 @@ class ZetaPathSolver:
             By the path's coordinates, then the other numbers.
         """
         picked = [self.channels.index(name) for name in self.fitted_channels]
-        by_path = self._known_slopes()
+        by_path = self.slopes
         columns = [np.c_[by_path[n], slopes[n], self.residual[n]] for n in picked]
         pairs = zip(columns, self.posterior.noise, strict=True)
         whole = np.sum([self._products(c).whitened_gram(n) for c, n in pairs], axis=0)
@@ -305,10 +285,6 @@ class ZetaPathSolver:
             self.knots, len(centre), self.posterior.weight, self.settings.level_spread
         )
         return precision, self.coordinates - centre
-
-    def _known_slopes(self) -> np.ndarray:
-        assert self.slopes is not None
-        return self.slopes
 
     def _products(self, columns: np.ndarray) -> LaggedProducts:
         return LaggedProducts.of(columns, self.intervals)
