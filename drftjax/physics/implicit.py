@@ -105,6 +105,7 @@ class Root(eqx.Module):
         residual: Residual there [N s].
         forces: What else the balance gives there.
         jacobian: Derivative of the residual by the velocity [kg].
+        forces_slope: Derivative of the forces by the velocity.
         evaluations: Evaluations of the force.
         found: Whether the last change of velocity was under the tolerance.
     """
@@ -113,6 +114,7 @@ class Root(eqx.Module):
     residual: Pair
     forces: Float[Array, " forces"]
     jacobian: Matrix
+    forces_slope: Float[Array, "forces 2"]
     evaluations: Int[Array, ""]
     found: Bool[Array, ""]
 
@@ -128,9 +130,8 @@ def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix
 
 
 def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> Root:
-    (residual, forces), jacobian, _ = _linearized(balance, velocity)
-    found = jnp.asarray(False)
-    return Root(velocity, residual, forces, jacobian, evaluations, found)
+    (residual, forces), jacobian, slope = _linearized(balance, velocity)
+    return Root(velocity, residual, forces, jacobian, slope, evaluations, jnp.asarray(False))
 
 
 def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
@@ -167,10 +168,19 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
         return judged(root, part * step), step, part
 
-    first = _evaluated(balance, guess, jnp.asarray(1))
-    step, whole = step_of(first), jnp.ones((), guess.dtype)
-    first = judged(first, step)
-    return jax.lax.while_loop(going_on, turn, (first, step, whole))[0]
+    # The first turn is at the guess, and is accepted: so the force stands in the program once.
+    forces = jax.eval_shape(lambda: balance(guess)[1])
+    first = Root(
+        velocity=guess,
+        residual=jnp.full_like(guess, jnp.inf),
+        forces=jnp.zeros(forces.shape, forces.dtype),
+        jacobian=jnp.eye(2, dtype=guess.dtype),
+        forces_slope=jnp.zeros((*forces.shape, 2), forces.dtype),
+        evaluations=jnp.asarray(0),
+        found=jnp.asarray(False),
+    )
+    begun = first, jnp.zeros_like(guess), jnp.ones((), guess.dtype)
+    return jax.lax.while_loop(going_on, turn, begun)[0]
 
 
 def root_of(
@@ -203,7 +213,7 @@ def _by_implicit_function(primals, tangents):
     by_balance, _ = tangents
     # By the function itself, so that derivatives of this derivative see the root move.
     velocity, forces = _at_root(balance, root)
-    _, jacobian, forces_by_velocity = _linearized(balance, velocity)
+    jacobian, forces_by_velocity = _slopes(balance, velocity, root)
     _, changes = eqx.filter_jvp(lambda b: b(velocity), (balance,), (by_balance,))
     # Of what depends on nothing that changes, as the sand's force at a rig's load, there is none.
     residual, change = (
@@ -213,3 +223,21 @@ def _by_implicit_function(primals, tangents):
     believed = jnp.minimum(1, balance.largest_growth() / balance.growth(jacobian))
     by = -believed * balance.solve(jacobian, residual)
     return (velocity, forces), (by, change + forces_by_velocity @ by)
+
+
+@eqx.filter_custom_jvp
+def _slopes(
+    balance: AbstractBalance, velocity: Pair, root: Root
+) -> tuple[Matrix, Float[Array, "forces 2"]]:
+    """Derivatives of residual and forces by the velocity: those that the search ended with."""
+    return root.jacobian, root.forces_slope
+
+
+@_slopes.def_jvp
+def _changes_of_slopes(primals, tangents):
+    def slopes(balance: AbstractBalance, velocity: Pair):
+        return _linearized(balance, velocity)[1:]
+
+    balance, velocity, _ = primals
+    by_balance, by_velocity, _ = tangents
+    return eqx.filter_jvp(slopes, (balance, velocity), (by_balance, by_velocity))
