@@ -10,8 +10,19 @@ from drftjax.common.errors import InputError
 SHORTEST_CACHED_COMPILATION_S = 0.3
 """Shortest compilation whose result is cached [s]: one simulator compiles for seconds."""
 
-WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-"""XLA flag by which a loop is compiled as one kernel."""
+XLA_OPTIONS = {
+    # A loop is compiled as one kernel, whatever its size.
+    "xla_backend_extra_options": "xla_cpu_small_while_loop_byte_threshold=1000000000",
+    # Plates side by side in vectors as wide as the processor has; halves of them otherwise.
+    "xla_cpu_prefer_vector_width": "512",
+}
+"""Options with which XLA compiles the loop of a run to run in a fifth of the time."""
+
+
+def with_options(given: str) -> str:
+    """XLA flags with `XLA_OPTIONS` added; those that are given are kept."""
+    missing = (f"--{name}={value}" for name, value in XLA_OPTIONS.items() if name not in given)
+    return " ".join((given, *missing)).strip()
 
 
 def configure_jax(
@@ -32,7 +43,8 @@ def configure_jax(
     """
     if precision not in ("float64", "float32"):
         raise InputError(f"precision must be float64 or float32, not {precision!r}")
-    _compile_loops_whole()
+    # XLA reads its flags once, when JAX first computes.
+    os.environ["XLA_FLAGS"] = with_options(os.environ.get("XLA_FLAGS", ""))
     # Programs run threads of their own, which those of NumPy's BLAS would only slow down.
     # Read when NumPy is first imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -49,16 +61,6 @@ def configure_jax(
         jax.config.update(
             "jax_persistent_cache_min_compile_time_secs", SHORTEST_CACHED_COMPILATION_S
         )
-
-
-def _compile_loops_whole() -> None:
-    """Have XLA compile the loop of a run as one kernel, which halves its run time.
-
-    XLA reads its flags once, when JAX first computes. Extra options that the user has set are kept.
-    """
-    given = os.environ.get("XLA_FLAGS", "")
-    if "xla_backend_extra_options" not in given:
-        os.environ["XLA_FLAGS"] = f"{given} {WHOLE_LOOPS}".strip()
 
 
 def _split_cpu(devices: int) -> None:

@@ -36,12 +36,27 @@ class AbstractBalance(eqx.Module):
     """Balance of momentum over one step, as a function of the velocity at its end."""
 
     @abc.abstractmethod
-    def __call__(self, velocity: Pair) -> tuple[Pair, Float[Array, " forces"]]:
-        """Residual G [N s] of the balance at a velocity [m/s], and the forces that go into it.
+    def by_plate(self, velocity: Pair) -> tuple[Float[Array, " plates"], ...]:
+        """What is summed over the plates, at a velocity.
 
         Args:
             velocity: Velocity (x, z) at the end of the step [m/s].
         """
+
+    @abc.abstractmethod
+    def of_sums(
+        self, velocity: Pair, sums: tuple[Float[Array, ""], ...]
+    ) -> tuple[Pair, Float[Array, " forces"]]:
+        """Residual G [N s] of the balance at a velocity, and the forces that go into it.
+
+        Args:
+            velocity: Velocity (x, z) at the end of the step [m/s].
+            sums: Of `by_plate` there.
+        """
+
+    def __call__(self, velocity: Pair) -> tuple[Pair, Float[Array, " forces"]]:
+        """Residual and forces as of `of_sums`, at a velocity [m/s]."""
+        return self.of_sums(velocity, sums_over_plates(self.by_plate(velocity)))
 
     @abc.abstractmethod
     def solve(self, jacobian: Matrix, residual: Pair) -> Pair:
@@ -119,13 +134,39 @@ class Root(eqx.Module):
     found: Bool[Array, ""]
 
 
+@jax.custom_jvp
+def sums_over_plates(
+    columns: tuple[Float[Array, " plates"], ...],
+) -> tuple[Float[Array, ""], ...]:
+    """Sum of each column, all in one pass over the plates.
+
+    XLA makes a pass of each sum, with what leads up to it computed again; a pass of all of them is
+    two to four times as fast.
+    """
+    nought = tuple(jnp.zeros((), column.dtype) for column in columns)
+    return jax.lax.reduce(columns, nought, _add_each, dimensions=(0,))
+
+
+def _add_each(left: tuple[Array, ...], right: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(a + b for a, b in zip(left, right, strict=True))
+
+
+@sums_over_plates.defjvp
+def _sums_of_changes(primals, tangents):
+    # One by one: these can be transposed.
+    return sums_over_plates(*primals), tuple(change.sum() for change in tangents[0])
+
+
 def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix, Array]:
     """The balance at a velocity, and the derivatives of residual and forces by it."""
-    values, along = jax.linearize(lambda v: balance(v), velocity)
+    columns, along = jax.linearize(balance.by_plate, velocity)
     # One direction at a time: a batched pair keeps XLA from fusing it with the plates' other sums.
     directions = jnp.eye(2, dtype=velocity.dtype)
-    columns = [along(directions[0]), along(directions[1])]
-    jacobian, by_velocity = (jnp.stack(pair, axis=1) for pair in zip(*columns, strict=True))
+    sums = sums_over_plates((*columns, *along(directions[0]), *along(directions[1])))
+    number = len(columns)
+    values, along = jax.linearize(balance.of_sums, velocity, sums[:number])
+    by = along(directions[0], sums[number : 2 * number]), along(directions[1], sums[2 * number :])
+    jacobian, by_velocity = (jnp.stack(pair, axis=1) for pair in zip(*by, strict=True))
     return values, jacobian, by_velocity
 
 

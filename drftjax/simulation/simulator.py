@@ -11,7 +11,7 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
 from drftjax.effects.base import AbstractAdjustment, AbstractEffect, StepContext
 from drftjax.physics.command import Command
-from drftjax.physics.implicit import AbstractBalance, root_of
+from drftjax.physics.implicit import AbstractBalance, root_of, sums_over_plates
 from drftjax.physics.integrator import ImplicitEuler
 from drftjax.physics.rig import FreeCarriage, Rig
 from drftjax.physics.state import Output, State, slip
@@ -165,11 +165,26 @@ class Simulator(eqx.Module):
 
         Arguments as for `plate_load`.
         """
+        columns = self.plate_wrenches(position, velocity, angle, omega, zeta, memory)
+        return jnp.stack(sums_over_plates(columns))
+
+    def plate_wrenches(
+        self,
+        position: Float[Array, "2"],
+        velocity: Float[Array, "2"],
+        angle: Float[Array, ""],
+        omega: Float[Array, ""],
+        zeta: Float[Array, ""],
+        memory: chain.Memories = (),
+    ) -> tuple[Float[Array, " plates"], Float[Array, " plates"], Float[Array, " plates"]]:
+        """What each plate adds to `wrench`: force (x, z) [N] and torque [N m].
+
+        Arguments as for `plate_load`.
+        """
         load = self.plate_load(position, velocity, angle, omega, zeta, memory)
         force_x = load.stress_x * load.plates.area
         force_z = load.stress_z * load.plates.area
-        moment = load.plates.x * force_z - load.plates.z * force_x
-        return jnp.stack([force_x.sum(), force_z.sum(), moment.sum()])
+        return force_x, force_z, load.plates.x * force_z - load.plates.z * force_x
 
     def step(
         self, state: State, command: Command, dt: Float[Array, ""] | float
@@ -336,16 +351,24 @@ class StepBalance(AbstractBalance):
     moment: StepContext
     zeta: Float[Array, ""]
 
-    def __call__(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "3"]]:
+    def by_plate(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, " plates"], ...]:
+        moment = self.moment
+        at = self._position(velocity), velocity, moment.angle, moment.omega
+        return self.simulator.plate_wrenches(*at, self.zeta, self.memory)
+
+    def of_sums(
+        self, velocity: Float[Array, "2"], sums: tuple[Float[Array, ""], ...]
+    ) -> tuple[Float[Array, "2"], Float[Array, "3"]]:
         simulator, memory, moment, dt = self.simulator, self.memory, self.moment, self.moment.dt
-        position = self.state.position + dt * (velocity + self.start) / 2
-        effects, rig = simulator.effects, simulator.rig
-        sand = simulator.wrench(position, velocity, moment.angle, moment.omega, self.zeta, memory)
+        effects, rig, position = simulator.effects, simulator.rig, self._position(velocity)
         piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
-        sand = sand.at[:2].add(piled)
+        sand = jnp.stack(sums).at[:2].add(piled)
         held = chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
         forces = sand[:2] + rig.load(velocity) + held
         return rig.mass() * (velocity - self.start) - dt * forces, sand
+
+    def _position(self, velocity: Float[Array, "2"]) -> Float[Array, "2"]:
+        return self.state.position + self.moment.dt * (velocity + self.start) / 2
 
     def solve(
         self, jacobian: Float[Array, "2 2"], residual: Float[Array, "2"]

@@ -22,6 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from drftjax.common.jax_config import with_options
 from tests.benchmarks import cases
 from tests.benchmarks.cases import Case
 from tests.benchmarks.yardstick import Unavailable, Yardstick
@@ -29,14 +30,10 @@ from tests.benchmarks.yardstick import Unavailable, Yardstick
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared"
 
-# XLA runs each operation of a loop from a queue, unless the loop is small enough to be compiled as
-# one kernel; this lets it take any loop for small. Wider vectors pay in single precision only.
-WHOLE_LOOP = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-WIDE = "--xla_cpu_prefer_vector_width=512"
 PLAIN_XLA = "float64, XLA as it comes"
 WORKERS = {
-    "float64": ("float64", WHOLE_LOOP),
-    "float32": ("float32", f"{WHOLE_LOOP} {WIDE}"),
+    "float64": ("float64", with_options("")),
+    "float32": ("float32", with_options("")),
     PLAIN_XLA: ("float64", ""),
 }
 

@@ -27,9 +27,13 @@ class Block(AbstractBalance):
     push: Float[Array, "2"]
     friction: Float[Array, ""]
 
-    def __call__(self, velocity):
+    def by_plate(self, velocity):
         speed = jnp.sqrt(jnp.sum(velocity**2) + WIDTH**2)
-        force = self.push - self.friction * velocity / speed
+        # A floor of four plates that bear a quarter each.
+        return tuple(jnp.repeat(-self.friction * v / speed, 4) / 4 for v in velocity)
+
+    def of_sums(self, velocity, sums):
+        force = self.push + jnp.stack(sums)
         return MASS * (velocity - self.before) - STEP * force, force
 
     def solve(self, jacobian, residual):
