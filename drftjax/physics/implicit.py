@@ -28,6 +28,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from drftjax.physics.plate_sums import sums_over_plates
+
 Pair = Float[Array, "2"]
 Matrix = Float[Array, "2 2"]
 
@@ -132,29 +134,6 @@ class Root(eqx.Module):
     forces_slope: Float[Array, "forces 2"]
     evaluations: Int[Array, ""]
     found: Bool[Array, ""]
-
-
-@jax.custom_jvp
-def sums_over_plates(
-    columns: tuple[Float[Array, " plates"], ...],
-) -> tuple[Float[Array, ""], ...]:
-    """Sum of each column, all in one pass over the plates.
-
-    XLA makes a pass of each sum, with what leads up to it computed again; a pass of all of them is
-    two to four times as fast.
-    """
-    nought = tuple(jnp.zeros((), column.dtype) for column in columns)
-    return jax.lax.reduce(columns, nought, _add_each, dimensions=(0,))
-
-
-def _add_each(left: tuple[Array, ...], right: tuple[Array, ...]) -> tuple[Array, ...]:
-    return tuple(a + b for a, b in zip(left, right, strict=True))
-
-
-@sums_over_plates.defjvp
-def _sums_of_changes(primals, tangents):
-    # One by one: these can be transposed.
-    return sums_over_plates(*primals), tuple(change.sum() for change in tangents[0])
 
 
 def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix, Array]:

@@ -11,8 +11,9 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition as chain
 from drftjax.effects.base import AbstractAdjustment, AbstractEffect, StepContext
 from drftjax.physics.command import Command
-from drftjax.physics.implicit import AbstractBalance, root_of, sums_over_plates
+from drftjax.physics.implicit import AbstractBalance, root_of
 from drftjax.physics.integrator import ImplicitEuler
+from drftjax.physics.plate_sums import sums_over_plates
 from drftjax.physics.rig import FreeCarriage, Rig
 from drftjax.physics.state import Output, State, slip
 from drftjax.physics.stress import PlateMotion, plate_motion
