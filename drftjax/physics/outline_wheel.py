@@ -21,6 +21,7 @@ from drftjax.physics.wheel import (
     AbstractWheel,
     Plates,
     TurningCut,
+    fill_vectors,
     plate_count,
 )
 
@@ -106,7 +107,7 @@ class OutlineWheel(AbstractWheel):
             -along[:, 0] / length,
             self.width * length / count[edge].astype(self.points.dtype),
         )
-        return TurningCut(self.radius, self.radius, outline, 2 * math.pi)
+        return TurningCut(self.radius, self.radius, fill_vectors(outline), 2 * math.pi)
 
 
 def read_outline(path: str | Path) -> np.ndarray:

@@ -33,6 +33,10 @@ DEFAULT_REACH = math.pi / 2
 ROUNDING = 1e-9
 
 
+# Single-precision numbers in the widest vectors of a processor.
+LANES = 16
+
+
 def plate_count(length: float, plate_size: float) -> int:
     """Number of plates of at most this size [m] that cut a length [m]."""
     return math.ceil(length / plate_size - ROUNDING)
@@ -116,6 +120,17 @@ class TurningCut(AbstractCut):
         return turn(self.outline, angle - self.pitch * jnp.round(angle / self.pitch))
 
 
+def fill_vectors(plates: Plates) -> Plates:
+    """`plates` and copies of the last, of no area, up to a number that fills a CPU's vectors.
+
+    What is left over is computed plate by plate, for a fifth of the time of all.
+    """
+    more = -plates.x.shape[0] % LANES
+    filled = jax.tree.map(lambda each: jnp.pad(each, (0, more), mode="edge"), plates)
+    nought = jnp.pad(plates.area, (0, more))
+    return Plates(filled.x, filled.z, filled.normal_x, filled.normal_z, nought)
+
+
 def turn(plates: Plates, angle: Float[Array, ""]) -> Plates:
     """`plates` turned forward by `angle` [rad] about the axle."""
     sine, cosine = jnp.sin(angle), jnp.cos(angle)
@@ -194,7 +209,8 @@ class PlainWheel(AbstractWheel):
             -cosine,
             jnp.broadcast_to(area, place.shape),
         )
-        return StillCut(self.radius, self.radius * (1 - math.cos(self.reach)), outline)
+        limit = self.radius * (1 - math.cos(self.reach))
+        return StillCut(self.radius, limit, fill_vectors(outline))
 
 
 class GrouserWheel(AbstractWheel):
@@ -318,7 +334,8 @@ class GrouserWheel(AbstractWheel):
         sector = self._sector()
         turned = [turn(sector, jnp.asarray(-self._pitch * k, self.radius.dtype)) for k in sectors]
         outline = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *turned)
-        return TurningCut(self.radius, self._sinkage_limit(len(sectors)), outline, self._pitch)
+        limit = self._sinkage_limit(len(sectors))
+        return TurningCut(self.radius, limit, fill_vectors(outline), self._pitch)
 
     def _sinkage_limit(self, sectors: int) -> Float[Array, ""]:
         """Sinkage [m] at which the next plate would touch, were there more than these sectors."""
