@@ -79,35 +79,23 @@ def plate_motion(
     """
     velocity_x = velocity[0] + omega * plates.z
     velocity_z = velocity[1] - omega * plates.x
-    per_speed = _inverse_root(velocity_x**2 + velocity_z**2 + rest_speed**2)
+    speed = jnp.sqrt(velocity_x**2 + velocity_z**2 + rest_speed**2)
     normal_speed = plates.normal_x * velocity_x + plates.normal_z * velocity_z
     return PlateMotion(
         depth=-(height + plates.z),
         velocity_x=velocity_x,
         velocity_z=velocity_z,
-        direction_x=velocity_x * per_speed,
-        direction_z=velocity_z * per_speed,
+        direction_x=velocity_x / speed,
+        direction_z=velocity_z / speed,
         normal_speed=normal_speed,
         # At rest along its normal a plate still carries fully, so that a standing wheel holds; on a
         # rolling one it carries half, so that on the mean plates lead from rest on.
-        share=jnp.minimum(jnp.maximum(1 + (normal_speed - lead_speed) * (1 / rest_speed), 0), 1),
+        share=jnp.clip(1 + (normal_speed - lead_speed) / rest_speed, 0, 1),
         height_decrease=height_decrease,
         axle_depth=-height / radius,
         omega=omega,
         radius=radius,
     )
-
-
-@jax.custom_jvp
-def _inverse_root(square: Float[Array, " n"]) -> Float[Array, " n"]:
-    return 1 / jnp.sqrt(square)
-
-
-@_inverse_root.defjvp
-def _inverse_root_jvp(primals, tangents):
-    # Without a division for each direction.
-    root = _inverse_root(*primals)
-    return root, -0.5 * root**3 * tangents[0]
 
 
 COEFFICIENT_NAMES = ("A00", "A10", "B11", "B01", "B-11", "C11", "C01", "C-11", "D10")
