@@ -39,7 +39,7 @@ class AbstractBalance(eqx.Module):
 
     @abc.abstractmethod
     def by_plate(self, velocity: Pair) -> tuple[Float[Array, " plates"], ...]:
-        """What is summed over the plates, at a velocity.
+        """Columns that are summed over the plates, at a velocity.
 
         Args:
             velocity: Velocity (x, z) at the end of the step [m/s].

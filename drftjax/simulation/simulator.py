@@ -178,7 +178,7 @@ class Simulator(eqx.Module):
         zeta: Float[Array, ""],
         memory: chain.Memories = (),
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"], Float[Array, " plates"]]:
-        """What each plate adds to `wrench`: force (x, z) [N] and torque [N m].
+        """Share of each plate in `wrench`: force (x, z) [N] and torque [N m].
 
         Arguments as for `plate_load`.
         """
