@@ -7,9 +7,6 @@ from typing import Literal
 
 from drftjax.common.errors import InputError
 
-SHORTEST_CACHED_COMPILATION_S = 0.3
-"""Shortest compilation whose result is cached [s]: one simulator compiles for seconds."""
-
 XLA_OPTIONS = {
     # A loop is compiled as one kernel, whatever its size.
     "xla_backend_extra_options": "xla_cpu_small_while_loop_byte_threshold=1000000000",
@@ -58,9 +55,8 @@ def configure_jax(
         _split_cpu(devices)
     if not jax.config.values["jax_compilation_cache_dir"] and (folder := _cache_folder()):
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update(
-            "jax_persistent_cache_min_compile_time_secs", SHORTEST_CACHED_COMPILATION_S
-        )
+        # The least of them, too: a command has some fifty small ones, of 16 ms each.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _split_cpu(devices: int) -> None:

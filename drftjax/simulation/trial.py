@@ -13,6 +13,7 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError
 from drftjax.physics.command import Command, command_at
 from drftjax.physics.state import Output, State
+from drftjax.physics.wheel import AbstractWheel
 from drftjax.runlog import record
 from drftjax.simulation.rollout import simulate, step_times, sweep, with_first_row
 from drftjax.simulation.simulator import Simulator
@@ -149,7 +150,7 @@ def check_output(output: Output, simulator: Simulator) -> None:
     if not bool(finite.all()):
         when = float(output.time[int(jnp.argmin(finite))])
         raise InputError(f"the simulation diverges near {when:.3g} s; a shorter step may hold it")
-    limit = float(simulator.wheel.cut().sinkage_limit)
+    limit = float(_sinkage_limit(simulator.wheel))
     deepest = float(output.sinkage.max())
     if deepest > limit:
         when = float(output.time[int(jnp.argmax(output.sinkage > limit))])
@@ -157,3 +158,8 @@ def check_output(output: Output, simulator: Simulator) -> None:
             f"the wheel sinks {deepest * 1e3:.4g} mm, past {limit * 1e3:.4g} mm at {when:.3g} s, "
             "where its upper half would touch the sand: the sand is too soft for this load"
         )
+
+
+@eqx.filter_jit
+def _sinkage_limit(wheel: AbstractWheel) -> Float[Array, ""]:
+    return wheel.cut().sinkage_limit
