@@ -70,8 +70,8 @@ class AbstractBalance(eqx.Module):
         """
 
     @abc.abstractmethod
-    def growth(self, jacobian: Matrix) -> Float[Array, ""]:
-        """Most [-] that a change of momentum, in units of the masses, grows by in the step.
+    def growth(self, jacobian: Matrix) -> Pair:
+        """Velocity, in units of the masses, that a unit of momentum along each axis makes [-].
 
         Args:
             jacobian: Derivative of the residual by the velocity [kg].
@@ -79,7 +79,7 @@ class AbstractBalance(eqx.Module):
 
     @abc.abstractmethod
     def largest_growth(self) -> Float[Array, ""]:
-        """Growth [-] that is believed; a derivative that grows by more is scaled to this."""
+        """Growth [-] that is believed; along an axis that grows by more, it is scaled to this."""
 
     @abc.abstractmethod
     def speed_scale(self) -> Float[Array, ""]:
@@ -241,7 +241,7 @@ def _by_implicit_function(primals, tangents):
         for value, each in zip((velocity, forces), changes, strict=True)
     )
     believed = jnp.minimum(1, balance.largest_growth() / balance.growth(jacobian))
-    by = -believed * balance.solve(jacobian, residual)
+    by = -balance.solve(jacobian, believed * residual)
     return (velocity, forces), (by, change + forces_by_velocity @ by)
 
 

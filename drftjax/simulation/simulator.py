@@ -213,7 +213,7 @@ class Simulator(eqx.Module):
         balance = StepBalance(self, start, state, memory, moment, zeta)
         guess = self.rig.carriage.approach(_guess(state.omega, start, omega, radius), command)
         velocity, sand, root = root_of(balance, guess, self.integrator.newton)
-        grown = jnp.minimum(balance.growth(root.jacobian), balance.largest_growth())
+        grown = jnp.minimum(balance.growth(root.jacobian).max(), balance.largest_growth())
         grown = jax.lax.stop_gradient(jnp.maximum(state.growth * grown, 1))
         after, output = self._moved(state, velocity, sand, memory, moment, zeta)
         return dataclasses.replace(after, growth=grown), output
@@ -377,16 +377,13 @@ class StepBalance(AbstractBalance):
         still = jnp.zeros_like(residual)
         return self.simulator.rig.carriage.advance(still, residual, jacobian)
 
-    def growth(self, jacobian: Float[Array, "2 2"]) -> Float[Array, ""]:
+    def growth(self, jacobian: Float[Array, "2 2"]) -> Float[Array, "2"]:
         root = jnp.sqrt(self.simulator.rig.mass())
-        scaled = jacobian / root[:, None] / root[None, :]
+        (a, b), (c, d) = jacobian / root[:, None] / root[None, :]
         if not isinstance(self.simulator.rig.carriage, FreeCarriage):
-            return 1 / jnp.abs(scaled[1, 1])
-        determinant = scaled[0, 0] * scaled[1, 1] - scaled[0, 1] * scaled[1, 0]
-        # The largest singular value of a matrix of two rows, over the product of both.
-        squares = jnp.sum(scaled**2)
-        apart = jnp.sqrt(jnp.maximum(squares**2 - 4 * determinant**2, 0))
-        return jnp.sqrt((squares + apart) / 2) / jnp.abs(determinant)
+            return 1 / jnp.abs(jnp.stack([d, d]))
+        columns = jnp.stack([jnp.hypot(d, c), jnp.hypot(a, b)])
+        return columns / jnp.abs(a * d - b * c)
 
     def largest_growth(self) -> Float[Array, ""]:
         return LARGEST_GROWTH / self.state.growth
