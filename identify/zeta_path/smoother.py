@@ -25,8 +25,6 @@ import numpy as np
 from drftjax.common.errors import InputError, RunError
 from drftjax.recorded.batch import device_mesh, make_batch
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.simulation.step_error import parts_within_turn
-from drftjax.simulation.trial import Trial
 from identify.zeta_path.gauss_newton import ZetaPathSolver, sinkage_and_travel
 from identify.zeta_path.path import ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
@@ -98,7 +96,7 @@ def _solve_together(
     longest = max(grids, key=len)
     most, lines = len(longest), len(segment_ends(longest))
     trials = [
-        with_zeta_knots(_in_short_steps(each.trial), _padded_ends(segment_ends(grid), lines))
+        with_zeta_knots(each.trial, _padded_ends(segment_ends(grid), lines))
         for each, grid in zip(runs, grids, strict=True)
     ]
     observations = [sinkage_and_travel(each) for each in runs]
@@ -134,12 +132,6 @@ def _solve_together(
             if not fit.settled:
                 fit.advance(values, np.delete(slopes, np.s_[fit.knots : most], axis=-1))
     return fits
-
-
-def _in_short_steps(trial: Trial) -> Trial:
-    """Return the trial in steps that turn its wheel by little: longer ones make the misfit rough."""
-    parts = jnp.asarray(parts_within_turn(trial), trial.parts.dtype)
-    return eqx.tree_at(lambda t: t.parts, trial, parts)
 
 
 def _knots(each: PreparedRun, spacing: float) -> np.ndarray:
