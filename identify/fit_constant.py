@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from drftjax.common.errors import InputError
-from drftjax.recorded.batch import device_mesh, make_batch
+from drftjax.recorded.batch import Batch, device_mesh, make_batch
 from drftjax.recorded.compatible import largest_compatible_set
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
@@ -23,9 +23,19 @@ from identify.results.findings import (
     findings,
     step_doubts,
 )
+from identify.results.misfit import (
+    MISFIT_SETTINGS,
+    MODEL_ERROR,
+    MisfitSettings,
+    channel_floors,
+    judged,
+    misfit_sentences,
+    overall,
+)
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
+from identify.solver.first_weights import MODEL_SHARES, with_model_shares
 from identify.solver.initial_zeta import zeta_from_mean_sinkage
 from identify.solver.levenberg_marquardt import Solution, solve
 from identify.solver.multistart import best_start, require_starts
@@ -53,11 +63,6 @@ from identify.uncertainty.priors import (
     prior_conflicts,
 )
 
-# Constant error of the simulation over a phase of the command [m, N, N m]: what its plates and step
-# leave open in sinkage (docs/theory/integrator.md), and the same share of the rest.
-MODEL_ERROR = {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
-
-
 WHITE = White()
 
 
@@ -79,6 +84,8 @@ class FitSettings:
         finest_run: Smallest residual of a run; see `identify.solver.whitening.Whitening`.
         solver, short_steps, multistart, priors, derivatives: Numbers of these.
         findings: Numbers of the sentences on the result.
+        misfit: Numbers that say from when on a model does not fit.
+        model_shares: Shares of the channels' sizes by which they are first weighted, by channel.
     """
 
     reweightings: int = 2
@@ -93,6 +100,8 @@ class FitSettings:
     priors: PriorSettings = PRIOR_SETTINGS
     derivatives: DerivativeCheckSettings = DERIVATIVE_CHECK_SETTINGS
     findings: FindingSettings = FINDING_SETTINGS
+    misfit: MisfitSettings = MISFIT_SETTINGS
+    model_shares: Mapping[str, float] = field(default_factory=lambda: MODEL_SHARES)
 
 
 FIT_SETTINGS = FitSettings()
@@ -112,8 +121,8 @@ def fit(
 ) -> FitResult:
     """Fit `parameters` to all runs together, by weighted least squares.
 
-    Residuals are weighted first by each instrument's white noise; then, as the model's own error
-    is mostly far larger, by the RMS of each channel's residuals over all runs.
+    Residuals are weighted first by shares of each channel's size
+    (`identify.solver.first_weights`), then by the RMS of each channel's residuals over all runs.
 
     Args:
         runs: Runs; those of another kind of wheel, law or carriage than most are left out.
@@ -129,7 +138,7 @@ def fit(
         InputError: where no run is left, or two have the same name.
     """
     runs = with_phases(runs, parameters) if has_phase_zeta(parameters) else list(runs)
-    problem, before, failures = _problem(runs, tuple(parameters), noise)
+    problem, before, failures = _problem(runs, tuple(parameters), noise, settings.model_shares)
     kept = [each for each in runs if each.name not in failures]
     coordinates, summary = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
@@ -172,12 +181,37 @@ def fit(
         if any(stuck):
             solution = _in_short_steps(problem, len(kept), start, solution, stuck, report, settings)
     doubts = derivative_doubts(problem, solution, coordinates, kept, settings.derivatives)
-    estimate = Estimate.of(problem, solution, tuple(kept), model_error, settings.finest_run)
+    gaps = _with_gaps(problem, solution, model_error, settings.misfit)
+    estimate = Estimate.of(problem, solution, tuple(kept), gaps, settings.finest_run)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         estimate = apply_priors(
             estimate, lambda s, size: report("fit with its priors", s, np.nan), settings.priors
         )
     return replace(_result(estimate, before, failures, doubts, settings), starts=summary)
+
+
+def _with_gaps(
+    problem: Problem, solution: Solution, model_error: Mapping[str, float], misfit: MisfitSettings
+) -> dict[str, np.ndarray]:
+    """Return the simulation's constant error over a phase, by channel and run [m, N, N m].
+
+    Where a run's residual is far above the noise the model is off by about as much, and no number
+    of samples averages that away.
+    """
+    observed = problem.batch.observed
+    counts = (np.asarray(observed.weight) > 0) & solution.active[:, None, None]
+    raw = np.where(counts, predict(problem, solution.coordinates) - np.asarray(observed.values), 0)
+    number = np.maximum(counts.sum(axis=2), 1)
+    left = np.sqrt((raw**2).sum(axis=2) / number)
+    found = {}
+    for channel, name in enumerate(problem.batch.channels):
+        floor = np.array(
+            [max(white_noise(each[here]), MODEL_ERROR[name]) for each, here in
+             zip(raw[:, channel], counts[:, channel], strict=True)]
+        )  # fmt: skip
+        off = np.where(left[:, channel] > misfit.poor * floor, left[:, channel], 0.0)
+        found[name] = np.hypot(model_error.get(name, 0.0), off)
+    return found
 
 
 def _in_short_steps(
@@ -242,7 +276,10 @@ def _stuck_at_bounds(
 
 
 def _problem(
-    runs: list[PreparedRun], parameters: tuple[Parameter, ...], noise: AbstractNoise = WHITE
+    runs: list[PreparedRun],
+    parameters: tuple[Parameter, ...],
+    noise: AbstractNoise = WHITE,
+    model_shares: Mapping[str, float] = MODEL_SHARES,
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """Return the problem of the runs that can be simulated at their own values.
 
@@ -257,11 +294,11 @@ def _problem(
             raise InputError(f"no run is left to fit{f' ({named})' if named else ''}")
         batch = make_batch(
             [each.trial for each in runs],
-            [each.observation for each in runs],
+            [with_model_shares(each.observation, model_shares) for each in runs],
             jax.device_count(),
         )
         white = noise.for_channels(len(batch.channels))
-        problem = Problem(batch, parameters, white, device_mesh())
+        problem = Problem(batch, parameters, white, device_mesh(), _prior_scale(runs, batch))
         before = predict(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(runs)]]
         if all(fine):
@@ -270,6 +307,17 @@ def _problem(
             if not good:
                 failures[each.name] = "its simulation diverges at the values it starts from"
         runs = [each for each, good in zip(runs, fine, strict=True) if good]
+
+
+def _prior_scale(runs: list[PreparedRun], batch: Batch) -> float:
+    """Return the least share of the weight by its noise that any channel is first given [-]."""
+    given = np.asarray(batch.observed.weight).max(axis=2)
+    return min(
+        float(noise * given[run, batch.channels.index(channel)])
+        for run, each in enumerate(runs)
+        for channel, noise in zip(each.observation.channels, each.observation.noise, strict=True)
+        if each.observation.counts.any()
+    )
 
 
 def _startable_runs(
@@ -313,7 +361,11 @@ def _reweighted(
     kept = np.where(odd, 0, number)
     pooled = np.sqrt((kept * each**2).sum(axis=0) / np.maximum(kept.sum(axis=0), 1))
     fresh = (weight > 0) / np.where(odd, each, np.maximum(pooled, finest))[:, :, None]
-    problem = eqx.tree_at(lambda p: p.batch.observed.weight, problem, jnp.asarray(fresh))
+    problem = eqx.tree_at(
+        lambda p: (p.batch.observed.weight, p.prior_scale),
+        problem,
+        (jnp.asarray(fresh), jnp.ones_like(problem.prior_scale)),
+    )
     return replace(problem, noise=noise.fit(raw, counts, intervals))
 
 
@@ -383,6 +435,8 @@ def _result(
                 believed=(each.setup.wheel, each.setup.rig),
             )
         )
+    floors = channel_floors([each for each in fits if each.status != "diverged"])
+    fits = judged(fits, floors, settings.misfit)
     size = len(estimate.coordinate_parameters)
     spread = estimate.covariance[:size, :size]
     hidden = null_directions(solution.blocks, estimate.shared, solution.prior_slope)[:size]
@@ -393,10 +447,11 @@ def _result(
     return FitResult(
         shared=shared,
         runs=fits,
-        status=solution.status,
+        status=overall(solution.status, fits),
         steps=solution.steps,
         failures=failures,
         findings=[
+            *misfit_sentences(fits, floors, settings.misfit),
             *findings(problem.parameters, shared, fits, spread, hidden, scatter, settings.findings),
             *prior_conflicts(estimate, settings.priors),
             *step_doubts(estimate.runs),
@@ -405,6 +460,7 @@ def _result(
         labels=estimate.labels,
         covariance=estimate.covariance_of_values,
         estimate=estimate,
+        floors=floors,
     )
 
 

@@ -73,6 +73,9 @@ class AbstractBalance(eqx.Module):
     def growth(self, jacobian: Matrix) -> Pair:
         """Velocity, in units of the masses, that a unit of momentum along each axis makes [-].
 
+        The sizes of its components are added up, so that over several steps none grows by more
+        than the product of their largest.
+
         Args:
             jacobian: Derivative of the residual by the velocity [kg].
         """

@@ -382,7 +382,8 @@ class StepBalance(AbstractBalance):
         (a, b), (c, d) = jacobian / root[:, None] / root[None, :]
         if not isinstance(self.simulator.rig.carriage, FreeCarriage):
             return 1 / jnp.abs(jnp.stack([d, d]))
-        columns = jnp.stack([jnp.hypot(d, c), jnp.hypot(a, b)])
+        # Columns of the inverse by the sum of their sizes, a norm: that of products is no larger.
+        columns = jnp.stack([jnp.abs(d) + jnp.abs(c), jnp.abs(a) + jnp.abs(b)])
         return columns / jnp.abs(a * d - b * c)
 
     def largest_growth(self) -> Float[Array, ""]:

@@ -42,7 +42,7 @@ MOST_ROWS = 40
 MOST_SENTENCES = 20
 
 
-WORST_LAST = ("converged", "stalled", "out of steps")
+WORST_LAST = ("converged", "poor fit", "stalled", "out of steps")
 
 
 def fit_on_cluster(
@@ -134,6 +134,7 @@ def _together(
     """Return the fits of single runs as one result."""
     from identify.cluster.result_codec import decode_result
     from identify.results.findings import between_run_sentences
+    from identify.results.misfit import channel_floors
     from identify.results.result import FitResult
 
     runs, findings = [], []
@@ -151,7 +152,7 @@ def _together(
             if finding not in of_one
         ]
         said = [text if name in text else f"{name}: {text}" for text in said]
-        if single.status != WORST_LAST[0]:
+        if single.status not in WORST_LAST[:2]:
             said.append(f"{name}: the solver is {single.status} after {single.steps} steps")
         findings += said
     return FitResult(
@@ -162,6 +163,7 @@ def _together(
         failures=dict(failures),
         # Sentences on all runs come before those on each, which may be cut short.
         findings=[*between_run_sentences(runs), *findings],
+        floors=channel_floors(runs),
     )
 
 

@@ -113,7 +113,10 @@ def at_bounds(shared: Mapping[str, Value], runs: Sequence[RunFit]) -> list[str]:
     """Return sentences on values that ended at a bound."""
     of_runs = [value for run in runs if run.status != "diverged" for value in run.values.values()]
     labels = {each.label: None for each in (*shared.values(), *of_runs) if each.at_bound}
-    return [f"{label} has run into its bound" for label in labels]
+    return [
+        f"{label} has run into its bound: the errors of the other values hold for it there alone"
+        for label in labels
+    ]
 
 
 def _impossible(runs: Sequence[RunFit]) -> list[str]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from drftjax.recorded.noise_floor import (
     DEFAULT_NOISE_FLOOR,
@@ -93,6 +94,24 @@ def _pairs(group: Sequence[int], max_partners: int) -> Iterator[tuple[int, int]]
             yield group[place], group[(place + distance) % size]
 
 
+def reading_noise(
+    recorded: Float[np.ndarray, " samples"], residual: Float[np.ndarray, " samples"]
+) -> float:
+    """White noise of a residual, in its unit, and no less than the readings' step allows.
+
+    A sensor that is slower than its logger repeats readings; of these only the first counts.
+
+    Args:
+        recorded: Readings.
+        residual: Simulated minus recorded.
+    """
+    fresh = np.r_[True, np.diff(recorded) != 0]
+    levels = np.unique(recorded)
+    step = float(np.diff(levels).min()) if len(levels) > 1 else 0.0
+    # Readings rounded to a step are off by up to half of it, evenly.
+    return max(white_noise(residual[fresh]), step / np.sqrt(12))
+
+
 def fast_scatter(
     runs: Sequence[RunFit], settings: NoiseFloorSettings = DEFAULT_NOISE_FLOOR
 ) -> dict[str, float]:
@@ -104,6 +123,9 @@ def fast_scatter(
     for run in runs:
         if run.counts.sum() < settings.min_samples:
             continue
-        for channel, residual in run.residuals.items():
-            powers.setdefault(channel, []).append(white_noise(residual[run.counts]) ** 2)
+        for channel, recorded, residual in zip(
+            run.channels, run.recorded, run.after - run.recorded, strict=True
+        ):
+            noise = reading_noise(recorded[run.counts], residual[run.counts])
+            powers.setdefault(channel, []).append(noise**2)
     return {channel: root_mean(each) for channel, each in powers.items()}

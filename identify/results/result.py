@@ -23,6 +23,7 @@ from drftjax.runlog.schema import UNITS
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
 from drftjax.setups.setup import SetUp
+from identify.results.misfit import POOR_FIT, short
 from identify.results.values import RunFit, Value
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ class FitResult:
     Attributes:
         shared: Values shared by all runs, by name.
         runs: Each run's own values, residuals and fitted set-up.
-        status: End of the solve: "converged", "stalled" or "out of steps".
+        status: End of the fit: "converged", "poor fit" (the solver converged, and the model does
+            not meet the runs), "stalled" or "out of steps".
         steps: Steps of the last solve.
         failures: Runs that were left out, and why.
         findings: Sentences on the values.
@@ -53,6 +55,7 @@ class FitResult:
         profiles: Profile likelihoods that were asked for.
         bootstraps: Bootstraps that were asked for.
         estimate: Solution and covariance, from which `profile` and `bootstrap` start.
+        floors: Noise floor by channel [m, N, N m], in which residuals are counted.
     """
 
     shared: Mapping[str, Value]
@@ -67,6 +70,7 @@ class FitResult:
     profiles: tuple["ProfileLikelihood", ...] = ()
     bootstraps: tuple["Bootstrap", ...] = ()
     estimate: "Estimate | None" = field(default=None, repr=False)
+    floors: Mapping[str, float] = field(default_factory=dict)
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """Return the result with further runs named as left out."""
@@ -104,9 +108,13 @@ class FitResult:
         return pooled
 
     def table(self) -> Table:
-        """Return a table of own values, and of RMSE before and after, by run and channel."""
+        """Return a table of own values, and of RMSE before and after, by run and channel.
+
+        Where noise floors are known, what is left is told in them, too.
+        """
         channels = self.channels
-        table = Table(title="simulated minus recorded, RMSE before → after the fit")
+        title = "simulated minus recorded, RMSE before → after the fit"
+        table = Table(title=title + " (after, in noise floors)" * bool(self.floors))
         # Names fold in a narrow terminal: cut off, zeta.stand and zeta.steady would look alike.
         table.add_column("run", overflow="fold")
         table.add_column("status", overflow="fold")
@@ -119,12 +127,7 @@ class FitResult:
             table.add_column(heading, justify="right", overflow="fold")
 
         def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
-            return [
-                f"{before[c] * SHOWN[c][1]:.3f} → {after[c] * SHOWN[c][1]:.3f}"
-                if c in before
-                else "-"
-                for c in channels
-            ]
+            return [self._cell(c, before[c], after[c]) if c in before else "-" for c in channels]
 
         for run in self.runs:
             values = [run.values[n].cell() for n in own]
@@ -133,6 +136,12 @@ class FitResult:
         table.add_section()
         table.add_row("all runs", "", *[""] * len(own), *cells(self.rmse(False), self.rmse()))
         return table
+
+    def _cell(self, channel: str, before: float, after: float) -> str:
+        """Return a channel's RMSE before and after, and the latter in noise floors."""
+        scale = SHOWN[channel][1]
+        text = f"{before * scale:.3f} → {after * scale:.3f}"
+        return f"{text} ({short(after / self.floors[channel])})" if self.floors else text
 
     def document(self) -> dict:
         """Return the result as plain values, in the layout of the JSON file."""
@@ -178,6 +187,7 @@ class FitResult:
             ],
             "rmse_before": self.rmse(False),
             "rmse_after": self.rmse(),
+            "noise_floors": dict(self.floors),
             "failures": dict(self.failures),
             "findings": self.findings,
             "runs": [
@@ -234,7 +244,7 @@ class FitResult:
         lines += [sentence for each in self.bootstraps for sentence in each.sentences()]
         lines += self.findings
         lines += [f"left out: {name}: {why}" for name, why in self.failures.items()]
-        if self.status != "converged":
+        if self.status not in ("converged", POOR_FIT):
             lines.append(f"the solver is {self.status} after {self.steps} steps")
         return lines
 

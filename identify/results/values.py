@@ -105,9 +105,10 @@ class RunFit:
         channels: Names of the channels compared.
         recorded: Recorded channels [m, N, N m], shape (channels, samples).
         before, after: Simulated channels before and after the fit, like `recorded`.
-        status: End of the run: "converged"; "at a bound", where one of its values has run into
-            one; "stalled", where more was to gain; "diverged", where it could no longer be
-            simulated and was put aside, so that it does not bear on the others.
+        status: End of the run: "converged"; "poor fit", where it is off by more than chance; "at a
+            bound", where one of its values has run into one; "stalled", where more was to gain;
+            "diverged", where it could no longer be simulated and was put aside, so that it does
+            not bear on the others.
         path: zeta(t), where that was fitted.
         believed: Wheel and rig of its set-up before the fit, where these are kept.
     """

@@ -27,12 +27,15 @@ class Problem(eqx.Module):
         parameters: Fitted parameters.
         noise: Model that whitens the residuals.
         mesh: Devices over which the runs are divided.
+        prior_scale: Factor on the residuals of priors [-], less than one while the runs are
+            weighted by less than their noise.
     """
 
     batch: Batch
     parameters: tuple[Parameter, ...]
     noise: AbstractNoise
     mesh: Mesh = eqx.field(static=True)
+    prior_scale: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
 
     @property
     def shared(self) -> tuple[Parameter, ...]:
@@ -79,7 +82,7 @@ class Problem(eqx.Module):
             if not parameters:
                 return values
             columns = [p.prior_residual(values[..., k]) for k, p in enumerate(parameters)]
-            return jnp.stack(columns, axis=-1)
+            return self.prior_scale * jnp.stack(columns, axis=-1)
 
         return of(self.shared, shared), of(self.own, own) * true_run[:, None]
 

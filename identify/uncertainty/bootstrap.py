@@ -329,7 +329,7 @@ def predictive_bands(
         for channel in each.observation.channels:
             row = plain.batch.channels.index(channel)
             here = np.flatnonzero(weight[run, row, :length] > 0)
-            off = estimate.model_error.get(channel, 0.0)
+            off = float(estimate.model_error[channel][run])
             noise = np.sqrt(np.mean((residual[run, row, here] / weight[run, row, here]) ** 2))
             low, high = np.full(length, np.nan), np.full(length, np.nan)
             step = max(1, int(chunk_bytes(CHUNK_BYTES) / (8 * max(len(mine), 1))))

@@ -42,7 +42,7 @@ class Estimate:
     problem: Problem
     solution: Solution
     runs: tuple[PreparedRun, ...]
-    model_error: Mapping[str, float]
+    model_error: Mapping[str, np.ndarray]
     noise_residual: np.ndarray
     whitening: Whitening
     run_variance: np.ndarray
@@ -55,7 +55,7 @@ class Estimate:
         problem: Problem,
         solution: Solution,
         runs: tuple[PreparedRun, ...],
-        model_error: Mapping[str, float],
+        model_error: Mapping[str, np.ndarray],
         finest: float = 0.1,
     ) -> "Estimate":
         """Return the estimate of a solved problem.
@@ -63,7 +63,7 @@ class Estimate:
         Args:
             problem, solution, runs: See `Estimate`.
             model_error: Standard deviation of a constant that the simulation may be off by over a
-                phase of the command, by channel [m, N, N m].
+                phase of the command, by channel and run [m, N, N m], shape (padded runs,) each.
             finest: See `Whitening`.
         """
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
@@ -144,11 +144,11 @@ class Estimate:
         return slopes[:, None] * self.covariance[:size, :size] * slopes
 
 
-def _offset(problem: Problem, model_error: Mapping[str, float]) -> np.ndarray:
+def _offset(problem: Problem, model_error: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the weighted, whitened residual of the simulation's own error, held over a phase."""
     observed = problem.batch.observed
-    error = jnp.asarray([model_error.get(channel, 0.0) for channel in problem.batch.channels])
-    return np.asarray(jax.vmap(problem.whiten)(observed.weight * error[:, None], observed))
+    error = jnp.asarray(np.stack([model_error[each] for each in problem.batch.channels], axis=1))
+    return np.asarray(jax.vmap(problem.whiten)(observed.weight * error[:, :, None], observed))
 
 
 def phases_of(runs: tuple[PreparedRun, ...], counts: np.ndarray) -> np.ndarray:

@@ -1,0 +1,132 @@
+"""What a fit leaves of each channel, in noise floors, and whether that is a poor fit."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from drftjax.recorded.observation import SHOWN
+from identify.results.noise_floor import fast_scatter, noise_floor
+from identify.results.values import RunFit
+
+# Constant error of the simulation over a phase of the command [m, N, N m]: what its plates and step
+# leave open in sinkage (docs/theory/integrator.md), and the same share of the rest.
+MODEL_ERROR: Mapping[str, float] = MappingProxyType(
+    {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
+)
+
+POOR_FIT = "poor fit"
+"""Status of a run, or a fit, that the solver has found and the model does not meet."""
+
+
+@dataclass(frozen=True)
+class MisfitSettings:
+    """Numbers that say from when on a model does not fit.
+
+    Attributes:
+        poor: Residual in noise floors from which on a fit is poor [-]; repeats of one command on
+            beds that were prepared anew reach two.
+        worse: Residual over that before the fit from which on a channel got worse [-].
+    """
+
+    poor: float = 3.0
+    worse: float = 1.1
+
+
+MISFIT_SETTINGS = MisfitSettings()
+
+
+def channel_floors(runs: Sequence[RunFit]) -> dict[str, float]:
+    """Noise floor by channel [m, N, N m]: of repeats or readings, and what the simulation resolves.
+
+    Args:
+        runs: Fitted runs.
+    """
+    scatter, repeated = fast_scatter(runs), noise_floor(runs)
+    channels = dict.fromkeys(channel for run in runs for channel in run.channels)
+    return {
+        each: max(scatter.get(each, 0.0), repeated.get(each, 0.0), MODEL_ERROR[each])
+        for each in channels
+    }
+
+
+def in_floors(run: RunFit, floors: Mapping[str, float]) -> dict[str, float]:
+    """Residual of a run after the fit, by channel, in noise floors [-]."""
+    return {channel: left / floors[channel] for channel, left in run.rmse().items()}
+
+
+def short(floors: float) -> str:
+    """A number of noise floors in two digits, or whole: "2.4", "110"."""
+    return f"{floors:.2g}" if floors < 10 else f"{floors:.0f}"
+
+
+def judged(
+    runs: Sequence[RunFit],
+    floors: Mapping[str, float],
+    settings: MisfitSettings = MISFIT_SETTINGS,
+) -> list[RunFit]:
+    """The runs, those that converged and are off by more than chance called a poor fit.
+
+    Args:
+        runs: Fitted runs.
+        floors: Noise floor by channel [m, N, N m].
+        settings: Decision numbers.
+    """
+    return [
+        replace(run, status=POOR_FIT)
+        if run.status == "converged" and max(in_floors(run, floors).values()) > settings.poor
+        else run
+        for run in runs
+    ]
+
+
+def overall(status: str, runs: Sequence[RunFit]) -> str:
+    """Status of a whole fit: the solver's, or "poor fit" where it converged and a run is one."""
+    poor = any(run.status == POOR_FIT for run in runs)
+    return POOR_FIT if status == "converged" and poor else status
+
+
+def misfit_sentences(
+    runs: Sequence[RunFit],
+    floors: Mapping[str, float],
+    settings: MisfitSettings = MISFIT_SETTINGS,
+) -> list[str]:
+    """Sentences on channels that the model does not meet, and on those that got worse.
+
+    Args:
+        runs: Fitted runs.
+        floors: Noise floor by channel [m, N, N m].
+        settings: Decision numbers.
+    """
+    runs = [run for run in runs if run.status != "diverged"]
+    sentences, off = [], []
+    for channel, floor in floors.items():
+        of_channel = [run for run in runs if channel in run.channels]
+        if not of_channel:
+            continue
+        before, after = (_pooled(of_channel, channel, fitted) for fitted in (False, True))
+        worst = max(of_channel, key=lambda run: run.rmse()[channel])
+        unit, scale = SHOWN[channel]
+        if (most := worst.rmse()[channel] / floor) > settings.poor:
+            off.append(
+                f"{channel} by {short(after / floor)} noise floors of {floor * scale:.2g} {unit} "
+                f"(most in {worst.name}: {short(most)})"
+            )
+        if after > settings.worse * before and after > settings.poor * floor:
+            sentences.append(
+                f"{channel} is farther off than before the fit ({before * scale:.3g} → "
+                f"{after * scale:.3g} {unit}): the other channels pulled it"
+            )
+    if off:
+        sentences.insert(
+            0,
+            f"poor fit: the model is off in {' and '.join(off)}; the fitted values bend to what "
+            "it lacks. Next: drft diagnose RUNS, which looks for that",
+        )
+    return sentences
+
+
+def _pooled(runs: Sequence[RunFit], channel: str, fitted: bool) -> float:
+    power = sum(run.rmse(fitted)[channel] ** 2 * run.counts.sum() for run in runs)
+    return float(np.sqrt(power / sum(run.counts.sum() for run in runs)))
