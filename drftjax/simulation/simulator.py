@@ -27,8 +27,8 @@ INSTANT = 1e-9
 EARTH_GRAVITY = 9.81
 
 # Most [-] that a derivative by the velocity may grow by before it shrinks again. Where a plate
-# begins to lead the paper's wheel asks for 1.4 to 2.3 in a step of 2.5 ms; folds ask for hundreds.
-LARGEST_GROWTH = 3.0
+# begins to lead the paper's wheel asks for 2 to 4 in a step; folds ask for hundreds.
+LARGEST_GROWTH = 6.0
 
 # Speed of the axle over that of the rim [-] below which a wheel turns on the spot.
 ON_THE_SPOT = 1e-3

@@ -21,7 +21,9 @@ import numpy as np
 import pytest
 
 from drftjax.physics.integrator import DEFAULT_STEP
+from drftjax.setups.setup import CommandSetUp, SetUp
 from drftjax.simulation.rollout import simulate
+from drftjax.simulation.statics import sinkage_under_load
 from tests.studies.runs import profile
 
 # Of the largest change: differences cross corners where plates turn over.
@@ -157,3 +159,22 @@ def test_a_process_that_takes_the_gradient_grows_little():
         check=True,
     )
     assert float(measured.stdout) < LARGEST_MEMORY
+
+
+@pytest.mark.parametrize("above", [1e-4, 1.17e-3, 3e-3])
+def test_a_wheel_that_falls_ends_the_deeper_the_higher_it_was_let_go(above):
+    setup = SetUp(command=CommandSetUp([0.0, 0.5], [0.0, 0.0]))
+    setup.integrator.step = 5e-3
+    trial = setup.trial(5e-3)
+    start = above - float(sinkage_under_load(trial.simulator, setup.terrain.zeta))
+
+    @jax.jit
+    def end(height):
+        moved = eqx.tree_at(lambda t: t.start.position, trial, jnp.stack([0 * height, height]))
+        return moved.run().z[-1]
+
+    step = 1e-7
+    difference = (end(start + step) - end(start - step)) / (2 * step)
+    assert difference < -0.8
+    # What a difference over a tenth of a micrometre leaves.
+    assert jax.jacfwd(end)(start) == pytest.approx(float(difference), abs=1e-4)
