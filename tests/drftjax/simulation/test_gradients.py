@@ -176,5 +176,4 @@ def test_a_wheel_that_falls_ends_the_deeper_the_higher_it_was_let_go(above):
     step = 1e-7
     difference = (end(start + step) - end(start - step)) / (2 * step)
     assert difference < -0.8
-    # What a difference over a tenth of a micrometre leaves.
-    assert jax.jacfwd(end)(start) == pytest.approx(float(difference), abs=1e-4)
+    assert jax.jacfwd(end)(start) == pytest.approx(float(difference), rel=AGREEMENT)
