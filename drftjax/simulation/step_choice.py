@@ -32,6 +32,8 @@ class StepSettings:
         longest: Longest step [s].
         turn: Angle that a wheel turns by in a step at most [rad]: a plate of a rolling wheel begins
             to lead within 3e-3, and steps that miss it are off by where they happen to fall.
+        turn_back: The same of a wheel that turns both ways, whose place at the end is the small
+            difference of two ways [rad].
         halvings: Times that the longest step is halved at most.
         sinkage: RMS error of z [m]: under half of the 0.1 mm that a user may rely on, which
             leaves room for the length of plates and the width at rest.
@@ -43,6 +45,7 @@ class StepSettings:
 
     longest: float = 1e-2
     turn: float = 5.3e-3
+    turn_back: float = 2.65e-3
     halvings: int = 4
     sinkage: float = 4e-5
     sinkage_of_radius: float = 2.5e-4
@@ -92,7 +95,9 @@ def choose_step(trial: Trial, settings: StepSettings = DEFAULT_STEPS) -> StepCho
     rows = int(np.ceil(float(trial.time[-1]) / longest - 1e-9))
     padded = _padded(trial, rows)
     radius = float(trial.simulator.wheel.radius)
-    least = np.ceil(np.log2(max(1.0, longest * float(trial.top_speed()) / settings.turn)))
+    omega = np.asarray(trial.omega)
+    turn = settings.turn_back if omega.min() < 0 < omega.max() else settings.turn
+    least = np.ceil(np.log2(max(1.0, longest * float(trial.top_speed()) / turn)))
     first = min(settings.halvings, int(least))
     parts = 2**first
     before, choice = _path(padded, longest, rows, parts), None

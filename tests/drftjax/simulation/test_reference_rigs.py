@@ -32,7 +32,7 @@ TUNED_STANDING = 0.005
 # The table's slopes are of secants over 1 %, and average the corners that a plate passes there.
 RELATIVE, OF_LARGEST = 0.05, 0.02
 # Of the travel of a wheel that comes back [mm]: 3 % of the slope of one way, 22 mm.
-REVERSED = 0.65
+REVERSED = 0.5
 
 NAMES = (
     "crawl", "damped", "driven_locked", "driven_slip30", "drop_20mm", "fast_300deg", "fast_90deg",
