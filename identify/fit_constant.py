@@ -23,15 +23,7 @@ from identify.results.findings import (
     findings,
     step_doubts,
 )
-from identify.results.misfit import (
-    MISFIT_SETTINGS,
-    MODEL_ERROR,
-    MisfitSettings,
-    channel_floors,
-    judged,
-    misfit_sentences,
-    overall,
-)
+from identify.results.misfit import channel_floors, judged, misfit_sentences, overall
 from identify.results.result import FitResult
 from identify.results.values import RunFit, values_of
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
@@ -55,6 +47,7 @@ from identify.uncertainty.derivative_check import (
     derivative_doubts,
 )
 from identify.uncertainty.estimate import Estimate
+from identify.uncertainty.model_error import MISFIT_SETTINGS, MODEL_ERROR, MisfitSettings
 from identify.uncertainty.noise_model import AbstractNoise, White
 from identify.uncertainty.priors import (
     PRIOR_SETTINGS,
@@ -181,37 +174,13 @@ def fit(
         if any(stuck):
             solution = _in_short_steps(problem, len(kept), start, solution, stuck, report, settings)
     doubts = derivative_doubts(problem, solution, coordinates, kept, settings.derivatives)
-    gaps = _with_gaps(problem, solution, model_error, settings.misfit)
-    estimate = Estimate.of(problem, solution, tuple(kept), gaps, settings.finest_run)
+    numbers = settings.finest_run, settings.misfit
+    estimate = Estimate.of(problem, solution, tuple(kept), model_error, *numbers)
     if any(np.isfinite(each.prior_error) for each in problem.parameters):
         estimate = apply_priors(
             estimate, lambda s, size: report("fit with its priors", s, np.nan), settings.priors
         )
     return replace(_result(estimate, before, failures, doubts, settings), starts=summary)
-
-
-def _with_gaps(
-    problem: Problem, solution: Solution, model_error: Mapping[str, float], misfit: MisfitSettings
-) -> dict[str, np.ndarray]:
-    """Return the simulation's constant error over a phase, by channel and run [m, N, N m].
-
-    Where a run's residual is far above the noise the model is off by about as much, and no number
-    of samples averages that away.
-    """
-    observed = problem.batch.observed
-    counts = (np.asarray(observed.weight) > 0) & solution.active[:, None, None]
-    raw = np.where(counts, predict(problem, solution.coordinates) - np.asarray(observed.values), 0)
-    number = np.maximum(counts.sum(axis=2), 1)
-    left = np.sqrt((raw**2).sum(axis=2) / number)
-    found = {}
-    for channel, name in enumerate(problem.batch.channels):
-        floor = np.array(
-            [max(white_noise(each[here]), MODEL_ERROR[name]) for each, here in
-             zip(raw[:, channel], counts[:, channel], strict=True)]
-        )  # fmt: skip
-        off = np.where(left[:, channel] > misfit.poor * floor, left[:, channel], 0.0)
-        found[name] = np.hypot(model_error.get(name, 0.0), off)
-    return found
 
 
 def _in_short_steps(

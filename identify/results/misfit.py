@@ -1,40 +1,17 @@
-"""What a fit leaves of each channel, in noise floors, and whether that is a poor fit."""
+"""Residuals that a fit leaves, in noise floors, and from when on the fit is a poor one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import replace
 
 import numpy as np
 
 from drftjax.recorded.observation import SHOWN
 from identify.results.noise_floor import fast_scatter, noise_floor
 from identify.results.values import RunFit
-
-# Constant error of the simulation over a phase of the command [m, N, N m]: what its plates and step
-# leave open in sinkage (docs/theory/integrator.md), and the same share of the rest.
-MODEL_ERROR: Mapping[str, float] = MappingProxyType(
-    {"x": 5e-5, "z": 2e-5, "fx": 0.1, "fz": 0.1, "torque": 0.01}
-)
+from identify.uncertainty.model_error import MISFIT_SETTINGS, MODEL_ERROR, MisfitSettings
 
 POOR_FIT = "poor fit"
 """Status of a run, or a fit, that the solver has found and the model does not meet."""
-
-
-@dataclass(frozen=True)
-class MisfitSettings:
-    """Numbers that say from when on a model does not fit.
-
-    Attributes:
-        poor: Residual in noise floors from which on a fit is poor [-]; repeats of one command on
-            beds that were prepared anew reach two.
-        worse: Residual over that before the fit from which on a channel got worse [-].
-    """
-
-    poor: float = 3.0
-    worse: float = 1.1
-
-
-MISFIT_SETTINGS = MisfitSettings()
 
 
 def channel_floors(runs: Sequence[RunFit]) -> dict[str, float]:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.command_knots import simplify_command
 from identify.parameters.parameter import Parameter
@@ -17,6 +18,7 @@ from identify.solver.levenberg_marquardt import Solution
 from identify.solver.problem import Coordinates, Problem
 from identify.solver.whitening import Whitening
 from identify.uncertainty.covariance import between_run_variance, covariance, per_run_steps
+from identify.uncertainty.model_error import MISFIT_SETTINGS, MODEL_ERROR, MisfitSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,8 @@ class Estimate:
         problem: Runs and parameters, with the weights of the last solve.
         solution: End of the solve.
         runs: The runs; the batch may hold padding beyond them, of no weight.
-        model_error: Constant error of the simulation [m, N, N m]; see `Estimate.of`.
+        model_error: Constant error of the simulation over a phase, by channel and run [m, N, N m],
+            shape (padded runs,) each; see `Estimate.of`.
         noise_residual: Residuals with a zeta of each run's own where the runs share one: the rest
             is a random effect. Shaped like the solution's residuals.
         whitening: Of `noise_residual`.
@@ -55,19 +58,20 @@ class Estimate:
         problem: Problem,
         solution: Solution,
         runs: tuple[PreparedRun, ...],
-        model_error: Mapping[str, np.ndarray],
+        model_error: Mapping[str, float],
         finest: float = 0.1,
+        misfit: MisfitSettings = MISFIT_SETTINGS,
     ) -> "Estimate":
         """Return the estimate of a solved problem.
 
         Args:
             problem, solution, runs: See `Estimate`.
             model_error: Standard deviation of a constant that the simulation may be off by over a
-                phase of the command, by channel and run [m, N, N m], shape (padded runs,) each.
+                phase of the command, by channel [m, N, N m].
             finest: See `Whitening`.
+            misfit: From when on a run's residual is an error of the model, which takes its place.
         """
         counts = (np.asarray(problem.batch.observed.weight) > 0) & solution.active[:, None, None]
-        offset = _offset(problem, model_error)
         phases = phases_of(runs, counts)
         intervals = np.asarray(problem.batch.observed.intervals)
         shared, blocks = len(problem.shared), solution.blocks
@@ -78,11 +82,13 @@ class Estimate:
         moves = np.zeros((len(blocks), len(moving)))
         if sands:
             moves, residual = per_run_steps(blocks, residual, moving)
+        gaps = _with_gaps(problem, residual, counts, model_error, misfit)
+        offset = _offset(problem, gaps)
         whitening = Whitening.of(residual, counts, offset, phases, intervals, problem.noise, finest)
         scatter = np.zeros(shared)
         scatter[sands] = between_run_variance(moves, blocks[..., moving], whitening, len(sands))
         spread = covariance(blocks, whitening, shared, scatter)
-        return cls(problem, solution, runs, model_error, residual, whitening, scatter, spread)
+        return cls(problem, solution, runs, gaps, residual, whitening, scatter, spread)
 
     @property
     def shared(self) -> int:
@@ -142,6 +148,31 @@ class Estimate:
         size = len(self.coordinate_parameters)
         slopes = self.slopes
         return slopes[:, None] * self.covariance[:size, :size] * slopes
+
+
+def _with_gaps(
+    problem: Problem,
+    residual: np.ndarray,
+    counts: np.ndarray,
+    model_error: Mapping[str, float],
+    misfit: MisfitSettings,
+) -> dict[str, np.ndarray]:
+    """Return the simulation's constant error over a phase, by channel and run [m, N, N m].
+
+    Where a run's residual is far above the noise the model is off by about as much, and no number
+    of samples averages that away.
+    """
+    weight = np.asarray(problem.batch.observed.weight)
+    raw = np.divide(residual, weight, out=np.zeros_like(residual), where=counts)
+    left = np.sqrt((raw**2).sum(axis=2) / np.maximum(counts.sum(axis=2), 1))
+    found = {}
+    for channel, name in enumerate(problem.batch.channels):
+        pairs = zip(raw[:, channel], counts[:, channel], strict=True)
+        noise = np.array([white_noise(each[here]) for each, here in pairs])
+        floor = np.maximum(noise, MODEL_ERROR[name])
+        off = np.where(left[:, channel] > misfit.poor * floor, left[:, channel], 0.0)
+        found[name] = np.hypot(model_error.get(name, 0.0), off)
+    return found
 
 
 def _offset(problem: Problem, model_error: Mapping[str, np.ndarray]) -> np.ndarray:
