@@ -17,8 +17,9 @@ the force.
 
 The stress law is not monotone: where a plate begins to lead, the balance of a long step may fold,
 and its Jacobian be all but singular, at one step of a thousand. A change of velocity grows there by
-more than any that can be seen: plates saturate. So the growth of a derivative is bounded, over all
-steps since it last shrank, and no product of steps explodes.
+more than any that can be seen: plates saturate. So the growth of a derivative is bounded, along
+each axis by itself, over all steps since it last shrank, and no product of steps explodes. (A wheel
+that falls straight down has such a fold along x, and none along z.)
 """
 
 import abc
@@ -125,7 +126,7 @@ class Root(eqx.Module):
         residual: Residual there [N s].
         forces: What else the balance gives there.
         jacobian: Derivative of the residual by the velocity [kg].
-        forces_slope: Derivative of the forces by the velocity.
+        forces_slope: Derivative of the forces by the velocity [their unit s/m].
         evaluations: Evaluations of the force.
         found: Whether the last change of velocity was under the tolerance.
     """

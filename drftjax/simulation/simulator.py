@@ -35,7 +35,7 @@ ON_THE_SPOT = 1e-3
 
 
 class PlateLoad(eqx.Module):
-    """Stress on each plate, for figures.
+    """Stress on each plate.
 
     Attributes:
         plates: Plates turned to the wheel angle.
@@ -47,6 +47,11 @@ class PlateLoad(eqx.Module):
     motion: PlateMotion
     stress_x: Float[Array, " plates"]
     stress_z: Float[Array, " plates"]
+
+    def wrenches(self) -> tuple[Float[Array, " plates"], ...]:
+        """Force (x, z) of the sand on each plate [N], and the drive torque against it [N m]."""
+        force_x, force_z = self.stress_x * self.plates.area, self.stress_z * self.plates.area
+        return force_x, force_z, self.plates.x * force_z - self.plates.z * force_x
 
 
 class Simulator(eqx.Module):
@@ -166,26 +171,8 @@ class Simulator(eqx.Module):
 
         Arguments as for `plate_load`.
         """
-        columns = self.plate_wrenches(position, velocity, angle, omega, zeta, memory)
-        return jnp.stack(sums_over_plates(columns))
-
-    def plate_wrenches(
-        self,
-        position: Float[Array, "2"],
-        velocity: Float[Array, "2"],
-        angle: Float[Array, ""],
-        omega: Float[Array, ""],
-        zeta: Float[Array, ""],
-        memory: chain.Memories = (),
-    ) -> tuple[Float[Array, " plates"], Float[Array, " plates"], Float[Array, " plates"]]:
-        """Share of each plate in `wrench`: force (x, z) [N] and torque [N m].
-
-        Arguments as for `plate_load`.
-        """
         load = self.plate_load(position, velocity, angle, omega, zeta, memory)
-        force_x = load.stress_x * load.plates.area
-        force_z = load.stress_z * load.plates.area
-        return force_x, force_z, load.plates.x * force_z - load.plates.z * force_x
+        return jnp.stack(sums_over_plates(load.wrenches()))
 
     def step(
         self, state: State, command: Command, dt: Float[Array, ""] | float
@@ -355,7 +342,7 @@ class StepBalance(AbstractBalance):
     def by_plate(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, " plates"], ...]:
         moment = self.moment
         at = self._position(velocity), velocity, moment.angle, moment.omega
-        return self.simulator.plate_wrenches(*at, self.zeta, self.memory)
+        return self.simulator.plate_load(*at, self.zeta, self.memory).wrenches()
 
     def of_sums(
         self, velocity: Float[Array, "2"], sums: tuple[Float[Array, ""], ...]

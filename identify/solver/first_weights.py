@@ -26,7 +26,7 @@ def with_model_shares(
 ) -> Observation:
     """The observation whose noise holds a share of each channel's size.
 
-    The size of x is the way that it covers, that of others is their root mean square.
+    The size of x is the range of travel, that of others is their root mean square.
 
     Args:
         observation: Of a run.
@@ -34,7 +34,6 @@ def with_model_shares(
     """
     counted = observation.values[:, observation.counts]
     size = np.sqrt(np.mean(counted**2, axis=1))
-    way = np.ptp(counted, axis=1)
-    sizes = [w if c == "x" else s for c, s, w in zip(observation.channels, size, way, strict=True)]
+    size = np.where([c == "x" for c in observation.channels], np.ptp(counted, axis=1), size)
     share = np.array([shares.get(channel, 0.0) for channel in observation.channels])
-    return replace(observation, noise=np.hypot(observation.noise, share * np.array(sizes)))
+    return replace(observation, noise=np.hypot(observation.noise, share * size))

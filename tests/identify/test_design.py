@@ -34,7 +34,7 @@ from tests.helpers.drft_command import Drft
 from tests.studies.design import fitted
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes, where a
-# derivative may grow by 3 at most: a derivative is 0.5 % off.
+# derivative's growth is bounded: up to 0.2 % of it.
 CORNERS = 2e-3
 # Four runs tell a standard deviation to two fifths; twice that either way.
 SCATTER = (0.2, 1.9)

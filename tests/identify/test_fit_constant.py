@@ -28,7 +28,7 @@ NINETY = 1.645
 # The structured Jacobian and the plain one are the same sums in another order.
 ROUNDING = 1e-10
 # Central differences of a simulation with corners (docs/theory/integrator.md), at a change of 1e-7:
-# a derivative may grow by 3 at most where a plate turns over
+# a derivative has a bound on its growth where a plate turns over
 # (`drftjax.simulation.simulator.LARGEST_GROWTH`), which takes 2.2 % off at this step.
 DIFFERENCES = 3e-2
 # The same derivatives by two compiled programs.

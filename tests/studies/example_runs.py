@@ -5,11 +5,13 @@ takes. zeta scatters by 1 % from run to run, as a bed prepared anew does; the sc
 micrometre with 20 um of noise.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from drftjax.common.jax_config import configure_jax
+from drftjax.effects.serialization import Entry
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.record import Measured, RunLog
 
@@ -29,8 +31,22 @@ PROFILES = {
 }
 
 
-def make(name: str, random: np.random.Generator) -> RunLog:
-    """One run of our rig, as its operator would log it."""
+def make(
+    name: str,
+    random: np.random.Generator,
+    effects: Sequence[Entry] = (),
+    scatter: float = SCATTER,
+    step: float | None = STEP,
+) -> RunLog:
+    """One run of our rig, as its operator would log it.
+
+    Args:
+        name: Of its profile.
+        random: Source of the noise.
+        effects: That the rig has, as a set-up file has them.
+        scatter: Of zeta from run to run, as a share of it [-].
+        step: Integrator step [s]; chosen for the run where it is None.
+    """
     from drftjax.setups.setup import CommandSetUp, IntegratorSetUp, SetUp
     from drftjax.setups.simulated_run import simulated_run
     from drftjax.simulation.statics import sinkage_under_load
@@ -38,10 +54,11 @@ def make(name: str, random: np.random.Generator) -> RunLog:
     time, omega = PROFILES[name]
     setup = SetUp(
         command=CommandSetUp([float(t) for t in time], [float(w) for w in omega], None, "deg/s"),
-        integrator=IntegratorSetUp(step=STEP),
+        integrator=IntegratorSetUp(step=step),
         title=f"example run {name}, made by simulation",
     )
-    zeta = ZETA * (1 + SCATTER * random.standard_normal())
+    setup.effects.extend(effects)
+    zeta = ZETA * (1 + scatter * random.standard_normal())
     setup.terrain.zeta = zeta
     setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, zeta))
     run = simulated_run(setup, interval=1 / RATE)

@@ -1,6 +1,6 @@
 """Fits of runs with an effect that the model lacks: bias of zeta beside the error it is given.
 
-    python -m tests.studies.wrong_models [-o FILE.json]
+    python -m tests.studies.wrong_models [--by-noise] [-o FILE.json]
 
 Each of twelve effects, at half, once and twice its typical strength, is in the true rig and not in
 the model. Four runs of the example rig are fitted, each by a zeta of its own, and one lambda.
@@ -8,7 +8,7 @@ the model. Four runs of the example rig are fitted, each by a zeta of its own, a
 
 import argparse
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -18,12 +18,10 @@ from rich.table import Table
 
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects.catalogue import effect_class, field_metadata, strengths
-from drftjax.runlog.record import Measured, RunLog
-from drftjax.setups.setup import CommandSetUp, SetUp
-from drftjax.setups.simulated_run import simulated_run
-from drftjax.simulation.statics import sinkage_under_load
+from drftjax.runlog.record import RunLog
 from identify.api import fit
-from tests.studies.example_runs import NOISE, PROFILES, RATE, ZETA
+from identify.fit_constant import FIT_SETTINGS, FitSettings
+from tests.studies.example_runs import NOISE, PROFILES, ZETA, make
 
 EFFECTS = (
     "drawbar",
@@ -47,7 +45,7 @@ SEED = 7
 
 @dataclass(frozen=True)
 class Case:
-    """One fit.
+    """One fit of four runs.
 
     Attributes:
         effect, strength: In the rig and not in the model; as a share of the typical strength.
@@ -69,40 +67,18 @@ class Case:
 
 
 def run_with(effect: str, strength: float, name: str, random: np.random.Generator) -> RunLog:
-    """A run of the example rig with an effect, as its operator would log it."""
-    time, omega = PROFILES[name]
-    setup = SetUp(
-        command=CommandSetUp([float(t) for t in time], [float(w) for w in omega], None, "deg/s"),
-        title=f"run with {effect}",
-    )
+    """A run of the example rig with an effect at a share of its typical strength [-]."""
     kind = effect_class(effect)
     typical = field_metadata(kind)
-    setup.effects.append(
-        {"name": effect} | {each: strength * typical[each]["typical"] for each in strengths(kind)}
-    )
-    setup.terrain.zeta = ZETA
-    setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, ZETA))
-    run = simulated_run(setup, interval=1 / RATE)
-    assert run.measured.x is not None
-    assert run.measured.z is not None
-    x, z = (
-        each + NOISE * random.standard_normal(len(each))
-        for each in (run.measured.x, run.measured.z)
-    )
-    believed = type(run.setup)(**{**run.setup.known(), "scaling_factor_initial": 0.7823})
-    return RunLog(
-        setup=believed,
-        command=run.command,
-        measured=Measured(time=run.measured.time, x=x, z=z),
-        source="virtual rig",
-        title=run.title,
-    )
+    entry = {each: strength * typical[each]["typical"] for each in strengths(kind)}
+    return make(name, random, [{"name": effect} | entry], scatter=0.0, step=None)
 
 
-def case(effect: str, strength: float) -> Case:
+def case(effect: str, strength: float, settings: FitSettings = FIT_SETTINGS) -> Case:
+    """Fit four runs of a rig with an effect at a share of its typical strength [-]."""
     random = np.random.default_rng(SEED)
     runs = {name: run_with(effect, strength, name, random) for name in PROFILES}
-    found = fit(runs)
+    found = fit(runs, settings=settings)
     zetas = [run.values["terrain.zeta"] for run in found.runs]
     bias = np.array([each.value / ZETA - 1 for each in zetas])
     error = np.array([each.error / ZETA for each in zetas])
@@ -138,17 +114,21 @@ def table(cases: list[Case]) -> Table:
             each.status,
             *floors,
         )
-    table.caption = f"small in {np.mean([each.small for each in cases]):.0%} of the fits"
+    table.caption = f"small in {np.mean([each.small for each in cases]):.0%} of all zetas"
     return table
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("-o", "--output", type=Path, help="write the figures here, as JSON")
+    parser.add_argument(
+        "--by-noise", action="store_true", help="first weights by the instruments' noise"
+    )
     parser.add_argument("--effects", nargs="*", default=EFFECTS, choices=EFFECTS)
     given = parser.parse_args()
     configure_jax()
-    cases = [case(*each) for each in product(given.effects, STRENGTHS)]
+    settings = replace(FIT_SETTINGS, model_shares={}) if given.by_noise else FIT_SETTINGS
+    cases = [case(*each, settings) for each in product(given.effects, STRENGTHS)]
     Console(width=140).print(table(cases))
     if given.output:
         given.output.write_text(json.dumps([asdict(each) for each in cases], indent=1) + "\n")
