@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import root_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,5 @@ def paule_mandel(
     # The plain variance is never smaller.
     most = float(values.var(ddof=1))
     found = root_scalar(lambda each: weighted(each)[1] - free, bracket=(0.0, most))
-    identified = bool(squares > chi2.ppf(level, free))
+    identified = bool(squares > chdtri(free, 1 - level))
     return RandomEffect(weighted(found.root)[0], float(found.root), identified)
