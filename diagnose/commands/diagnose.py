@@ -41,7 +41,6 @@ def diagnose(
 ) -> None:
     """Find which effect makes runs of a rig differ from the model, where, and by how much."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from drftjax.common.jax_config import configure_jax
 
@@ -51,6 +50,7 @@ def diagnose(
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import require_places
+    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.setups.generated_files import require_own_setup
 
@@ -66,17 +66,9 @@ def diagnose(
             replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
         )
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task("reading runs", total=None)
+    with progress_line(console, "reading runs", quiet=quiet) as show:
         gathered = gather_runs(runs, lambda left_out: say(left_out, "yellow"))
-
-        def report(stage: str) -> None:
-            bar.update(task, description=stage)
-
-        found = diagnose_gathered(
-            gathered, chosen, report, lambda left_out: say(left_out, "yellow")
-        )
+        found = diagnose_gathered(gathered, chosen, show, lambda left_out: say(left_out, "yellow"))
 
     say(verdict(found), "bold")
     if not quiet:

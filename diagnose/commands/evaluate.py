@@ -65,7 +65,6 @@ def evaluate(
     if not tuner:
         refuse_options(context, ("tick", "zeta_step", "tolerance"), "give --tuner too")
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from drftjax.common.jax_config import configure_jax
 
@@ -77,6 +76,7 @@ def evaluate(
     from diagnose.evaluation.tuner_activity import tuner_activity
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import replace_file, require_places
+    from drftjax.common.progress import progress_line
     from drftjax.common.structured_files import as_json
     from drftjax.common.text import replace_unprintable
     from drftjax.tuning.step_tuner import StepTuner
@@ -93,18 +93,16 @@ def evaluate(
         # File names may hold brackets, and are to be copied from one line.
         console.print(replace_unprintable(text), markup=False, highlight=False, soft_wrap=True)
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     moved: list[tuple[TunerActivity, TunerActivity]] = []
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading runs", total=None)
+    with progress_line(console, "reading runs") as show:
         gathered = gather_runs(runs, origin=added.origin)
-        bar.update(task, description=f"simulating {len(gathered.runs)} runs with both models")
+        show(f"simulating {len(gathered.runs)} runs with both models")
         caveats = added.caveats(gathered.runs)
         found = evaluate_model(
             RigDataset.of(gathered.runs), added.effects, gathered.skipped, caveats
         )
         if tuner:
-            bar.update(task, description="replaying the tuner")
+            show("replaying the tuner")
             moved = tuner_activity(found.dataset, found.effects, found.zeta, setting)
 
     console.print(gap_table(found))

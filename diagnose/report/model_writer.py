@@ -8,7 +8,7 @@ import numpy as np
 from diagnose.gap.gap import Gap
 from diagnose.result import Diagnosis, ParameterEstimate
 from diagnose.selection.model_weights import NONE, UNKNOWN
-from drftjax.common.text import replace_unprintable
+from drftjax.common.text import replace_unprintable, value_with_error
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES
@@ -56,7 +56,7 @@ def _comments(found: Diagnosis, effect: AbstractEffect) -> dict[str, str]:
 def estimate_in_words(number: ParameterEstimate) -> str:
     """A number with its standard error and unit, in words of one line."""
     unit = "" if number.unit == "-" else f" {number.unit}"
-    return f"{number.value:.4g} ± {number.error:.2g}{unit}"
+    return f"{value_with_error(number.value, number.error)}{unit}"
 
 
 def _head(found: Diagnosis) -> list[str]:

@@ -1,13 +1,16 @@
 """Repeats: runs of one condition, which is one command, wheel, rig and sand.
 
-One definition serves fits and diagnoses. Numbers of set-ups and commands agree within what files
-of different makers round; carriage speeds and sands within what runs made alike differ by.
+One definition serves fits and diagnoses. Numbers of set-ups agree within what files of different
+makers round, wheel speeds within what a drive holds, and carriage speeds and sands within what runs
+made alike differ by.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
+from scipy.integrate import cumulative_trapezoid
 
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.runlog.record import RecordedCommand
@@ -19,9 +22,14 @@ class RepeatTolerances:
     """Differences that two repeats may have.
 
     Attributes:
-        relative, absolute: Of wheel speeds and of the numbers of wheel and rig: share of their
-            size, and what is added to it for numbers near zero, in their own unit. Files of
-            different makers round by as much.
+        relative, absolute: Of the numbers of wheel and rig: share of their size, and what is added
+            to it for numbers near zero, in their own unit. Files of different makers round by as
+            much.
+        turned: Of the angle that the wheel has turned by at any time, as a share of the whole
+            [-]. A log may hold the measured speed in place of the commanded one: a drive holds its
+            mean within this, and no profile is varied by so little.
+        wheel_speed: RMS over the run, as a share of the top speed [-]: what a drive ripples and an
+            encoder's speed scatters by.
         carriage_speed: Of a driven carriage's speed, as a share of its top speed [-]: in the loop
             it is tuned to the sinkage, and no two runs get the same.
         log_zeta: Of the zeta that is believed of the sand before any fit [-], by its logarithm:
@@ -37,6 +45,8 @@ class RepeatTolerances:
 
     relative: float = 1e-6
     absolute: float = 1e-9
+    turned: float = 2e-3
+    wheel_speed: float = 0.02
     carriage_speed: float = 0.02
     log_zeta: float = 0.2
     shared: float = 0.5
@@ -161,11 +171,32 @@ def _equal_commands(one: RunCondition, other: RunCondition, tolerances: RepeatTo
     knots = np.union1d(*times)
     knots = knots[knots <= end]
 
-    def agree(first: np.ndarray, second: np.ndarray, relative: float) -> bool:
-        speeds = [np.interp(knots, t, v) for t, v in zip(times, (first, second), strict=True)]
-        allowed = relative * float(np.abs(speeds).max()) + tolerances.absolute
-        return bool(np.abs(np.subtract(*speeds)).max() <= allowed)
+    def speeds(*both: np.ndarray) -> np.ndarray:
+        return np.array([np.interp(knots, t, v) for t, v in zip(times, both, strict=True)])
 
-    return agree(a.omega, b.omega, tolerances.relative) and (
-        a.vx is None or b.vx is None or agree(a.vx, b.vx, tolerances.carriage_speed)
+    turning = speeds(a.omega, b.omega)
+    if not _equal_turning(knots, turning, tolerances):
+        return False
+    if a.vx is None or b.vx is None:
+        return True
+    carriages = speeds(a.vx, b.vx)
+    allowed = tolerances.carriage_speed * float(np.abs(carriages).max()) + tolerances.absolute
+    return bool(np.abs(np.diff(carriages, axis=0)).max() <= allowed)
+
+
+def _equal_turning(
+    time: Float[np.ndarray, " knots"],
+    speeds: Float[np.ndarray, "2 knots"],
+    tolerances: RepeatTolerances,
+) -> bool:
+    """True where two wheels turn alike: by the same angle at any time, and as fast."""
+    difference = speeds[1] - speeds[0]
+    off = np.abs(cumulative_trapezoid(difference, time, initial=0.0)).max()
+    whole = np.trapezoid(np.abs(speeds).max(axis=0), time)
+    scatter = np.sqrt(np.trapezoid(difference**2, time))
+    top = np.sqrt(time[-1] - time[0]) * np.abs(speeds).max()
+    absolute = tolerances.absolute
+    return bool(
+        off <= tolerances.turned * whole + absolute
+        and scatter <= tolerances.wheel_speed * top + absolute
     )

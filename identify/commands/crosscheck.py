@@ -44,7 +44,6 @@ def crosscheck(
 ) -> None:
     """Replay the online tuner over recorded runs and compare it with their offline zeta(t)."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from drftjax.common.jax_config import configure_jax
 
@@ -52,6 +51,7 @@ def crosscheck(
     import dataclasses
 
     from drftjax.common.output_files import require_places
+    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.prepared_run import PreparedRun, prepare_run
@@ -64,7 +64,6 @@ def crosscheck(
     if output is not None:
         require_places(result_files(output), runs)
     console = Console()
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     online = {}
 
     def ready(name: str, run: RunLog) -> PreparedRun:
@@ -76,11 +75,10 @@ def crosscheck(
         # File names may hold brackets, and are to be copied from one line.
         console.print(replace_unprintable(text), style="yellow", markup=False, soft_wrap=True)
 
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading runs", total=None)
+    with progress_line(console, "reading runs") as show:
         gathered = gather(runs, ready, sinkage=True, tell=say)
         prepared = gathered.runs
-        bar.update(task, description=f"replaying and fitting {len(prepared)} runs")
+        show(f"replaying and fitting {len(prepared)} runs")
         setting = TunerSetting(tick, zeta_step, tolerance)
         result = check(prepared, setting, online=online, knot_spacing=knots, sweep=sweep)
         for name, why in result.failures.items():

@@ -120,12 +120,12 @@ def fit(
     from functools import partial
 
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from drftjax.common.jax_config import configure_jax
 
     configure_jax(devices=os.cpu_count())
     from drftjax.common.output_files import require_places
+    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
@@ -182,9 +182,7 @@ def fit(
             replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
         )
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading runs", total=None)
+    with progress_line(console, "reading runs") as show:
         ready = partial(
             prepare_run,
             model=None if model is None else read_setup(model),
@@ -197,11 +195,11 @@ def fit(
         tell = partial(say, style="yellow")
         gathered = gather(runs, ready, sinkage=path, tell=tell)
         prepared = gathered.runs
-        bar.update(task, description=f"compiling for {len(prepared)} runs")
+        show(f"compiling for {len(prepared)} runs")
 
         def report(stage: str, number: int, loss: float) -> None:
             squares = "" if math.isnan(loss) else f", sum of squares {loss:.6g}"
-            bar.update(task, description=f"{stage}: step {number}{squares}")
+            show(f"{stage}: step {number}{squares}")
 
         if path:
             spacing = KNOT_SPACING if knots is None else knots
@@ -213,10 +211,10 @@ def fit(
                 fit_runs(prepared, fitted, report, noise_model(noise), starts=starts)
             )
         for name in profile or []:
-            bar.update(task, description=f"profile of {name}")
+            show(f"profile of {name}")
             result = result.profile(name)
         if bootstrap is not None:
-            bar.update(task, description=f"bootstrap of {bootstrap} draws")
+            show(f"bootstrap of {bootstrap} draws")
             result = result.bootstrap(bootstrap)
 
     console.print(result.table())

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from drftjax.common.text import value_with_error
 from drftjax.setups.setup import RigSetUp, SetUp, WheelSetUp
 from identify.parameters.parameter import Parameter, typical_change
 from identify.parameters.quantity import is_zeta_name
@@ -62,13 +63,13 @@ class Value:
             return f"{self.value:.5g}, at a bound"
         if not self.error < IDENTIFIABILITY.reported_error * self.size:
             return "not told"
-        return f"{self.value:.5g} ± {self.error:.2g}"
+        return value_with_error(self.value, self.error)
 
     def __str__(self) -> str:
         unit = "" if self.unit == "-" else f" {self.unit}"
         if self.at_bound:
             return f"{self.label} = {self.value:.5g}{unit}, at a bound"
-        return f"{self.label} = {self.value:.5g} ± {self.error:.2g}{unit}"
+        return f"{self.label} = {value_with_error(self.value, self.error)}{unit}"
 
 
 def values_of(

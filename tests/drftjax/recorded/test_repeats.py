@@ -82,6 +82,29 @@ def test_another_command_load_length_or_sand_is_another_condition(whole, other):
     assert group_by_condition([whole, changed(whole, **other)]) == [[0], [1]]
 
 
+@pytest.mark.parametrize("share", [1e-4, 1e-3, -1e-3])
+def test_a_measured_speed_within_what_a_drive_holds_is_the_same_command(whole, share):
+    speeds = np.array(PROFILE[1]) * (1 + share)
+    assert group_by_condition([whole, changed(whole, command_omega=[*speeds])]) == [[0, 1]]
+
+
+def test_a_scattered_measured_speed_is_the_same_command(whole):
+    time = np.linspace(0.0, 2.0, 401)
+    omega = np.interp(time, *PROFILE)
+    scattered = [
+        changed(whole, command_time=[*time], command_omega=[*(omega + noise)])
+        for noise in 0.005 * np.random.default_rng(4).standard_normal((2, len(time)))
+    ]
+    assert group_by_condition([whole, *scattered]) == [[0, 1, 2]]
+
+
+def test_a_speed_that_swings_about_the_same_mean_is_another_command(whole):
+    time = np.linspace(0.0, 2.0, 401)
+    swinging = np.interp(time, *PROFILE) + 0.05 * np.sin(20 * np.pi * time)
+    other = changed(whole, command_time=[*time], command_omega=[*swinging])
+    assert group_by_condition([whole, other]) == [[0], [1]]
+
+
 def test_runs_at_two_carriage_speeds_are_two_conditions(whole):
     slow, fast = (changed(whole, command_vx=[0.0, 0.0, v, v]) for v in (0.05, 0.06))
     assert group_by_condition([slow, fast, slow]) == [[0, 2], [1]]

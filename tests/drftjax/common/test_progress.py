@@ -1,0 +1,32 @@
+"""Progress of a long command."""
+
+import io
+import time
+
+from rich.console import Console
+
+from drftjax.common.progress import LINE_INTERVAL, progress_line
+
+
+def told(capsys, *, quiet: bool = False, terminal: bool = False) -> str:
+    console = Console(file=io.StringIO(), force_terminal=terminal)
+    with progress_line(console, "reading runs", quiet=quiet, interval=0.05) as show:
+        time.sleep(0.1)
+        show("fit: step 3")
+        time.sleep(0.1)
+    before = capsys.readouterr().err
+    time.sleep(0.1)
+    assert not capsys.readouterr().err  # Nothing is said after the end.
+    return before
+
+
+def test_a_log_gets_a_line_with_the_stage_from_time_to_time(capsys):
+    lines = told(capsys).splitlines()
+    assert lines[0] == "reading runs (0 s)"
+    assert lines[-1] == "fit: step 3 (0 s)"
+    assert LINE_INTERVAL == 10.0
+
+
+def test_a_terminal_and_a_quiet_command_get_no_lines(capsys):
+    assert not told(capsys, terminal=True)
+    assert not told(capsys, quiet=True)
