@@ -112,7 +112,7 @@ def effects_among(
         InputError: for a name that is not known, with the nearest ones that are; for no effect.
     """
     if wanted is None:
-        return tuple(catalogue().values())
+        return tuple(each for each in catalogue().values() if each.about.hypothesis)
     if isinstance(wanted, str):
         wanted = [wanted]
     if not wanted:

@@ -47,6 +47,11 @@ from identify.uncertainty.derivative_check import (
     derivative_doubts,
 )
 from identify.uncertainty.estimate import Estimate
+from identify.uncertainty.height_zero import (
+    HEIGHT_ZERO_SETTINGS,
+    HeightZeroSettings,
+    height_zero_sentences,
+)
 from identify.uncertainty.model_error import MISFIT_SETTINGS, MODEL_ERROR, MisfitSettings
 from identify.uncertainty.noise_model import AbstractNoise, White
 from identify.uncertainty.priors import (
@@ -78,6 +83,7 @@ class FitSettings:
         solver, short_steps, multistart, priors, derivatives: Numbers of these.
         findings: Numbers of the sentences on the result.
         misfit: Numbers that say from when on a model does not fit.
+        height_zero: Numbers that say from when on zeta hangs on the zero of the height.
         model_shares: Shares of the channels' sizes by which they are first weighted, by channel.
     """
 
@@ -94,6 +100,7 @@ class FitSettings:
     derivatives: DerivativeCheckSettings = DERIVATIVE_CHECK_SETTINGS
     findings: FindingSettings = FINDING_SETTINGS
     misfit: MisfitSettings = MISFIT_SETTINGS
+    height_zero: HeightZeroSettings = HEIGHT_ZERO_SETTINGS
     model_shares: Mapping[str, float] = field(default_factory=lambda: MODEL_SHARES)
 
 
@@ -423,6 +430,7 @@ def _result(
             *misfit_sentences(fits, floors, settings.misfit),
             *findings(problem.parameters, shared, fits, spread, hidden, scatter, settings.findings),
             *prior_conflicts(estimate, settings.priors),
+            *height_zero_sentences(estimate, settings.height_zero),
             *step_doubts(estimate.runs),
             *doubts,
         ],

@@ -38,6 +38,8 @@ class EffectInfo:
         meaning: The same in words.
         form_of: Name of the effect that this is another form of, under which a diagnosis reports
             it; empty for most.
+        hypothesis: False for an effect that set-ups and fits may have, and that a diagnosis looks
+            for only where it is named: it moves most runs as another zeta does.
     """
 
     name: str
@@ -45,6 +47,7 @@ class EffectInfo:
     formula: str
     meaning: str
     form_of: str = ""
+    hypothesis: bool = True
 
 
 def strength(

@@ -44,6 +44,29 @@ class SinkageGain(AbstractSensor):
         return _with_z(output, (1 + self.gain) * output.z), ()
 
 
+class SinkageOffset(AbstractSensor):
+    """The zero of the vertical scale is not where the rim touches the surface."""
+
+    about: ClassVar = EffectInfo(
+        "sinkage_offset",
+        "sensor",
+        "z read = z + offset, the static sinkage too",
+        "the zero of the vertical scale is off the surface",
+        hypothesis=False,
+    )
+    offset: Number = strength("m", 1e-3, "constant of the reading, upward positive")
+
+    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+        # The static sinkage was read from this zero, too.
+        return position - jnp.stack([jnp.zeros_like(self.offset), self.offset])
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return _with_z(output, output.z + self.offset), ()
+
+
 class SinkageDrift(AbstractSensor):
     """The vertical scale drifts with time."""
 
@@ -143,4 +166,4 @@ class MeasurementFilter(AbstractSensor):
         return _with_channels(output, value), value
 
 
-SENSOR = (SinkageGain, SinkageDrift, TravelGain, MeasurementDelay, MeasurementFilter)
+SENSOR = (SinkageGain, SinkageOffset, SinkageDrift, TravelGain, MeasurementDelay, MeasurementFilter)

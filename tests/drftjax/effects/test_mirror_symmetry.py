@@ -99,6 +99,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "cable_spring": ((), "a spring pulls back to where it was slack"),
     "vertical_spring": ((), "vertical"),
     "sinkage_gain": ((), "vertical"),
+    "sinkage_offset": ((), "vertical"),
     "sinkage_drift": ((), "vertical"),
     "travel_gain": ((), "a ratio of lengths"),
     "measurement_delay": ((), "time"),

@@ -483,6 +483,17 @@ def test_the_static_sinkage_was_read_on_the_wrong_scale_too():
     np.testing.assert_allclose(gain.x, truth.x, rtol=CLOSE)
 
 
+def test_the_static_sinkage_was_read_from_the_wrong_zero_too():
+    off = size("sinkage_offset")
+    moving = start(True)
+    there = replace(moving, position=moving.position - jnp.array([0.0, off]))
+    truth = jax.tree.map(np.asarray, program()(jnp.asarray(vector()), there, HOLD))
+    found = held("sinkage_offset")
+    np.testing.assert_allclose(found.z - truth.z, off, rtol=CLOSE)
+    np.testing.assert_allclose(found.sinkage, -found.z, rtol=ROUNDING)
+    np.testing.assert_allclose(found.x, truth.x, rtol=CLOSE)
+
+
 @pytest.mark.parametrize("name", ["measurement_delay", "measurement_filter"])
 def test_late_readings_trail_an_even_motion_by_their_delay(name):
     output = held(name)
