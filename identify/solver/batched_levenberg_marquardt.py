@@ -1,7 +1,8 @@
 """Levenberg-Marquardt from many points of one batch side by side, under one vmap.
 
 Starting points, places of a profile and simulated recordings need the same: the batch and its
-derivative at many coordinates at once. The small linear algebra of each point is NumPy's.
+derivative at many coordinates at once. Steps and damping are optimistix's
+(`identify.solver.descent`).
 """
 
 import math
@@ -15,6 +16,7 @@ import numpy as np
 
 from drftjax.common.memory import chunk_bytes
 from identify.parameters.parameter import Parameter
+from identify.solver.descent import NormalEquations, levenberg_marquardt
 from identify.solver.problem import Coordinates, Problem, normal_equations
 from identify.solver.settings import BATCHED_SETTINGS, BatchedSolverSettings
 from identify.solver.whitening import Whitening
@@ -122,12 +124,13 @@ class BatchedLevenbergMarquardt:
             progress: Called with the number of the step and of points that still move.
         """
         numbers = self.settings
-        free = np.ones(points.shape[1], bool) if held is None else ~held
+        free = jnp.asarray(np.ones(points.shape[1], bool) if held is None else ~held)
+        descent = levenberg_marquardt(numbers.first_damping, numbers.damping_factor)
         here = points.copy()
         count = float(self.counts.sum())
-        loss, information, slope = self._equations(here, shift)
-        settled = ~np.isfinite(loss)
-        damping = np.full(len(here), numbers.first_damping)
+        at = self._equations(here, shift)
+        settled = ~np.isfinite(at.loss)
+        size, state = descent.begin(_finite(at))
         rejected = np.zeros(len(here), int)
         for number in range(1, numbers.max_steps + 1):
             moving = np.flatnonzero(~settled)
@@ -135,31 +138,28 @@ class BatchedLevenbergMarquardt:
                 progress(number, len(moving))
             if not len(moving):
                 break
-            tried = here.copy()
-            for point in moving:
-                tried[point] += _step(
-                    information[point], slope[point], damping[point], free, numbers.longest_step
-                )
-            kept = None if shift is None else shift[moving]
-            fresh = self._equations(tried[moving], kept)
-            for point, *ours in zip(moving, *fresh, strict=True):
-                gain = loss[point] - ours[0]
-                if not gain > 0:
+            begun = _finite(at)
+            moves = descent.next_move(begun, size, free, jnp.asarray(numbers.longest_step))
+            tried = here + np.asarray(moves)
+            fresh = self._equations(tried[moving], None if shift is None else shift[moving])
+            ends = np.full(len(here), np.inf)
+            ends[moving] = fresh.loss
+            counts, size, state = descent.judge(begun, moves, jnp.asarray(ends), state)
+            for place, point in enumerate(moving):
+                # Whether it counts by a hair is the trust region's word, whether it gains is ours.
+                gain = at.loss[point] - ends[point]
+                if not (counts[point] and gain > 0):
                     rejected[point] += 1
-                    damping[point] *= numbers.damping_factor
                     settled[point] = rejected[point] == numbers.max_rejections
                     continue
-                settled[point] = gain * count <= numbers.small_gain * ours[0]
-                here[point] = tried[point]
-                loss[point], information[point], slope[point] = ours
-                damping[point] /= numbers.damping_factor
-                rejected[point] = 0
-        return BatchedSolution(here, loss, settled & np.isfinite(loss))
+                settled[point] = gain * count <= numbers.small_gain * ends[point]
+                here[point], rejected[point] = tried[point], 0
+                for whole, part in zip(at, fresh, strict=True):
+                    whole[point] = part[place]
+        return BatchedSolution(here, 2 * np.asarray(at.loss), settled & np.isfinite(at.loss))
 
-    def _equations(
-        self, points: np.ndarray, shift: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return loss, J^T J and J^T r of every point, the priors included."""
+    def _equations(self, points: np.ndarray, shift: np.ndarray | None) -> NormalEquations:
+        """Return the normal equations of every point, the priors included."""
         size = points.shape[1]
         loss = np.full(len(points), np.inf)
         information, slope = np.zeros((len(points), size, size)), np.zeros((len(points), size))
@@ -176,7 +176,7 @@ class BatchedLevenbergMarquardt:
                 ends = self._normal(residuals[index], blocks[index], points[number], extra)
                 if ends is not None:
                     loss[number], information[number], slope[number] = ends
-        return loss, information, slope
+        return NormalEquations(loss / 2, slope, information)
 
     def _padded_size(self, points: int) -> int:
         """Return how many points the program for so many takes; each such size is compiled once."""
@@ -223,12 +223,8 @@ class BatchedLevenbergMarquardt:
         return jnp.asarray(points[:, : self.shared]), jnp.asarray(own)
 
 
-def _step(
-    information: np.ndarray, slope: np.ndarray, damping: float, free: np.ndarray, longest: float
-) -> np.ndarray:
-    """Return the damped Gauss-Newton step of the free coordinates, no longer than `longest`."""
-    move = np.zeros(len(slope))
-    inner = information[np.ix_(free, free)]
-    damped = inner + damping * np.diag(np.maximum(np.diag(inner), np.finfo(float).tiny))
-    move[free] = -np.linalg.lstsq(damped, slope[free], rcond=None)[0]
-    return move * min(1.0, longest / max(np.abs(move).max(initial=0.0), longest))
+def _finite(equations: NormalEquations) -> NormalEquations:
+    """Return the equations with those of points without any, which do not move, made harmless."""
+    return NormalEquations(
+        *(jnp.asarray(np.where(np.isfinite(each), each, 0)) for each in equations)
+    )

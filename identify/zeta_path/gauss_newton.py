@@ -21,6 +21,7 @@ from drftjax.recorded.observation import (
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.trial import Trial
+from identify.solver.descent import NormalEquations, gauss_newton
 from identify.zeta_path.evidence import (
     InstrumentFloor,
     LaggedProducts,
@@ -30,7 +31,7 @@ from identify.zeta_path.evidence import (
 )
 from identify.zeta_path.path import CHANNELS, ZetaPath, cardinal_splines, segment_ends
 from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
-from identify.zeta_path.simulate import path_trial, with_zeta_knots
+from identify.zeta_path.simulate import START_COORDINATES, path_trial, with_zeta_knots
 
 
 class ZetaPathSolver:
@@ -99,7 +100,9 @@ class ZetaPathSolver:
         self.evidence = -np.inf
         self.objective = np.inf
         self.origin = self.coordinates
-        self.move = np.zeros_like(self.coordinates)
+        self.descent = gauss_newton(settings.kept_promise)
+        self.linear = self._linearized(np.eye(len(self.coordinates)), 0 * self.coordinates)
+        self.size, self.search = self.descent.begin(self.linear)
         self.residual = np.zeros_like(self.values)
         self.slopes = np.zeros((*self.values.shape, len(self.coordinates)))
         self.steps = 0
@@ -129,11 +132,13 @@ class ZetaPathSolver:
         if not (np.isfinite(slopes).all() and np.isfinite(residual).all()):
             if self.steps == 0:
                 raise RunError(self.run.name, "its simulation diverges at the zeta it starts from")
-            self._halve_step()
+            self._counts(np.inf)
+            self._step_back()
             return
         gain = np.inf if self.last is None else self.objective - self._objective(residual)
-        if gain < -1.0:
-            self._halve_step()
+        # Stops make the misfit rough: what loses next to nothing counts as well.
+        if gain < -self.settings.roughness and not self._counts(self.objective - gain):
+            self._step_back()
             return
         self.steps += 1
         self.rejections = 0
@@ -162,13 +167,14 @@ class ZetaPathSolver:
         farthest = np.abs(share[: self.knots][self._identified()]).max(initial=0.0)
         self.converged = bool(self.all_channels and (still or farthest < numbers.small_step))
         self.close = self.close or still or farthest < numbers.close_step
-        # Moved along x a run is the same run, however far.
-        bent = np.abs(np.delete(move, self.knots)).max()
-        self.move = move * min(1.0, numbers.longest_step / max(bent, 1e-300))
+        prior, _ = self._prior()
+        information = self.last.information + prior
+        self.linear = self._linearized(information, -information @ move)
+        self.size, self.search = self.descent.begin(self.linear)
         if self.converged or self.steps == numbers.max_steps:
             self.settled = True
         else:
-            self.coordinates = self.origin + self.move
+            self.coordinates = self._next_place()
 
     def step_error_of(self, observation: Observation) -> Float[np.ndarray, "channels samples"]:
         """Return the error by the step of all of an observation's channels, zero where unknown."""
@@ -181,8 +187,11 @@ class ZetaPathSolver:
     @property
     def padded(self) -> Float[np.ndarray, " all"]:
         """`coordinates` with knots after the run's last one, which no sample depends on."""
+        return self._padded(self.coordinates)
+
+    def _padded(self, coordinates: np.ndarray) -> np.ndarray:
         missing = self.curve.shape[1] - self.knots
-        return np.insert(self.coordinates, [self.knots] * missing, 0.0)
+        return np.insert(coordinates, [self.knots] * missing, 0.0)
 
     def _maximize_evidence(self) -> tuple[Posterior, bool]:
         """Return the linearised run's posterior, and whether its path bends as the data ask for."""
@@ -218,11 +227,36 @@ class ZetaPathSolver:
         found = linear.maximize_evidence_given_noise(noise, least)
         return found, found.weight > 2 * least
 
-    def _halve_step(self) -> None:
-        """Halve the last step: the simulation does not keep what the linearisation promised."""
+    def _next_place(self) -> np.ndarray:
+        """Return the place of the next simulation: the descent's step, no longer than trusted."""
+        free = jnp.ones(len(self.padded), bool)
+        move = self.descent.next_move(self.linear, self.size, free, jnp.asarray(np.inf))
+        move = np.delete(np.asarray(move)[0], np.s_[self.knots : self.curve.shape[1]])
+        # Moved along x a run is the same run, however far.
+        bent = np.abs(np.delete(move, self.knots)).max()
+        longest = self.settings.longest_step * float(self.size[0])
+        return self.origin + move * min(1.0, longest / max(bent, 1e-300))
+
+    def _counts(self, objective: float) -> bool:
+        """Return whether the last step keeps what its slope promises; if not, halve it."""
+        move = self._padded(self.coordinates - self.origin)[None]
+        here = self.linear._replace(loss=np.array([self.objective]))
+        ends = np.array([objective])
+        counts, self.size, self.search = self.descent.judge(here, move, ends, self.search)
+        return bool(counts[0])
+
+    def _linearized(self, information: np.ndarray, slope: np.ndarray) -> NormalEquations:
+        """Return a problem with coordinates of knots after the run's last one, which stay."""
+        size = len(self.padded)
+        at = np.r_[0 : self.knots, size - START_COORDINATES : size]
+        whole = np.eye(size)
+        whole[np.ix_(at, at)] = information
+        return NormalEquations(np.zeros(1), self._padded(slope)[None], whole[None])
+
+    def _step_back(self) -> None:
+        """Take a shorter step: the simulation does not keep what the linearisation promised."""
         numbers = self.settings
-        self.move = self.move / 2
-        self.coordinates = self.origin + self.move
+        self.coordinates = self._next_place()
         self.steps += 1
         self.rejections += 1
         if self.rejections == numbers.max_rejections or self.steps >= numbers.max_steps:

@@ -27,6 +27,8 @@ class ZetaPathSettings:
         small_promise: They also end where the evidence grows no more and the predicted gain is less
             than this share of the misfit, half a percent of the residual: below that the noise
             changes with the corners of the run.
+        kept_promise: Part of what its slope promises that a step must keep [-].
+        roughness: Rise of the negative log probability up to which a step counts all the same.
         max_rejections: Rejected steps in a row, each half as long, after which the rest of the gain
             lies under the simulation's resolution: stops make the misfit rough.
         first_weight: Weight of the second differences on the first step: almost a straight line.
@@ -52,6 +54,8 @@ class ZetaPathSettings:
     small_step: float = 0.3
     small_gain: float = 0.5
     small_promise: float = 0.01
+    kept_promise: float = 1e-4
+    roughness: float = 1.0
     max_rejections: int = 3
     first_weight: float = 1e7
     close_step: float = 1.0
