@@ -99,7 +99,7 @@ def plot_screening(result: "GlobalSensitivity") -> "Figure":
     first.set_yticks(range(count), names, fontsize=7)
     first.set_ylim(count - 0.4, -0.6)
     handles, labels = first.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7)
     figure.suptitle(f"{result.title}: which numbers can matter", fontsize=10, parse_math=False)
     return figure
 
