@@ -121,7 +121,9 @@ def design(
     trajectories: Annotated[
         int, typer.Option(help="Of --screen; each is a run for every number.", min=2, max=100)
     ] = 10,
-    seed: Annotated[int, typer.Option(help="Of the trajectories of --screen.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Of the trajectories of --screen.", min=0, max=2**32 - 1)
+    ] = 0,
 ) -> None:
     """Say which run to make next, so that a parameter becomes identifiable."""
     import math

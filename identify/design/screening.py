@@ -37,7 +37,7 @@ MOST_NAMED = 10
 
 @dataclass(frozen=True, eq=False)
 class GlobalSensitivity:
-    """Numbers of a rig, and the largest change that each could make to its channels.
+    """Numbers of a rig, and the change that each could make to its channels.
 
     Attributes:
         title: Of the set-up.

@@ -13,7 +13,7 @@ from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp, WheelSetUp
 from drftjax.setups.setup_toml import setup_toml
 from identify.commands.design_screen import parse_ranges
 from identify.design.elementary_effects import MorrisSettings, sample_trajectories, screen_function
-from identify.design.fisher_information import InstrumentNoise
+from identify.design.fisher_information import InstrumentNoise, compared_rows
 from identify.design.number_ranges import RangeSettings, RangeWidth, usual_range
 from identify.design.screening import GlobalSensitivity, screen
 from identify.design.screening_report import plot_screening, screening_document, screening_table
@@ -177,6 +177,13 @@ def test_what_pulls_a_driven_carriage_is_without_effect_and_grousers_need_grouse
     assert "(grouser_height needs a wheel with grousers)" in found.summary()
     ends = found.ranges[row(found, "rate_hardening.half")]
     assert (ends.low, ends.high) == (0.05, 0.2)
+
+
+def test_rows_count_until_wheel_and_carriage_stand():
+    setup = SetUp(CommandSetUp([0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, 0.0, 0.0]))
+    assert compared_rows(setup, 9, interval=0.5).tolist() == [1] * 5 + [0] * 4
+    setup.command.vx = [0.0, 0.1, 0.1, 0.0, 0.0]
+    assert compared_rows(setup, 9, interval=0.5).tolist() == [1] * 7 + [0] * 2
 
 
 def test_a_bed_that_bears_no_wheel_is_refused():
