@@ -23,13 +23,13 @@ def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> 
     Raises:
         InputError: names those that were given.
     """
-    given = [each for each in names if _on_command_line(context, each)]
+    given = [each for each in names if is_on_command_line(context, each)]
     if given:
         options = ", ".join(f"--{each.replace('_', '-')}" for each in given)
         raise InputError(f"{options} would be ignored: {why}")
 
 
-def _on_command_line(context: typer.Context, name: str) -> bool:
+def is_on_command_line(context: typer.Context, name: str) -> bool:
     """True where a parameter was given on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"

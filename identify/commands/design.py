@@ -1,11 +1,15 @@
-"""`drft design`: a set-up in, the run to make next out."""
+"""`drft design`: a set-up in, the run to make next out, or the numbers that can matter."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.options import (
+    is_on_command_line,
+    refuse_options,
+    remove_empty_folders,
+)
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
@@ -26,12 +30,38 @@ Examples:
   drft simulate out/design.toml -o out/design.h5
 
 The result is out/design.toml (the run to make), out/design.json and out/design.png.
+
+\b
+  drft design data/paper.toml --screen -o out/screen
+  drft design --like run.h5 --screen --range zeta=0.6..0.9
+
+Elementary effects (Morris 1991; SALib) of zeta, lambda, sand, rig, start and all effects: the
+change that each makes in each channel across its range, in the noise of that channel. The result is
+out/screen.json and out/screen.png.
 """
+
+# Options of a search for the next run, and of a screening.
+OF_SEARCH = (
+    "parameter",
+    "nuisance",
+    "max_speed",
+    "max_acceleration",
+    "duration",
+    "max_travel",
+    "loads",
+    "wanted",
+    "model_error",
+    "steps",
+)
+
+
+OF_SCREENING = ("range", "trajectories", "seed")
 
 
 @app.command(epilog=EXAMPLES)
 @remove_empty_folders
 def design(
+    context: typer.Context,
     setup: Annotated[
         Path | None, typer.Argument(help="A set-up file (TOML or JSON).", show_default=False)
     ] = None,
@@ -64,7 +94,10 @@ def design(
     noise_fz: Annotated[float, typer.Option(help="White noise of fz [N].")] = 0.5,
     noise_torque: Annotated[float, typer.Option(help="White noise of torque [N m].")] = 0.05,
     channel: Annotated[
-        list[str] | None, typer.Option(help="A channel that is recorded. [default: x, z]")
+        list[str] | None,
+        typer.Option(
+            help="A channel that is recorded. [default: x, z; with --screen all that are compared]"
+        ),
     ] = None,
     wanted: Annotated[
         float, typer.Option(help="Standard error that counts as identified [% of the value].")
@@ -73,6 +106,24 @@ def design(
         float, typer.Option(help="Error of the model itself in x and z, RMS [mm].")
     ] = 0.05,
     steps: Annotated[int, typer.Option(help="Steps of each descent.", min=1, max=100)] = 3,
+    screen: Annotated[
+        bool,
+        typer.Option("--screen", help="Say instead which numbers can matter on this rig at all."),
+    ] = False,
+    range: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            metavar="NAME=LOW..HIGH",
+            help="Range of a number that is screened, in SI units. [default: docs/guide/design.md]",
+        ),
+    ] = None,
+    trajectories: Annotated[
+        int, typer.Option(help="Of --screen; each is a run for every number.", min=2, max=100)
+    ] = 10,
+    seed: Annotated[
+        int, typer.Option(help="Of the trajectories of --screen.", min=0, max=2**32 - 1)
+    ] = 0,
 ) -> None:
     """Say which run to make next, so that a parameter becomes identifiable."""
     import math
@@ -85,7 +136,30 @@ def design(
     if (setup is None) == (like is None):
         both = "" if setup is None else ", not both"
         raise InputError(f"name one set-up file, or --like RUN{both}")
+    if screen:
+        refuse_options(context, OF_SEARCH, "--screen searches for no run")
+    else:
+        refuse_options(context, OF_SCREENING, "without --screen no numbers are screened")
     configure_jax(devices=os.cpu_count())
+    noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
+    noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
+    if screen:
+        from identify.commands.design_screen import screen_setup
+        from identify.design.elementary_effects import MorrisSettings
+
+        given = [each for each in noise if is_on_command_line(context, f"noise_{each}")]
+        screen_setup(
+            setup,
+            like,
+            ranges=range or [],
+            channels=channel or [],
+            noise=noise,
+            noise_given=given,
+            settings=MorrisSettings(trajectories),
+            seed=seed,
+            output=output,
+        )
+        return
     from drftjax.common.output_files import require_places
     from drftjax.setups.from_run import setup_like
     from drftjax.setups.generated_files import require_own_setup
@@ -112,8 +186,6 @@ def design(
         loads,
         math.inf if max_travel is None else max_travel,
     )
-    noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
-    noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
     console = Console()
     with console.status("compiling") as status:
         result = design_run(

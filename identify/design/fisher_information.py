@@ -225,13 +225,20 @@ class InstrumentNoise:
         return [c for c in CHANNELS if c in self.noise and c not in self.channels]
 
 
-def compared_rows(setup: SetUp, rows: int) -> np.ndarray:
-    """Return 1 for the rows until the wheel stops for good, which a fit compares, and 0 after."""
+def compared_rows(setup: SetUp, rows: int, interval: float = ROW_INTERVAL) -> np.ndarray:
+    """Return 1 for the rows until wheel and carriage stop for good, which a fit compares, else 0.
+
+    Args:
+        setup: Gives the command.
+        rows: Their number, the start's included.
+        interval: Time between them [s].
+    """
     command = setup.command.build()
     time = command.time - command.time[0]
-    moving = np.flatnonzero(command.omega != 0)
+    driven = 0.0 if command.vx is None else command.vx
+    moving = np.flatnonzero((command.omega != 0) | (driven != np.zeros_like(time)))
     end = time[min(moving[-1] + 1, len(time) - 1)] if len(moving) else time[-1]
-    return (np.arange(rows) * ROW_INTERVAL <= end + 1e-9).astype(float)
+    return (np.arange(rows) * interval <= end + 1e-9).astype(float)
 
 
 def stackable_trial(setup: SetUp, step: float, knots: int, duration: float) -> Trial:
