@@ -17,6 +17,7 @@ from identify.fit_path_jointly import (
 )
 from identify.parameters.parameter import Parameter
 from identify.results.findings import at_bounds, unidentified
+from identify.results.misfit import channel_floors, judged, misfit_sentences, overall
 from identify.results.result import FitResult
 from identify.results.values import RunFit, Value
 from identify.zeta_path.path import ZetaPath
@@ -57,7 +58,10 @@ def fit_paths(
         each.step_error_of(run.observation) for each, run in zip(joint.solvers, kept, strict=True)
     ]
     fits = [_run(*each) for each in zip(kept, paths, own, errors, strict=True)]
-    findings = [
+    floors = channel_floors(fits)
+    fits = judged(fits, floors, settings.misfit)
+    findings = misfit_sentences(fits, floors, settings.misfit)
+    findings += [
         f"{path.name}: zeta goes from {inside.min():.4g} to {inside.max():.4g} over the "
         f"{int(path.identified.sum())} of {len(path.identified)} knots that the run tells"
         for path in paths
@@ -66,19 +70,17 @@ def fit_paths(
     findings += [said for path in paths if (said := path.contradiction(settings.path))]
     findings += unidentified(shared, fits)
     findings += at_bounds(shared, fits)
+    status = "stalled" if joint.iterations else "out of steps"
     return FitResult(
         shared=shared,
         runs=fits,
-        status="converged"
-        if joint.converged
-        else "stalled"
-        if joint.iterations
-        else "out of steps",
+        status=overall("converged" if joint.converged else status, fits),
         steps=joint.iterations + max(path.steps for path in paths),
         failures=left_out,
         findings=findings,
         labels=joint.labels,
         covariance=joint.covariance_of_values,
+        floors=floors,
     )
 
 

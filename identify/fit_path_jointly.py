@@ -29,7 +29,9 @@ from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Parameter
 from identify.results.values import Value, values_of
+from identify.solver.descent import NormalEquations, gauss_newton
 from identify.solver.problem import coordinates_of
+from identify.uncertainty.model_error import MISFIT_SETTINGS, MisfitSettings
 from identify.zeta_path.gauss_newton import ZetaPathSolver
 from identify.zeta_path.settings import ZETA_PATH_SETTINGS, ZetaPathSettings
 from identify.zeta_path.simulate import predict_path
@@ -55,6 +57,7 @@ class JointFitSettings:
             in the rough make a smaller one by themselves.
         max_rejections: Rejected steps in a row, each half as long, at most.
         path: Decision numbers of the paths.
+        misfit: Numbers that say from when on a model does not fit.
     """
 
     longest_step: float = 1.0
@@ -64,6 +67,7 @@ class JointFitSettings:
     noticeable: float = 1.0
     max_rejections: int = 3
     path: ZetaPathSettings = ZETA_PATH_SETTINGS
+    misfit: MisfitSettings = MISFIT_SETTINGS
 
 
 JOINT_FIT_SETTINGS = JointFitSettings()
@@ -176,17 +180,20 @@ def fit_jointly(
     best = fit.paths_at(now, knot_spacing, None)
     iterations = rejected = 0
     halved, converged = 1.0, False
+    descent, free = gauss_newton(settings.path.kept_promise), np.ones(len(now), bool)
+    longest = np.asarray(settings.longest_step)
     linear = fit.linearize(now, best)
     while iterations < settings.max_iterations:
         report("paths, and numbers beside them", iterations, np.nan)
         information, slope = fit.normal_equations(now, linear)
         covariance = _inverse(information, settings.least_information)
-        move = -covariance @ slope
+        at = NormalEquations(np.zeros(1), slope[None], information[None])
+        whole = np.asarray(descent.next_move(at, np.ones(1), free, longest))[0]
         error = np.sqrt(np.diag(covariance))
-        if np.all(np.abs(move) <= settings.small_step * error):
+        if np.all(np.abs(covariance @ slope) <= settings.small_step * error):
             converged = True
             break
-        move *= halved * min(1.0, settings.longest_step / np.abs(move).max())
+        move = halved * whole
         iterations += 1
         try:
             tried = fit.paths_at(now + move, knot_spacing, best)

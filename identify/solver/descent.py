@@ -99,9 +99,9 @@ class Descent(eqx.Module):
     def next_move(
         self,
         equations: NormalEquations,
-        size: Float[Array, " problems"],
-        free: Bool[Array, " coordinates"],
-        longest: Float[Array, ""],
+        size: Float[np.ndarray | Array, " problems"],
+        free: Bool[np.ndarray | Array, " coordinates"],
+        longest: Float[np.ndarray | Array, ""],
     ) -> Float[Array, "problems coordinates"]:
         """Next move of each problem.
 
@@ -113,7 +113,9 @@ class Descent(eqx.Module):
                 infinite.
         """
 
-        def one(equations: NormalEquations, size: Array) -> Array:
+        free = jnp.asarray(free)
+
+        def one(equations: NormalEquations, size: Any) -> Array:
             info, scale = self._info(equations, free)
             still = jnp.zeros_like(scale)
             state = self.descent.init(still, eqx.filter_eval_shape(lambda: info))

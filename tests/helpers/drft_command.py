@@ -1,5 +1,6 @@
 """`drft` run inside the process of the test: its output and its exit code."""
 
+import re
 import sys
 from dataclasses import dataclass
 
@@ -9,9 +10,13 @@ import pytest
 from drftjax.commands.main import main
 
 
+# What a slow machine hears while it works (`drftjax.common.progress`).
+PROGRESS = re.compile(r".* \(\d+ s\)\n")
+
+
 @dataclass(frozen=True)
 class Answer:
-    """Exit code, output and error output of a program."""
+    """Exit code, output and error output of a program, without its lines of progress."""
 
     code: int
     out: str
@@ -41,5 +46,7 @@ class Drft:
         with pytest.raises(SystemExit) as end:
             main()
         out, err = self._capsys.readouterr()
+        lines = err.splitlines(keepends=True)
+        err = "".join(line for line in lines if not PROGRESS.fullmatch(line))
         code = end.value.code
         return Answer(code if isinstance(code, int) else int(code is not None), out, err)
