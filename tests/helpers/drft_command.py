@@ -9,7 +9,6 @@ import pytest
 
 from drftjax.commands.main import main
 
-
 # What a slow machine hears while it works (`drftjax.common.progress`).
 PROGRESS = re.compile(r".* \(\d+ s\)\n")
 
