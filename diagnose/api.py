@@ -182,6 +182,29 @@ def _require_null(runs: Sequence[PreparedRun], effects: Sequence[type[AbstractEf
             )
 
 
+def _possible(
+    runs: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
+) -> tuple[type[AbstractEffect], ...]:
+    """Effects that the rig of these runs can have: a smooth wheel has no grousers to be shorter.
+
+    Raises:
+        InputError: where none is left.
+    """
+    bare = runs[0].trial.simulator
+
+    def refusal(effect: type[AbstractEffect]) -> str:
+        try:
+            dataclasses.replace(bare, effects=(effect(),)).check()
+        except InputError as problem:
+            return str(problem)
+        return ""
+
+    refusals = [refusal(each) for each in effects]
+    if all(refusals):
+        raise InputError(f"this rig can have none of the effects: {refusals[0]}")
+    return tuple(each for each, why in zip(effects, refusals, strict=True) if not why)
+
+
 def diagnose_gathered(
     gathered: GatheredRuns,
     effects: Sequence[type[AbstractEffect]],
@@ -193,15 +216,16 @@ def diagnose_gathered(
 
     Args:
         gathered: Runs of one wheel, and why others are not among them.
-        effects: Effects to choose from.
+        effects: Effects to choose from; those that the wheel or the law cannot have are left out.
         report: Called with what is done next.
         tell: Called with a sentence for every run that is left out here.
         settings: Numbers by which the diagnosis decides.
 
     Raises:
-        InputError: where no run can be followed.
+        InputError: where no run can be followed, or the rig can have none of the effects.
     """
     kept, notes = gathered.runs, list(gathered.skipped.values())
+    effects = _possible(kept, effects)
     _require_null(kept, effects)
     while True:
         try:

@@ -328,3 +328,17 @@ def test_bad_input_is_one_sentence(runs):
     for model in (["surface_slope"], None):
         with pytest.raises(InputError, match="effects with their numbers"):
             drftjax.evaluate(runs, model)  # pyright: ignore[reportArgumentType]
+
+
+def test_an_effect_that_the_wheel_cannot_have_is_no_candidate(runs):
+    """A smooth wheel has no grousers to be shorter."""
+    smooth = {}
+    for name, log in runs.items():
+        setup = setup_from_run(log)
+        setup.wheel.shape = "plain"
+        smooth[name] = setup, log
+    found = drftjax.diagnose(smooth, ["grouser_height", "surface_slope"])
+    assert "surface_slope" in found.weights
+    assert "grouser_height" not in found.weights
+    with pytest.raises(InputError, match="none of the effects: grouser_height needs a wheel with"):
+        drftjax.diagnose(smooth, ["grouser_height"])
