@@ -8,7 +8,7 @@ import pytest
 
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
-from identify.uncertainty.random_effects import paule_mandel
+from drftjax.results.random_effects import paule_mandel
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # Runs whose sands differ by 2 %, as repeats on a bed that is prepared anew.
