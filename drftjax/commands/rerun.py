@@ -176,7 +176,8 @@ def _summary(found: "ResultComparison") -> str:
         entries, f"{entries} entries differ"
     )
     if not found.rounded:
-        return f"{differ}; of {found.numbers} numbers the others are the same to the last bit"
+        others = "the other numbers are" if entries else f"all {found.numbers} numbers are"
+        return f"{differ}; {others} the same to the last bit"
     return (
         f"{differ} by more than rounding; {found.rounded} of {found.numbers} numbers are rounded "
         f"otherwise, by at most {found.largest_rounding:.1g} of them"

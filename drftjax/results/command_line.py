@@ -15,6 +15,7 @@ from typing import Any, Final
 import typer
 
 from drftjax.common.errors import InputError
+from drftjax.common.text import replace_unprintable
 from drftjax.results.provenance import Provenance, input_digests
 
 
@@ -223,20 +224,23 @@ def find_inputs(command: RecordedCommandLine, provenance: Provenance, result: Pa
     recorded = {each.name: each.sha256 for each in provenance.inputs}
     places = dict.fromkeys([Path.cwd(), *result.absolute().parents])
     found: FoundInputs | None = None
+    lacking: list[list[str]] = []
     for base in places:
         now = input_digests(command.inputs, base)
-        if _missing(recorded, now):
+        lacking.append(_missing(recorded, now))
+        if lacking[-1]:
             continue
-        changes = tuple(_changes(recorded, now))
+        changes = tuple(map(replace_unprintable, _changes(recorded, now)))
         if not changes:
             return FoundInputs(base, ())
         found = found or FoundInputs(base, changes)
     if found is None:
-        missing = _missing(recorded, input_digests(command.inputs, Path.cwd()))
+        missing = min(lacking, key=len)
+        named = replace_unprintable(", ".join(missing))
         are = "is missing; it must lie" if len(missing) == 1 else "are missing; they must lie"
         raise InputError(
-            f"{result}: {', '.join(missing)} {are} where the paths lead from the current "
-            "directory, from the result's folder or from one above it"
+            f"{result}: {named} {are} where the paths lead from the current directory, from the "
+            "result's folder or from one above it"
         )
     return found
 

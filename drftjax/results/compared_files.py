@@ -16,6 +16,9 @@ from drftjax.runlog.files import HDF5_ENDINGS, digest_of
 
 COMPARISON_SCHEMA: Final = "drft-comparison"
 
+# Values and errors up to this size, and errors down to one over it, have squares that are numbers.
+LARGEST = 1e150
+
 
 @dataclass(frozen=True)
 class SideBySideSettings:
@@ -65,7 +68,9 @@ class FileValue:
     @property
     def counts(self) -> bool:
         """True where it can be compared by its error."""
-        return self.error is not None and self.error > 0 and not self.at_bound
+        if self.error is None or self.at_bound:
+            return False
+        return abs(self.value) < LARGEST and 1 / LARGEST < self.error < LARGEST
 
     def __str__(self) -> str:
         if self.at_bound:
@@ -229,8 +234,8 @@ def input_sentences(results: Sequence[ResultInput]) -> list[str]:
             sentences.append(f"{one.name} and {other.name} have {', '.join(logs)} in common.")
     if common:
         sentences.append(
-            "So their errors are not independent, as chi-square takes them: noise moves both alike, "
-            "and a difference is one of options or models."
+            "So their errors are not independent, as chi-square takes them: noise moves both "
+            "alike, and a difference is one of options or models."
         )
     elif not silent:
         sentences.append("No run log is in two of them.")

@@ -154,7 +154,7 @@ def _next_steps(quantities: Sequence[ComparedQuantity], files: Sequence[ResultIn
     common = [each for each in disagreeing if not _is_own(each)]
     worst = common[-1] if common else max(quantities, key=_share)
     share = _share(worst)
-    told = f"told to {share:.2g} of its value at best" if math.isfinite(share) else "not told"
+    told = f"told to {100 * share:.2g} % at best" if math.isfinite(share) else "not told"
     reason = f"disagrees most, and is {told}" if common else f"is {told}, worse than the others"
     if len(quantities) == 1 and not common:
         reason = f"is {told}"

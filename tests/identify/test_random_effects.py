@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drftjax.results.random_effects import paule_mandel
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
-from drftjax.results.random_effects import paule_mandel
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # Runs whose sands differ by 2 %, as repeats on a bed that is prepared anew.
