@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from drftjax.results.command_line import ResultCommand
-    from drftjax.results.differences import Difference, ResultComparison
+    from drftjax.results.differences import ResultDifference, ResultComparison
     from drftjax.results.provenance import Machine
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -184,7 +184,7 @@ def _summary(found: "ResultComparison") -> str:
     )
 
 
-def _table(differences: "Sequence[Difference]") -> "Table":
+def _table(differences: "Sequence[ResultDifference]") -> "Table":
     from rich.markup import escape
     from rich.table import Table
 

@@ -32,14 +32,14 @@ DIFFERENCE_SETTINGS = DifferenceSettings()
 
 
 @dataclass(frozen=True)
-class Difference:
+class ResultDifference:
     """One place at which two results differ by more than rounding.
 
     Attributes:
         place: Its path in the file, such as "runs[slow_a].values.terrain.zeta.value".
         before, after: What stands there, in words; "-" for nothing.
-        relative: Difference as a share of the larger number; None where it is no number.
-        errors: Difference in standard errors, where one stands beside the number.
+        relative: ResultDifference as a share of the larger number; None where it is no number.
+        errors: ResultDifference in standard errors, where one stands beside the number.
     """
 
     place: str
@@ -77,7 +77,7 @@ class ResultComparison:
     numbers: int
     rounded: int
     largest_rounding: float
-    differences: tuple[Difference, ...]
+    differences: tuple[ResultDifference, ...]
 
 
 def compare_results(
@@ -114,7 +114,7 @@ class _Walk:
         after: Mapping[str, Any],
         place: str,
         ignored: Sequence[str] = (),
-    ) -> Iterator[Difference]:
+    ) -> Iterator[ResultDifference]:
         """Differences of two tables of entries."""
         error = before.get("error")
         for key in dict.fromkeys([*before, *after]):
@@ -122,14 +122,14 @@ class _Walk:
                 continue
             inner = f"{place}.{key}" if place else key
             if key not in after or key not in before:
-                yield Difference(inner, _words(before.get(key)), _words(after.get(key)))
+                yield ResultDifference(inner, _words(before.get(key)), _words(after.get(key)))
             else:
                 beside = error if key == "value" and _is_number(error) else None
                 yield from self._entries(before[key], after[key], inner, beside)
 
     def _entries(
         self, before: Any, after: Any, place: str, error: float | None = None
-    ) -> Iterator[Difference]:
+    ) -> Iterator[ResultDifference]:
         """Differences of two entries of any kind.
 
         Args:
@@ -144,9 +144,9 @@ class _Walk:
         elif isinstance(before, list) and isinstance(after, list):
             yield from self._lists(before, after, place)
         elif before != after or isinstance(before, bool) != isinstance(after, bool):
-            yield Difference(place, _words(before), _words(after))
+            yield ResultDifference(place, _words(before), _words(after))
 
-    def _lists(self, before: list, after: list, place: str) -> Iterator[Difference]:
+    def _lists(self, before: list, after: list, place: str) -> Iterator[ResultDifference]:
         """Differences of two lists: arrays of numbers, tables by name, or other entries."""
         first, second = _array(before), _array(after)
         if first is not None and second is not None and first.size and first.shape == second.shape:
@@ -160,15 +160,15 @@ class _Walk:
             for number, pair in enumerate(zip(before, after, strict=True)):
                 yield from self._entries(*pair, f"{place}[{number}]")
         elif all(isinstance(each, str) for each in before + after):
-            yield from (Difference(place, each, "-") for each in before if each not in after)
-            yield from (Difference(place, "-", each) for each in after if each not in before)
+            yield from (ResultDifference(place, each, "-") for each in before if each not in after)
+            yield from (ResultDifference(place, "-", each) for each in after if each not in before)
         else:
-            yield Difference(place, _words(before), _words(after))
+            yield ResultDifference(place, _words(before), _words(after))
 
     def _arrays(
         self, before: np.ndarray, after: np.ndarray, place: str, error: float | None = None
-    ) -> Iterator[Difference]:
-        """Difference of two arrays of one shape, or of two numbers; NaN stands for no number."""
+    ) -> Iterator[ResultDifference]:
+        """ResultDifference of two arrays of one shape, or of two numbers; NaN stands for no number."""
         self.numbers += before.size
         both = np.isfinite(before) & np.isfinite(after)
         with np.errstate(over="ignore"):
@@ -185,7 +185,7 @@ class _Walk:
             relative = float(apart[at]) / size if both[at] else math.inf
             errors = float(apart[at] / abs(error)) if error and both[at] else None
             first, second = (_words(each[at].item()) for each in (before, after))
-            yield Difference(place + index, first, second, relative, errors)
+            yield ResultDifference(place + index, first, second, relative, errors)
         else:
             self.rounded += int((~same).sum())
             if size:
