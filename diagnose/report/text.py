@@ -219,7 +219,9 @@ def parameter_sentences(found: Diagnosis) -> list[str]:
 
 def next_sentences(found: Diagnosis) -> list[str]:
     """The run or channel that would tell the hypotheses apart, in one sentence."""
-    return msgspec.convert(dict(found.next_run), NextRunAdvice).sentences()
+    # By way of the file's layout: its numbers may be NumPy's.
+    advice = msgspec.json.decode(as_json(dict(found.next_run)), type=NextRunAdvice)
+    return advice.sentences()
 
 
 # Tables -------------------------------------------------------------------------------------------

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from drftjax.results.command_line import ResultCommand
-    from drftjax.results.differences import ResultDifference, ResultComparison
+    from drftjax.results.differences import ResultComparison, ResultDifference
     from drftjax.results.provenance import Machine
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -41,6 +42,7 @@ where the result cannot be made again.
 
 
 @app.command(epilog=EXAMPLES)
+@remove_empty_folders
 def rerun(
     result: Annotated[Path, typer.Argument(help="A result (JSON).", show_default=False)],
     output: Annotated[
@@ -60,7 +62,7 @@ def rerun(
     from rich.console import Console
 
     from drftjax.commands.main import subcommand
-    from drftjax.common.output_files import require_places
+    from drftjax.common.output_files import require_folder
     from drftjax.common.text import replace_unprintable
     from drftjax.results.command_line import (
         RESULT_COMMANDS,
@@ -88,9 +90,8 @@ def rerun(
             f"{result}: {'; '.join(inputs.changes)}; give --changed-inputs to run with it as it is"
         )
     asked, target = kind.result(_fresh(kind.stem(result), kind) if output is None else output)
-    if kind.file and target.parent.exists() and not target.parent.is_dir():
-        raise InputError(f"{target.parent} is a file; a diagnosis needs a folder")
-    require_places([target], [inputs.base / each for each in command.inputs])
+    require_folder(asked.absolute().parent)
+    earlier = _stamp(target)
 
     console = Console()
 
@@ -106,6 +107,8 @@ def rerun(
     arguments = command.arguments(relative_to_base(asked, inputs.base), option)
     with console.status(f"drft {name}"):
         _run(arguments, inputs.base, result)
+    if _stamp(target) == earlier:
+        raise InputError(f"{result} cannot be made again: drft {name} finds no result to write")
     after, again = read_result_document(target)
     if again.provenance is not None:
         for each in _changed(_numbers(made.machine), _numbers(again.provenance.machine)):
@@ -120,6 +123,14 @@ def rerun(
     say(_summary(found))
     if found.differences:
         raise typer.Exit(1)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """Inode and time of a file, which change as it is replaced; None where there is none."""
+    if not path.exists():
+        return None
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns
 
 
 def _fresh(stem: Path, kind: "ResultCommand") -> Path:

@@ -185,9 +185,9 @@ def read_results(paths: Sequence[Path], kinds: Mapping[str, str]) -> list[Result
     """
     if len(paths) < 2:
         raise InputError(f"{paths[0]} is one result; name two or more to compare")
-    if len({each.absolute() for each in paths}) < len(paths):
-        twice = next(each for at, each in enumerate(paths) if each in paths[:at])
-        raise InputError(f"{twice} is named twice; name each result once")
+    for at, path in enumerate(paths):
+        if path.absolute() in [each.absolute() for each in paths[:at]]:
+            raise InputError(f"{path} is named twice; name each result once")
     found = []
     for path in paths:
         plain, document = read_result_document(path)

@@ -168,7 +168,7 @@ class _Walk:
     def _arrays(
         self, before: np.ndarray, after: np.ndarray, place: str, error: float | None = None
     ) -> Iterator[ResultDifference]:
-        """ResultDifference of two arrays of one shape, or of two numbers; NaN stands for no number."""
+        """Difference of two arrays of one shape, or of two numbers; NaN stands for no number."""
         self.numbers += before.size
         both = np.isfinite(before) & np.isfinite(after)
         with np.errstate(over="ignore"):

@@ -205,6 +205,7 @@ def test_recorded_outputs_are_replaced_and_no_shell_reads_arguments(fitted, benc
     assert command[0] == "fit"
     assert command[-3:] == ["--output=new/again.json", "--", "run.h5"]
     assert started.folder == bench
+    assert not (bench / "new").exists()
     hostile.unlink()
 
 
@@ -234,6 +235,13 @@ def test_what_is_no_result_is_refused(drft, tmp_path, name, text, said):
     refusal = drft("rerun", path).refusal
     assert str(path) in refusal
     assert said in refusal
+
+
+def test_a_file_that_was_there_before_is_no_new_result(fitted, drft, monkeypatch):
+    ended = subprocess.CompletedProcess([], 0, None, "")
+    monkeypatch.setattr(module.subprocess, "run", lambda *_, **__: ended)
+    refusal = drft("rerun", fitted, "-o", fitted).refusal
+    assert refusal == f"{fitted} cannot be made again: drft fit finds no result to write"
 
 
 def test_versions_that_changed_are_told(fitted, bench, drft, started):
