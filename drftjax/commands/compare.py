@@ -93,7 +93,7 @@ def _weight_table(found: "ComparedResults") -> "Table":
 
     table = _table(found, "weights of effects", "effect")
     for name, weights in found.weights.items():
-        table.add_row(escape(name), *(f"{each:.2f}" for each in weights))
+        table.add_row(escape(name), *("-" if each is None else f"{each:.2f}" for each in weights))
     return table
 
 

@@ -61,12 +61,10 @@ def compare_diagnoses(
         agree = "agrees within its" if len(agreeing) == 1 else "agree within their"
         sentences.append(f"{', '.join(agreeing)} {agree} errors.")
     effects = dict.fromkeys(name for each in diagnoses for name in each.weights)
-    weights = {name: [each.weights.get(name) or 0.0 for each in diagnoses] for name in effects}
-    weights = {
-        name: each
-        for name, each in sorted(weights.items(), key=lambda row: -max(row[1]))
-        if max(each) >= settings.shown_weight
-    }
+    weights = {name: [each.weights.get(name) for each in diagnoses] for name in effects}
+    largest = {name: max(each or 0.0 for each in row) for name, row in weights.items()}
+    ranked = sorted(effects, key=lambda name: -largest[name])
+    weights = {name: weights[name] for name in ranked if largest[name] >= settings.shown_weight}
     steps = _next_steps(diagnoses, names)
     return ComparedResults(files[0].schema, files, quantities, sentences, steps, weights)
 

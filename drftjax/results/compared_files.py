@@ -250,7 +250,7 @@ class ComparedResults:
         kind: Their schema.
         files: The results.
         quantities: Their numbers, by file.
-        weights: Weights of effects by file; empty for fits.
+        weights: Weights of effects by file, None where one was not considered; empty for fits.
         sentences: On common runs, and on what agrees and what does not.
         next_steps: Sentences on what to record next.
     """
@@ -260,7 +260,7 @@ class ComparedResults:
     quantities: Sequence[ComparedQuantity]
     sentences: Sequence[str]
     next_steps: Sequence[str]
-    weights: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    weights: Mapping[str, Sequence[float | None]] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Plain values, in the layout of the JSON file."""

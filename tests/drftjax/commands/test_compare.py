@@ -236,7 +236,7 @@ def diagnosis(folder: Path, name: str, verdict: str, size: float, **more: object
         "schema": "drft-diagnosis",
         "schema_version": 1,
         "verdict": [verdict],
-        "weights": {verdict: 0.9, "none": 0.06, "brake": 0.04},
+        "weights": {"none": 0.06, "brake": 0.04} | {verdict: 0.9},
         "groups": [],
         "parameters": {verdict: {"force": {"value": size, "error": 1.0, "unit": "N"}}},
         "next_run": {},
@@ -276,6 +276,7 @@ def test_diagnoses_that_differ(drft, tmp_path):
     other = diagnosis(tmp_path, "b.json", "none", 0.0, parameters={}, groups=[["none", "drawbar"]])
     more = diagnosis(tmp_path, "c.json", "drawbar", 20.0)
     document, out = compared(drft, one, other, more)
+    assert document["weights"] == {"none": [0.06, 0.9, 0.06], "drawbar": [0.9, None, 0.9]}
     assert f"{one} names drawbar; {other} names the reference model; {more} names drawbar." in out
     assert f"The runs of {other} cannot tell drawbar from what it names" in out
     assert "drawbar.force disagrees: 10 ± 1 N in" in out
