@@ -1,5 +1,6 @@
 """Random effect: scatter of values from run to run beyond their standard errors."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ class RandomEffect:
         mean: Weighted by the inverse variances, between-run variance included.
         variance: From run to run, beyond the errors; zero where they scatter by no more.
         identified: True where errors alone would rarely scatter as much (chi-squared test).
-        error: Standard error of the mean, the between-run variance included.
+        error: Standard error of the mean, the between-run variance included; infinite for no value.
     """
 
     mean: float
@@ -48,7 +49,8 @@ def paule_mandel(
         return mean, float(np.sum(weight * (values - mean) ** 2))
 
     def error_of(variance: float) -> float:
-        return float(np.sum(1 / (errors**2 + variance)) ** -0.5)
+        weight = float(np.sum(1 / (errors**2 + variance)))
+        return weight**-0.5 if weight else math.inf
 
     if free < 1:
         return RandomEffect(float(values.sum()), 0.0, identified=False, error=error_of(0.0))

@@ -107,3 +107,4 @@ def test_values_that_agree_scatter_by_nothing():
     alone = paule_mandel(np.array([0.7]), np.array([0.1]))
     assert (alone.mean, alone.variance, alone.identified) == (0.7, 0.0, False)
     assert alone.error == pytest.approx(0.1)
+    assert paule_mandel(np.array([]), np.array([])).error == np.inf
