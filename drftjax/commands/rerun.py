@@ -186,6 +186,8 @@ def _summary(found: "ResultComparison") -> str:
     differ = {0: "nothing differs", 1: "one entry differs"}.get(
         entries, f"{entries} entries differ"
     )
+    if entries > MOST_ROWS:
+        differ += f" ({MOST_ROWS} are shown)"
     if not found.rounded:
         others = "the other numbers are" if entries else f"all {found.numbers} numbers are"
         return f"{differ}; {others} the same to the last bit"

@@ -136,7 +136,7 @@ def parse_recorded(
     refused = f"{result}: the recorded command"
     if kind.schema != schema:
         raise InputError(f"{refused} is drft {name}, which makes no {schema}")
-    if any("\0" in each for each in arguments) or {"--help", "-h"} & {*arguments}:
+    if not all(map(_is_passable, arguments)) or {"--help", "-h"} & {*arguments}:
         raise InputError(f"{refused} is none that makes a result: {_quoted(given)}")
     try:
         context = command.make_context(name, list(arguments))
@@ -187,6 +187,11 @@ def require_known_command(given: Sequence[str] | None, result: Path) -> str:
             f"{result}: the recorded command is {_quoted(given)}, must be one of {known}"
         )
     return given[0]
+
+
+def _is_passable(text: str) -> bool:
+    """True for a text that can be handed to a process: no NUL, and no half of a character."""
+    return not any(each == "\0" or "\ud800" <= each <= "\udfff" for each in text)
 
 
 def _quoted(arguments: Sequence[str]) -> str:

@@ -57,10 +57,10 @@ class ResultDifference:
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Key by which the weightiest come first: texts, values with errors, other numbers."""
+        """Key by which the weightiest come first: values with errors, texts, other numbers."""
         if self.errors is not None:
-            return 1, -self.errors
-        return (0, 0.0) if self.relative is None else (2, -self.relative)
+            return 0, -self.errors
+        return (1, 0.0) if self.relative is None else (2, -self.relative)
 
 
 @dataclass(frozen=True)

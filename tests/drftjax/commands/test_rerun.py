@@ -173,6 +173,7 @@ def started(monkeypatch) -> Started:
         (["fit", "run.h5", "--starts", "many"], "invalid value for '--starts'"),
         (["fit", "run.h5", "--help"], "is none that makes a result: drft fit 'run.h5' '--help'"),
         (["fit", "run\0.h5"], "is none that makes a result: drft fit 'run\\x00.h5'"),
+        (["fit", "run\ud800.h5"], "is none that makes a result: drft fit 'run\\ud800.h5'"),
         (["fit", "run.h5", "; touch hacked"], "; touch hacked is missing"),
         (["fit", "run.h5", "$(touch hacked)"], "$(touch hacked) is missing"),
         (["fit", "/dev/zero"], "/dev/zero"),

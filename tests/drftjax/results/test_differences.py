@@ -104,4 +104,4 @@ def test_the_weightiest_difference_stands_first():
         document["status"] = "stalled"
 
     found = compare_results(BEFORE, after(change)).differences
-    assert [each.place for each in found] == ["status", "shared.lambda.value", "steps"]
+    assert [each.place for each in found] == ["shared.lambda.value", "status", "steps"]
