@@ -22,6 +22,7 @@ from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import OURS, catalogue, effect_class
 from drftjax.recorded.gather import GatheredRuns
 from drftjax.recorded.prepared_run import PreparedRun, Run, as_prepared, named_runs
+from drftjax.results.provenance import library_provenance
 
 # An effect with strengths of zero changes a run by no more than this [m, N, N m]: the roundings of
 # another program.
@@ -56,7 +57,9 @@ def diagnose(
     with jax.enable_x64(True):
         gathered = gather_inputs(runs)
         report = progress or (lambda stage: None)
-        return diagnose_gathered(gathered, chosen, report, settings=settings)
+        made = library_provenance(runs, settings.localization.seed)
+        found = diagnose_gathered(gathered, chosen, report, settings=settings)
+        return dataclasses.replace(found, provenance=made)
 
 
 def evaluate(

@@ -18,6 +18,7 @@ from diagnose.localization.shares import GapShare
 from diagnose.unknown.correction_fit import Correction, UnknownEffect
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.effects.catalogue import effect_class
+from drftjax.results.provenance import Provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,6 +64,7 @@ class Diagnosis:
         localization: Shares of the gap by axis.
         unknown_effect: The simplest unknown signal, where the verdict is unknown.
         stepwise: The gap as two effects are added one by one; empty where there are not two.
+        provenance: Its inputs, its command line, and what it was made with.
     """
 
     verdict: tuple[str, ...]
@@ -79,6 +81,7 @@ class Diagnosis:
     localization: Sequence[GapShare] = field(default_factory=list)
     unknown_effect: UnknownEffect | None = None
     stepwise: Sequence[NestedModel] = field(default_factory=list)
+    provenance: Provenance | None = None
 
     @property
     def dataset(self) -> RigDataset:
@@ -142,6 +145,7 @@ class Diagnosis:
         return {
             "schema": SCHEMA,
             "schema_version": 1,
+            "provenance": None if self.provenance is None else self.provenance.document(),
             "verdict": list(self.verdict),
             "weights": dict(self.weights),
             "groups": [list(group) for group in self.groups],

@@ -1,12 +1,14 @@
 """`drftjax.fit`: recorded runs in, fitted numbers out, in one call."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.observation import require_channels
 from drftjax.recorded.prepared_run import Run, prepare_runs
+from drftjax.results.provenance import library_provenance
 from drftjax.runlog.record import CHANNELS
 from drftjax.setups.setup import SetUp
 from identify.design.required_speed import add_required_speeds
@@ -17,6 +19,7 @@ from identify.fit_path_jointly import JOINT_FIT_SETTINGS, JointFitSettings
 from identify.parameters.parameter import Parameter, parameter, require_once
 from identify.parameters.phase_zeta import zeta_phases
 from identify.results.result import FitResult
+from identify.solver.multistart import DRAWS_SEED
 from identify.uncertainty.noise_model import AbstractNoise
 from identify.zeta_path.smoother import KNOT_SPACING
 
@@ -101,12 +104,14 @@ def fit(
             keep_rest=keep_rest,
             compare=channels,
         )
+        made = library_provenance(runs, DRAWS_SEED if starts > 1 else None)
         if zeta == "path":
-            return fit_paths(prepared, knots, wanted, progress, path_settings)
+            result = fit_paths(prepared, knots, wanted, progress, path_settings)
+            return replace(result, provenance=made)
         if zeta == "phases":
             wanted = zeta_phases(prepared, wanted)
         result = fit_prepared(prepared, wanted, progress, noise, starts=starts, settings=settings)
-        return add_required_speeds(result)
+        return replace(add_required_speeds(result), provenance=made)
 
 
 def _by_name(name: str) -> Parameter:

@@ -40,6 +40,8 @@ def diagnose(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the verdict alone.")] = False,
 ) -> None:
     """Find which effect makes runs of a rig differ from the model, where, and by how much."""
+    from dataclasses import replace
+
     from rich.console import Console
 
     from drftjax.common.jax_config import configure_jax
@@ -49,15 +51,18 @@ def diagnose(
     from diagnose.report.model_writer import MODEL_FILE_MARK
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
+    from diagnose.settings import DEFAULT_SETTINGS
     from drftjax.common.output_files import require_places
     from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
+    from drftjax.results.provenance import command_provenance
     from drftjax.setups.generated_files import require_own_setup
 
     chosen = effects_among(_names(effects))
     if output is not None:
         require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
         require_own_setup(output / "model.toml", MODEL_FILE_MARK)
+    made = command_provenance("diagnose", runs, DEFAULT_SETTINGS.localization.seed)
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:
@@ -76,7 +81,7 @@ def diagnose(
         for paragraph in paragraphs(found):
             say(paragraph)
     if output is not None:
-        written = write(found, output)
+        written = write(replace(found, provenance=made), output)
         if not quiet:
             say(f"written: {', '.join(str(each) for each in written)}")
 

@@ -74,11 +74,13 @@ def evaluate(
     from diagnose.evaluation.model_reader import read_model_file
     from diagnose.evaluation.result import gap_table, sentences
     from diagnose.evaluation.tuner_activity import tuner_activity
+    from diagnose.gap.gap import INTERVAL_SEED
     from diagnose.rig_runs import gather_runs
     from drftjax.common.output_files import replace_file, require_places
     from drftjax.common.progress import progress_line
     from drftjax.common.structured_files import as_json
     from drftjax.common.text import replace_unprintable
+    from drftjax.results.provenance import command_provenance
     from drftjax.tuning.step_tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
@@ -87,6 +89,7 @@ def evaluate(
         if output.suffix.lower() != ".json":
             raise InputError(f"{output}: the file of --json must end in .json")
         require_places([output], [model])
+    made = command_provenance("evaluate", [*runs, model], INTERVAL_SEED)
     console = Console()
 
     def say(text: str) -> None:
@@ -111,7 +114,8 @@ def evaluate(
     for sentence in [*_replayed(found, moved), *sentences(found)]:
         say(sentence)
     if output is not None:
-        document = {"schema": SCHEMA, "schema_version": 1, "model": str(model), **found.document()}
+        head = {"schema": SCHEMA, "schema_version": 1, "model": str(model)}
+        document = {**head, "provenance": made.document(), **found.document()}
         if moved:
             document["tuner"] = moves_document(found, moved, setting)
         replace_file(output, as_json(document))

@@ -10,6 +10,9 @@ from drftjax.recorded.repeats import group_by_condition
 
 MM_PER_M = 1e3
 
+# Seed of the draws of intervals: fixed, so that the same runs give the same interval.
+INTERVAL_SEED = 0
+
 
 @dataclass(frozen=True)
 class GapSettings:
@@ -121,7 +124,7 @@ def gaps(
         settings: Numbers of a gap.
     """
     groups = group_by_condition(dataset.runs)
-    generator = np.random.default_rng(0)
+    generator = np.random.default_rng(INTERVAL_SEED)
     draws = generator.integers(0, len(groups), (settings.draws, settings.conditions_per_draw))
     found = {}
     for index, channel in enumerate(dataset.channels):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import msgspec
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
@@ -25,6 +26,7 @@ from drftjax.effects.catalogue import reported_names
 from drftjax.effects.correction import VARIABLES
 from drftjax.recorded.observation import SHOWN
 from drftjax.recorded.repeats import group_by_condition
+from drftjax.results.advice import NextRunAdvice, worded
 from drftjax.setups.generated_files import replace_own_setup
 
 
@@ -126,20 +128,14 @@ def group_sentences(found: Diagnosis) -> list[str]:
     """Effects that these runs cannot tell apart, in sentences."""
     sentences = []
     for group in found.groups:
-        first, others = group[0], " or ".join(map(_worded, group[1:]))
+        first, others = group[0], " or ".join(map(worded, group[1:]))
         alone = len(found.dataset.runs) == 1
         runs, rule = ("this run", "rules") if alone else ("these runs", "rule")
         if others and first == NONE:
             sentences.append(f"What {runs} {rule} out least: {others}.")
         elif others:
-            sentences.append(f"{runs.capitalize()} cannot tell {_worded(first)} from {others}.")
+            sentences.append(f"{runs.capitalize()} cannot tell {worded(first)} from {others}.")
     return sentences
-
-
-def _worded(name: str) -> str:
-    return {NONE: "the reference model", UNKNOWN: "something that is not known here"}.get(
-        name, name
-    )
 
 
 def shrinkage_in_words(gap: Gap) -> str:
@@ -223,23 +219,9 @@ def parameter_sentences(found: Diagnosis) -> list[str]:
 
 def next_sentences(found: Diagnosis) -> list[str]:
     """The run or channel that would tell the hypotheses apart, in one sentence."""
-    advice = dict[str, Any](found.next_run)
-    if not advice:
-        return []
-    first, *others = (" with ".join(map(_worded, each.split("+"))) for each in advice["tells"])
-    second = " and from ".join(others)
-    proposals = []
-    for key, words in (("run", "run {run}"), ("channel", "record {channel} on {run}")):
-        proposal = advice.get(key)
-        if isinstance(proposal, dict):
-            proposals.append(
-                f"{words.format(**proposal)}, where {proposal['channel']} differs by "
-                f"{proposal['difference']:.3g} {proposal['unit']} "
-                f"({proposal['floors']:.1f} noise floors)"
-            )
-    if not proposals:
-        return [f"No variation of these runs would tell {first} from {second}."]
-    return [f"To tell {first} from {second}: {'; or '.join(proposals)}."]
+    # By way of the file's layout: its numbers may be NumPy's.
+    advice = msgspec.json.decode(as_json(dict(found.next_run)), type=NextRunAdvice)
+    return advice.sentences()
 
 
 # Tables -------------------------------------------------------------------------------------------

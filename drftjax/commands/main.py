@@ -55,6 +55,15 @@ class PluginGroup(CommandGroup):
         return _load(cmd_name, points) if points else None
 
 
+def subcommand(name: str) -> Any:
+    """Command of an installed entry point by its name.
+
+    Raises:
+        KeyError: there is none of this name.
+    """
+    return _load(name, _plugins()[name])
+
+
 @cache
 def _plugins() -> dict[str, tuple[EntryPoint, ...]]:
     """Entry points of the subcommands by name."""

@@ -46,7 +46,7 @@ def drop_repeated_files(files: Sequence[Path]) -> tuple[list[Path], dict[str, st
     kept: list[Path] = []
     left_out: dict[str, str] = {}
     for path in files:
-        digest = _digest(path)
+        digest = digest_of(path)
         if digest is None or digest not in first:
             kept.append(path)
         else:
@@ -57,8 +57,8 @@ def drop_repeated_files(files: Sequence[Path]) -> tuple[list[Path], dict[str, st
     return kept, left_out
 
 
-def _digest(path: Path) -> str | None:
-    """SHA-256 of a file; None for an empty file, a folder or a device."""
+def digest_of(path: Path) -> str | None:
+    """SHA-256 of a file; None for a missing or empty file, a folder or a device."""
     try:
         if not path.is_file() or path.stat().st_size == 0:
             return None

@@ -9,6 +9,7 @@ from drftjax.common.output_files import files_of, stem_of
 from identify.crosscheck.report import plot, tables
 
 if TYPE_CHECKING:
+    from drftjax.results.provenance import Provenance
     from identify.crosscheck.crosscheck import CrossCheck
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -55,6 +56,7 @@ def crosscheck(
     from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.prepared_run import PreparedRun, prepare_run
+    from drftjax.results.provenance import command_provenance
     from drftjax.runlog.record import RunLog
     from drftjax.tuning.step_tuner import StepTuner
     from identify.crosscheck.crosscheck import crosscheck as check
@@ -63,6 +65,7 @@ def crosscheck(
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     if output is not None:
         require_places(result_files(output), runs)
+    made = command_provenance("crosscheck", runs)
     console = Console()
     online = {}
 
@@ -94,7 +97,7 @@ def crosscheck(
             said += "; `drft diagnose` looks for the cause"
             console.print(said, style="yellow", markup=False, soft_wrap=True)
     if output is not None:
-        written = write(result, output)
+        written = write(result, output, made)
         console.print(f"written: {', '.join(str(each) for each in written)}")
 
 
@@ -104,8 +107,8 @@ def result_files(output: Path) -> list[Path]:
     return files_of(stem_of(output, endings), endings)
 
 
-def write(result: "CrossCheck", stem: Path) -> list[Path]:
-    """Write `stem`.json and `stem`.png.
+def write(result: "CrossCheck", stem: Path, provenance: "Provenance") -> list[Path]:
+    """Write `stem`.json, with the provenance, and `stem`.png.
 
     Raises:
         InputError: where they cannot be written.
@@ -116,6 +119,6 @@ def write(result: "CrossCheck", stem: Path) -> list[Path]:
 
     text, picture = result_files(stem)
     make_folder(stem.parent)
-    replace_file(text, as_json(result.document()))
+    replace_file(text, as_json({**result.document(), "provenance": provenance.document()}))
     save_figure(plot(result), picture)
     return [text, picture]

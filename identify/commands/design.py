@@ -15,6 +15,7 @@ from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
 
 if TYPE_CHECKING:
+    from drftjax.results.provenance import Provenance
     from identify.design.design import Design
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -161,6 +162,7 @@ def design(
         )
         return
     from drftjax.common.output_files import require_places
+    from drftjax.results.provenance import command_provenance
     from drftjax.setups.from_run import setup_like
     from drftjax.setups.generated_files import require_own_setup
     from drftjax.setups.setup import read_setup
@@ -173,6 +175,7 @@ def design(
         names = result_files(output)
         require_places(names, [each for each in (setup, like) if each is not None])
         require_own_setup(names[0], DESIGNED)
+    made = command_provenance("design", [setup, like])
     if setup is not None:
         chosen = read_setup(setup)
     else:
@@ -203,7 +206,7 @@ def design(
         console.print(design_table(result))
     console.print(result.summary(), soft_wrap=True)
     if output is not None and result.identifiable:
-        written = _write(result, output)
+        written = _write(result, output, made)
         console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
 
 
@@ -213,7 +216,7 @@ def result_files(output: Path) -> list[Path]:
     return files_of(stem_of(output, endings), endings)
 
 
-def _write(result: "Design", output: Path) -> list[Path]:
+def _write(result: "Design", output: Path, provenance: "Provenance") -> list[Path]:
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.structured_files import as_json
@@ -222,6 +225,8 @@ def _write(result: "Design", output: Path) -> list[Path]:
     names = result_files(output)
     make_folder(output.parent)
     replace_own_setup(names[0], design_toml(result), DESIGNED)
-    replace_file(names[1], as_json(design_document(result)))
+    replace_file(
+        names[1], as_json({**design_document(result), "provenance": provenance.document()})
+    )
     save_figure(plot_design(result), names[2])
     return names

@@ -117,6 +117,7 @@ def fit(
     """Fit zeta, lambda or other numbers to recorded runs, by simulating them."""
     import math
     import os
+    from dataclasses import replace
     from functools import partial
 
     from rich.console import Console
@@ -130,6 +131,7 @@ def fit(
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
     from drftjax.recorded.prepared_run import names_of, prepare_run
+    from drftjax.results.provenance import command_provenance
     from drftjax.runlog.check import require_no_recording
     from drftjax.runlog.files import drop_repeated_files, run_files
     from drftjax.runlog.record import CHANNELS
@@ -139,6 +141,7 @@ def fit(
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
     from identify.results.result import result_files, write_with_figure
+    from identify.solver.multistart import DRAWS_SEED
     from identify.uncertainty.noise_model import Autoregressive, White, noise_model
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
@@ -171,8 +174,10 @@ def fit(
         alone = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
         kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
-        fit_on_cluster(cluster, named, alone, stem, left_out)
+        fit_on_cluster(cluster, named, alone, stem, left_out, [*runs, parameters])
         return
+    seed = DRAWS_SEED if starts > 1 or bootstrap is not None else None
+    made = command_provenance("fit", [*runs, parameters, model], seed)
 
     console = Console()
 
@@ -222,7 +227,7 @@ def fit(
         console.print(each.table())
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
-    result = result.with_failures(gathered.skipped)
+    result = replace(result.with_failures(gathered.skipped), provenance=made)
     if stem is not None:
         say(f"written: {', '.join(map(str, write_with_figure(result, stem)))}")
 

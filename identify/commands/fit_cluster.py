@@ -51,6 +51,7 @@ def fit_on_cluster(
     settings: FitOptions,
     stem: Path | None,
     left_out: Mapping[str, str],
+    inputs: Sequence[Path | None],
 ) -> None:
     """Fit every run by itself, continue where a killed call ended, and write the usual results.
 
@@ -60,10 +61,12 @@ def fit_on_cluster(
         settings: How they are fitted.
         stem: Of the result files; STEM.store keeps what is done.
         left_out: Files that are not among the runs, and why.
+        inputs: Files and folders that the command was given.
 
     Raises:
         InputError: see `fit_on`; also where no run can be fitted.
     """
+    from drftjax.results.provenance import command_provenance
     from identify.results.result import write_with_figure
 
     where = parse_address(address)
@@ -99,6 +102,8 @@ def fit_on_cluster(
             )
         result = _together({name: store.result(at) for name, at in done.items()}, done, failures)
     _show(console, result)
+    # Not before the workers end: the parent's JAX would take an accelerator's memory from them.
+    result = replace(result, provenance=command_provenance("fit", inputs))
     written = ", ".join(str(each) for each in write_with_figure(result, stem))
     _say(console, f"written: {written}; {store.path} keeps every fit for a call that goes on")
 

@@ -9,6 +9,7 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.recorded.observation import SHOWN
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.results.random_effects import paule_mandel
 from identify.parameters.parameter import Parameter
 from identify.results.noise_floor import fast_scatter, noise_floor
 from identify.results.outliers import (
@@ -19,7 +20,6 @@ from identify.results.outliers import (
 )
 from identify.results.values import RunFit, Value
 from identify.solver.problem import coordinates_of
-from identify.uncertainty.random_effects import paule_mandel
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
 from drftjax.recorded.observation import SHOWN
+from drftjax.results.provenance import Provenance
 from drftjax.runlog.hdf5.api import write_result
 from drftjax.runlog.schema import UNITS
 from drftjax.setups.command_knots import decimate_command
@@ -25,6 +26,7 @@ from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
 from drftjax.setups.setup import SetUp
 from identify.results.misfit import POOR_FIT, short
 from identify.results.values import RunFit, Value
+from identify.solver.multistart import DRAWS_SEED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,6 +58,7 @@ class FitResult:
         bootstraps: Bootstraps that were asked for.
         estimate: Solution and covariance, from which `profile` and `bootstrap` start.
         floors: Noise floor by channel [m, N, N m], in which residuals are counted.
+        provenance: Its inputs, its command line, and what it was made with.
     """
 
     shared: Mapping[str, Value]
@@ -71,6 +74,7 @@ class FitResult:
     bootstraps: tuple["Bootstrap", ...] = ()
     estimate: "Estimate | None" = field(default=None, repr=False)
     floors: Mapping[str, float] = field(default_factory=dict)
+    provenance: Provenance | None = None
 
     def with_failures(self, more: Mapping[str, str]) -> "FitResult":
         """Return the result with further runs named as left out."""
@@ -149,6 +153,7 @@ class FitResult:
             "schema": FIT_SCHEMA,
             "schema_version": 1,
             "software": f"drftjax {__version__}",
+            "provenance": None if self.provenance is None else self.provenance.document(),
             "status": self.status,
             "steps": self.steps,
             "shared": msgspec.to_builtins(self.shared),
@@ -224,7 +229,10 @@ class FitResult:
 
         with jax.enable_x64(True):
             found = bootstrap(self._solved(), count, **options)
-        return replace(self, bootstraps=tuple(found))
+        made = self.provenance
+        if made is not None:
+            made = msgspec.structs.replace(made, seed=options.get("seed", DRAWS_SEED))
+        return replace(self, bootstraps=tuple(found), provenance=made)
 
     def _solved(self) -> "Estimate":
         if self.estimate is None:

@@ -19,6 +19,7 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.common.memory import chunk_bytes
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
+from identify.solver.multistart import DRAWS_SEED
 from identify.solver.problem import linearize, normal_equations
 from identify.uncertainty.covariance import regularized_inverse
 from identify.uncertainty.estimate import Estimate
@@ -118,7 +119,7 @@ def bootstrap(
     estimate: Estimate,
     count: int,
     *,
-    seed: int = 0,
+    seed: int = DRAWS_SEED,
     refit: bool = False,
     settings: BootstrapSettings = BOOTSTRAP_SETTINGS,
 ) -> list[Bootstrap]:

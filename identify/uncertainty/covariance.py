@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drftjax.results.random_effects import paule_mandel
 from identify.solver.problem import coordinates_of, normal_equations
 from identify.solver.whitening import Whitening
-from identify.uncertainty.random_effects import paule_mandel
 
 # A direction is determined where its information exceeds this many times the rounding errors.
 ROUNDING_MARGIN = 100.0

@@ -225,7 +225,9 @@ def test_command_end_to_end(drft, tmp_path):
     assert "online tuner beside offline zeta(t)" in answer.out
     assert "logged" in answer.out
     assert stem.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    (run,) = json.loads(stem.with_suffix(".json").read_text())["runs"]
+    document = json.loads(stem.with_suffix(".json").read_text())
+    assert document["provenance"]["command"][:2] == ["crosscheck", str(path)]
+    (run,) = document["runs"]
     assert run["online"]["idle"] == 1.0
     assert run["rmse"]["offline"]["z"] < LEFT
 

@@ -1,7 +1,9 @@
 """Designing a run: what it would tell is what fits to it scatter by, and limits are kept."""
 
 import dataclasses
+import hashlib
 import math
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -11,7 +13,9 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.physics.stress import Sharp
+from drftjax.results.provenance import command_provenance, read_result_document
 from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
+from identify.commands.design import _write
 from identify.design.design import design, evaluate_setup, search_objective, trapezoid
 from identify.design.fisher_information import (
     CHANNELS,
@@ -32,6 +36,8 @@ from identify.design.search import DesignSettings
 from identify.parameters.parameter import parameter
 from tests.helpers.drft_command import Drft
 from tests.studies.design import fitted
+
+PAPER = Path(__file__).parents[2] / "data" / "paper.toml"
 
 # Corners of the step: plates that enter the sand or begin to lead as the parameter changes, where a
 # derivative's growth is bounded: up to 0.2 % of it.
@@ -196,8 +202,13 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
     )
     assert "standard error" in found.summary()
     assert design_document(found)["schema"] == "drft-design"
-    path = tmp_path / "design.toml"
-    path.write_text(design_toml(found), encoding="utf-8")
+    origin = command_provenance("design", [PAPER])
+    path, numbers, _ = _write(found, tmp_path / "design", origin)
+    assert path.read_text(encoding="utf-8").startswith(design_toml(found))
+    document, kept = read_result_document(numbers)
+    assert kept.provenance == origin
+    assert origin.inputs[0].sha256 == hashlib.sha256(PAPER.read_bytes()).hexdigest()
+    assert document["parameter"] == "lambda"
     command = read_setup(path).command.build()
     assert np.max(command.omega) <= LIMITS.speed + ROUNDING
     slope = np.diff(command.omega) / np.diff(command.time)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drftjax.results.random_effects import paule_mandel
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
-from identify.uncertainty.random_effects import paule_mandel
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 # Runs whose sands differ by 2 %, as repeats on a bed that is prepared anew.
@@ -104,4 +104,7 @@ def test_a_value_that_is_hardly_told_hides_no_scatter():
 def test_values_that_agree_scatter_by_nothing():
     alike = paule_mandel(np.array([1.0, 1.01]), np.array([0.1, 0.1]))
     assert (alike.variance, alike.identified) == (0.0, False)
-    assert paule_mandel(np.array([0.7]), np.array([0.1])) == type(alike)(0.7, 0.0, identified=False)
+    alone = paule_mandel(np.array([0.7]), np.array([0.1]))
+    assert (alone.mean, alone.variance, alone.identified) == (0.7, 0.0, False)
+    assert alone.error == pytest.approx(0.1)
+    assert paule_mandel(np.array([]), np.array([])).error == np.inf

@@ -16,6 +16,7 @@ from diagnose.commands.diagnose import diagnose
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.gap.selected_effects import as_model
 from diagnose.rig_runs import gather_runs
+from diagnose.settings import DEFAULT_SETTINGS
 from drftjax.common.errors import InputError
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.runlog.hdf5.api import read_run, write_run
@@ -47,6 +48,7 @@ HOSTILE = "<script>alert(1)</script> & [bold] $x$"
 KEYS = {
     "schema",
     "schema_version",
+    "provenance",
     "verdict",
     "weights",
     "groups",
@@ -186,6 +188,8 @@ def test_the_json_has_the_documented_layout(diagnosed):
         assert set(share) == {"axis", "label", "share", "interval"}
         assert share["interval"][0] <= share["share"] <= share["interval"][1]
     assert document["correction"] is None
+    assert document["provenance"]["command"][0] == "diagnose"
+    assert document["provenance"]["seed"] == DEFAULT_SETTINGS.localization.seed
     assert any("notes.h5" in note for note in document["notes"])
 
 
@@ -225,6 +229,7 @@ def test_the_model_file_closes_the_gap_of_other_runs(diagnosed, logs, drft, tmp_
     assert "with surface_slope" in answer.out
     document = json.loads(found.read_text())
     assert (document["schema"], document["schema_version"]) == ("drft-evaluation", 1)
+    assert str(model) in [each["name"] for each in document["provenance"]["inputs"]]
     z = document["gap"]["z"]
     assert z["unit"] == "mm"
     assert z["before"] > 3 * z["floor"]

@@ -2,10 +2,11 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from diagnose.checks.outlier_runs import REPEATS_DIFFER
-from diagnose.report.text import group_sentences, verdict
+from diagnose.report.text import group_sentences, next_sentences, verdict
 
 
 def found(runs: int, notes: list[str], gap: float = 1.0):
@@ -38,3 +39,23 @@ def test_one_run_is_spoken_of_as_one(runs, tell, rule):
     told = found(runs, [], gap=9.0)
     assert f"but {tell} too little of why" in verdict(told)  # pyright: ignore
     assert group_sentences(told)[0].startswith(rule)  # pyright: ignore
+
+
+def test_advice_on_the_next_run_is_in_words_whatever_its_numbers_are_of():
+    better = {
+        "run": "run_a again at 8 times the speed",
+        "channel": "x",
+        "difference": np.float64(2.345),
+        "unit": "mm",
+        "floors": np.float64(46.9),
+    }
+    advice = {"tells": ["drawbar+brake", "none"], "run": better, "channel": None}
+    assert next_sentences(SimpleNamespace(next_run=advice)) == [  # pyright: ignore
+        "To tell drawbar with brake from the reference model: run run_a again at 8 times the "
+        "speed, where x differs by 2.35 mm (46.9 noise floors)."
+    ]
+    nothing = SimpleNamespace(next_run={**advice, "run": None})
+    assert next_sentences(nothing) == [  # pyright: ignore
+        "No variation of these runs would tell drawbar with brake from the reference model."
+    ]
+    assert next_sentences(SimpleNamespace(next_run={})) == []  # pyright: ignore

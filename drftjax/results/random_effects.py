@@ -1,5 +1,6 @@
 """Random effect: scatter of values from run to run beyond their standard errors."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +17,13 @@ class RandomEffect:
         mean: Weighted by the inverse variances, between-run variance included.
         variance: From run to run, beyond the errors; zero where they scatter by no more.
         identified: True where errors alone would rarely scatter as much (chi-squared test).
+        error: Standard error of the mean, the between-run variance included; infinite for no value.
     """
 
     mean: float
     variance: float
     identified: bool
+    error: float
 
 
 def paule_mandel(
@@ -45,13 +48,18 @@ def paule_mandel(
         mean = float(np.average(values, weights=weight))
         return mean, float(np.sum(weight * (values - mean) ** 2))
 
+    def error_of(variance: float) -> float:
+        weight = float(np.sum(1 / (errors**2 + variance)))
+        return weight**-0.5 if weight else math.inf
+
     if free < 1:
-        return RandomEffect(float(values.sum()), 0.0, identified=False)
+        return RandomEffect(float(values.sum()), 0.0, identified=False, error=error_of(0.0))
     mean, squares = weighted(0.0)
     if squares <= free:
-        return RandomEffect(mean, 0.0, identified=False)
+        return RandomEffect(mean, 0.0, identified=False, error=error_of(0.0))
     # The plain variance is never smaller.
     most = float(values.var(ddof=1))
     found = root_scalar(lambda each: weighted(each)[1] - free, bracket=(0.0, most))
     identified = bool(squares > chdtri(free, 1 - level))
-    return RandomEffect(weighted(found.root)[0], float(found.root), identified)
+    variance = float(found.root)
+    return RandomEffect(weighted(variance)[0], variance, identified, error_of(variance))
