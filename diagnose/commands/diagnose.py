@@ -52,8 +52,8 @@ def diagnose(
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
     from diagnose.settings import DEFAULT_SETTINGS
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.results.provenance import command_provenance
     from drftjax.setups.generated_files import require_own_setup

@@ -76,8 +76,8 @@ def evaluate(
     from diagnose.evaluation.tuner_activity import tuner_activity
     from diagnose.gap.gap import INTERVAL_SEED
     from diagnose.rig_runs import gather_runs
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import replace_file, require_places
-    from drftjax.common.progress import progress_line
     from drftjax.common.structured_files import as_json
     from drftjax.common.text import replace_unprintable
     from drftjax.results.provenance import command_provenance

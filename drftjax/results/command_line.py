@@ -24,14 +24,14 @@ class ResultCommand:
     """Subcommand of `drft` that makes a result.
 
     Attributes:
-        schema: Of the result's JSON file.
+        schemas: Of the JSON files that it may write.
         inputs: Parameters that name files that it reads.
         output: Parameter that names the result.
         file: Name of the JSON file in the folder that `output` names; empty where it names the
             file itself.
     """
 
-    schema: str
+    schemas: tuple[str, ...]
     inputs: tuple[str, ...]
     output: str = "output"
     file: str = ""
@@ -54,11 +54,11 @@ class ResultCommand:
 
 RESULT_COMMANDS: Final[Mapping[str, ResultCommand]] = MappingProxyType(
     {
-        "fit": ResultCommand("drft-fit", ("runs", "parameters", "model")),
-        "crosscheck": ResultCommand("drft-crosscheck", ("runs",)),
-        "design": ResultCommand("drft-design", ("setup", "like")),
-        "diagnose": ResultCommand("drft-diagnosis", ("runs",), file="diagnosis.json"),
-        "evaluate": ResultCommand("drft-evaluation", ("runs", "model")),
+        "fit": ResultCommand(("drft-fit",), ("runs", "parameters", "model")),
+        "crosscheck": ResultCommand(("drft-crosscheck",), ("runs",)),
+        "design": ResultCommand(("drft-design", "drft-screening"), ("setup", "like")),
+        "diagnose": ResultCommand(("drft-diagnosis",), ("runs",), file="diagnosis.json"),
+        "evaluate": ResultCommand(("drft-evaluation",), ("runs", "model")),
     }
 )
 """Subcommands whose results can be made again, by their names."""
@@ -134,7 +134,7 @@ def parse_recorded(
     name, *arguments = given
     kind = RESULT_COMMANDS[name]
     refused = f"{result}: the recorded command"
-    if kind.schema != schema:
+    if schema not in kind.schemas:
         raise InputError(f"{refused} is drft {name}, which makes no {schema}")
     if not all(map(_is_passable, arguments)) or {"--help", "-h"} & {*arguments}:
         raise InputError(f"{refused} is none that makes a result: {_quoted(given)}")

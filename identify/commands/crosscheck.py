@@ -51,8 +51,8 @@ def crosscheck(
     configure_jax()
     import dataclasses
 
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.prepared_run import PreparedRun, prepare_run

@@ -9,6 +9,7 @@ from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, require_places, stem_of
 from drftjax.recorded.observation import comparable_channels
 from drftjax.recorded.prepared_run import prepare_run
+from drftjax.results.provenance import Provenance, command_provenance
 from drftjax.runlog.record import CHANNELS
 from drftjax.setups.from_run import setup_like
 from drftjax.setups.setup import SetUp, read_setup
@@ -67,7 +68,8 @@ def screen_setup(
     console.print(screening_table(result))
     console.print(result.summary(), soft_wrap=True, markup=False)
     if names:
-        _write(result, names)
+        made = command_provenance("design", [setup, like], seed)
+        _write(result, names, made)
         console.print(f"written: {', '.join(map(str, names))}", soft_wrap=True, markup=False)
 
 
@@ -110,11 +112,11 @@ def result_files(output: Path) -> list[Path]:
     return files_of(stem_of(output, endings), endings)
 
 
-def _write(result: GlobalSensitivity, names: list[Path]) -> None:
+def _write(result: GlobalSensitivity, names: list[Path], made: Provenance) -> None:
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.structured_files import as_json
 
     make_folder(names[0].parent)
-    replace_file(names[0], as_json(screening_document(result)))
+    replace_file(names[0], as_json({**screening_document(result), "provenance": made.document()}))
     save_figure(plot_screening(result), names[1])

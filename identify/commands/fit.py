@@ -125,8 +125,8 @@ def fit(
     from drftjax.common.jax_config import configure_jax
 
     configure_jax(devices=os.cpu_count())
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.progress import progress_line
     from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels

@@ -73,7 +73,7 @@ class Descent(eqx.Module):
         end: Float[np.ndarray | Array, " problems"],
         state: Any,
     ) -> tuple[Bool[Array, " problems"], Float[Array, " problems"], Any]:
-        """Which moves count, by the loss that they end at.
+        """Verdict on moves, by the loss that they end at.
 
         Args:
             equations: Where the moves began.

@@ -9,7 +9,7 @@ import pytest
 
 from drftjax.commands.main import main
 
-# What a slow machine hears while it works (`drftjax.common.progress`).
+# What a slow machine hears while it works (`drftjax.commands.progress`).
 PROGRESS = re.compile(r".* \(\d+ s\)\n")
 
 

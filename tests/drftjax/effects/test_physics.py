@@ -462,8 +462,7 @@ def test_a_cable_pulls_the_harder_the_farther_it_is_drawn():
 
 
 def test_scales_read_their_ratio_and_drift():
-    plain = hold()
-    drift = held("sinkage_drift")
+    plain, drift = hold(), held("sinkage_drift")
     np.testing.assert_allclose(
         drift.z - plain.z, size("sinkage_drift") * plain.time, rtol=0, atol=ROUNDING
     )
@@ -472,24 +471,14 @@ def test_scales_read_their_ratio_and_drift():
     np.testing.assert_allclose(travel.vx, plain.vx, rtol=CLOSE)
 
 
-def test_the_static_sinkage_was_read_on_the_wrong_scale_too():
-    ratio = 1 + size("sinkage_gain")
-    moving = start(True)
-    there = replace(moving, position=moving.position / jnp.array([1.0, ratio]))
+@pytest.mark.parametrize(("name", "gain"), [("sinkage_gain", 1), ("sinkage_offset", 0)])
+def test_the_static_sinkage_was_read_wrongly_too(name, gain):
+    ratio, offset, moving = 1 + gain * size(name), (1 - gain) * size(name), start(True)
+    x, z = moving.position
+    there = replace(moving, position=jnp.array([x, (z - offset) / ratio]))
     truth = jax.tree.map(np.asarray, program()(jnp.asarray(vector()), there, HOLD))
-    gain = held("sinkage_gain")
-    np.testing.assert_allclose(gain.z, ratio * truth.z, rtol=CLOSE)
-    np.testing.assert_allclose(gain.sinkage, -gain.z, rtol=ROUNDING)
-    np.testing.assert_allclose(gain.x, truth.x, rtol=CLOSE)
-
-
-def test_the_static_sinkage_was_read_from_the_wrong_zero_too():
-    off = size("sinkage_offset")
-    moving = start(True)
-    there = replace(moving, position=moving.position - jnp.array([0.0, off]))
-    truth = jax.tree.map(np.asarray, program()(jnp.asarray(vector()), there, HOLD))
-    found = held("sinkage_offset")
-    np.testing.assert_allclose(found.z - truth.z, off, rtol=CLOSE)
+    found = held(name)
+    np.testing.assert_allclose(found.z, ratio * truth.z + offset, rtol=CLOSE)
     np.testing.assert_allclose(found.sinkage, -found.z, rtol=ROUNDING)
     np.testing.assert_allclose(found.x, truth.x, rtol=CLOSE)
 

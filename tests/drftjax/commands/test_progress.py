@@ -5,7 +5,7 @@ import time
 
 from rich.console import Console
 
-from drftjax.common.progress import LINE_INTERVAL, progress_line
+from drftjax.commands.progress import LINE_INTERVAL, progress_line
 
 
 def told(capsys, *, quiet: bool = False, terminal: bool = False) -> str:
