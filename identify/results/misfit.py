@@ -33,6 +33,24 @@ def in_floors(run: RunFit, floors: Mapping[str, float]) -> dict[str, float]:
     return {channel: left / floors[channel] for channel, left in run.rmse().items()}
 
 
+def channels_off(
+    run: RunFit, floors: Mapping[str, float], settings: MisfitSettings = MISFIT_SETTINGS
+) -> list[str]:
+    """Channels of a run that the model does not meet.
+
+    Args:
+        run: The fitted run.
+        floors: Noise floor by channel [m, N, N m].
+        settings: Decision numbers.
+    """
+    ranges = dict(zip(run.channels, np.ptp(run.recorded[:, run.counts], axis=1), strict=True))
+    return [
+        channel
+        for channel, left in run.rmse().items()
+        if left > max(settings.poor * floors[channel], settings.noticeable * ranges[channel])
+    ]
+
+
 def short(floors: float) -> str:
     """A number of noise floors in two digits, or whole: "2.4", "110"."""
     return f"{floors:.2g}" if floors < 10 else f"{floors:.0f}"
@@ -52,7 +70,7 @@ def judged(
     """
     return [
         replace(run, status=POOR_FIT)
-        if run.status == "converged" and max(in_floors(run, floors).values()) > settings.poor
+        if run.status == "converged" and channels_off(run, floors, settings)
         else run
         for run in runs
     ]
@@ -85,10 +103,10 @@ def misfit_sentences(
         before, after = (_pooled(of_channel, channel, fitted) for fitted in (False, True))
         worst = max(of_channel, key=lambda run: run.rmse()[channel])
         unit, scale = SHOWN[channel]
-        if (most := worst.rmse()[channel] / floor) > settings.poor:
+        if any(channel in channels_off(run, floors, settings) for run in of_channel):
             off.append(
                 f"{channel} by {short(after / floor)} noise floors of {floor * scale:.2g} {unit} "
-                f"(most in {worst.name}: {short(most)})"
+                f"(most in {worst.name}: {short(worst.rmse()[channel] / floor)})"
             )
         if after > settings.worse * before and after > settings.poor * floor:
             sentences.append(

@@ -106,10 +106,24 @@ def reading_noise(
         residual: Simulated minus recorded.
     """
     fresh = np.r_[True, np.diff(recorded) != 0]
-    levels = np.unique(recorded)
-    step = float(np.diff(levels).min()) if len(levels) > 1 else 0.0
     # Readings rounded to a step are off by up to half of it, evenly.
-    return max(white_noise(residual[fresh]), step / np.sqrt(12))
+    return max(white_noise(residual[fresh]), reading_step(recorded) / np.sqrt(12))
+
+
+def reading_step(recorded: Float[np.ndarray, " samples"]) -> float:
+    """Step that readings are rounded to, in their unit; hardly any where they are not.
+
+    Rounded readings, and how much faster these become, are multiples of it. The second keeps an
+    even motion from passing for a step.
+
+    Args:
+        recorded: Readings.
+    """
+    rounding = 1e-9 * float(np.ptp(recorded)) if len(recorded) else 0.0
+    fresh = recorded[np.diff(recorded, prepend=np.nan) != 0]
+    uneven = np.abs(np.diff(fresh, 2))
+    apart = np.r_[np.diff(np.unique(recorded)), uneven]
+    return float(apart[apart > rounding].min()) if (uneven > rounding).any() else 0.0
 
 
 def fast_scatter(
