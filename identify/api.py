@@ -17,8 +17,9 @@ from identify.fit_path_jointly import JOINT_FIT_SETTINGS, JointFitSettings
 from identify.parameters.parameter import Parameter, parameter, require_once
 from identify.parameters.phase_zeta import zeta_phases
 from identify.results.result import FitResult
+from identify.uncertainty.markov_chains import PosteriorSettings
 from identify.uncertainty.noise_model import AbstractNoise
-from identify.uncertainty.posterior import PosteriorSettings, require_extra
+from identify.uncertainty.posterior import require_extra
 from identify.zeta_path.smoother import KNOT_SPACING
 
 # Parameters that are each run's own by default: preparation of the sand, and start of the run.

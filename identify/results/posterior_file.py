@@ -11,7 +11,8 @@ from drftjax.common.errors import InputError
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog.result_file import POSTERIOR_SCHEMA
-from identify.uncertainty.posterior import ChainStatistics, Posterior, import_arviz, require_extra
+from identify.uncertainty.markov_chains import ChainStatistics
+from identify.uncertainty.posterior import Posterior, import_arviz, require_extra
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -84,7 +85,8 @@ def _draws(posterior: Posterior) -> "Dataset":
     columns = {}
     for name, of_name in places.items():
         owners = [posterior.parameters[place][1] for place in of_name]
-        about = {"units": posterior.units[of_name[0]].replace("-", "1")}
+        unit = posterior.units[of_name[0]]
+        about = {"units": "1" if unit == "-" else unit}
         if owners == [None]:
             columns[name] = (("chain", "draw"), posterior.draws[..., of_name[0]], about)
         else:
