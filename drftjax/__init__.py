@@ -33,6 +33,7 @@ _HOMES = {
     "PerStepZeta": "drftjax.physics.terrain",
     "PlainWheel": "drftjax.physics.wheel",
     "Plates": "drftjax.physics.wheel",
+    "PosteriorSettings": "identify.uncertainty.markov_chains",
     "QuasiStatic": "drftjax.physics.stress",
     "Rig": "drftjax.physics.rig",
     "RunLog": "drftjax.runlog.record",

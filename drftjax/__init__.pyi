@@ -33,5 +33,6 @@ from identify.parameters.parameter import Parameter as Parameter
 from identify.parameters.parameter import own as own
 from identify.parameters.parameter import shared as shared
 from identify.results.result import FitResult as FitResult
+from identify.uncertainty.markov_chains import PosteriorSettings as PosteriorSettings
 
 __version__: str

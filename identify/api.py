@@ -20,7 +20,9 @@ from identify.parameters.parameter import Parameter, parameter, require_once
 from identify.parameters.phase_zeta import zeta_phases
 from identify.results.result import FitResult
 from identify.solver.multistart import DRAWS_SEED
+from identify.uncertainty.markov_chains import PosteriorSettings
 from identify.uncertainty.noise_model import AbstractNoise
+from identify.uncertainty.posterior import require_extra
 from identify.zeta_path.smoother import KNOT_SPACING
 
 # Parameters that are each run's own by default: preparation of the sand, and start of the run.
@@ -49,6 +51,7 @@ def fit(
     progress: Progress | None = None,
     settings: FitSettings = FIT_SETTINGS,
     path_settings: JointFitSettings = JOINT_FIT_SETTINGS,
+    posterior: PosteriorSettings | None = None,
 ) -> FitResult:
     """Fit numbers of the simulator to recorded runs, as `drft fit` does.
 
@@ -75,6 +78,7 @@ def fit(
         progress: Called with the stage, the solver's step and the sum of squares.
         settings: Decision numbers of a fit with constant parameters.
         path_settings: Decision numbers of a fit of zeta(t).
+        posterior: Numbers of the Markov chains over the values; no chains where left out.
 
     Raises:
         InputError: where a run, a parameter or the whole cannot be fitted, and why.
@@ -92,6 +96,10 @@ def fit(
         raise InputError(
             "zeta='path' finds each channel's noise, from one start; leave noise and starts out"
         )
+    if posterior is not None:
+        if zeta == "path":
+            raise InputError("zeta='path' goes without Markov chains; leave posterior out")
+        require_extra()
     channels = (compare,) if isinstance(compare, str) else tuple(compare)
     require_channels(channels)
     if zeta == "path" and "z" not in channels:
@@ -111,7 +119,8 @@ def fit(
         if zeta == "phases":
             wanted = zeta_phases(prepared, wanted)
         result = fit_prepared(prepared, wanted, progress, noise, starts=starts, settings=settings)
-        return replace(add_required_speeds(result), provenance=made)
+        result = replace(add_required_speeds(result), provenance=made)
+        return result if posterior is None else result.sample_posterior(posterior)
 
 
 def _by_name(name: str) -> Parameter:

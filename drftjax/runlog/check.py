@@ -7,7 +7,7 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.content import Violation
 from drftjax.runlog.hdf5.conversion import run_from_survey
 from drftjax.runlog.record import RunLog
-from drftjax.runlog.result_file import FIT_SCHEMA
+from drftjax.runlog.result_file import FIT_SCHEMA, POSTERIOR_SCHEMA
 from drftjax.runlog.safe_reader import TIME_LIMIT, GuardedReader
 from drftjax.runlog.schema import SCHEMA
 
@@ -70,7 +70,7 @@ def require_no_recording(path: Path) -> None:
             f"{path} holds a run of source {source!r}, which no simulation or fit may replace; "
             "give another name, or move it away"
         )
-    if schema not in (SCHEMA, FIT_SCHEMA):
+    if schema not in (SCHEMA, FIT_SCHEMA, POSTERIOR_SCHEMA):
         raise InputError(
             f"{path} is an HDF5 file that holds no simulation or fit, and may hold a recording; "
             "give another name, or move it away"

@@ -11,6 +11,7 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.content import Attribute, Content, Dataset, Group
 
 FIT_SCHEMA: Final = "drft-fit"
+POSTERIOR_SCHEMA: Final = "drft-posterior"
 
 
 @dataclass(frozen=True, eq=False)

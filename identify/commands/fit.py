@@ -29,6 +29,7 @@ Examples:
   drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
   drft fit runs/*.h5 --zeta path --share lambda   and lambda of all beside it
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
+  drft fit runs/*.h5 --posterior -o out/fit    Markov chains, out/fit.nc
   drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
 
 \b
@@ -37,8 +38,8 @@ Examples:
       bounds = [0.3, 2.0]
       prior = [0.78, 0.1]   # mean and standard error believed before the runs
 
-The result is out/fit.json, out/fit.h5 and out/fit.png; `drft simulate --from out/fit.json --run
-NAME` simulates a fitted run again.
+The result is out/fit.json, out/fit.h5 and out/fit.png, and the draws of --posterior out/fit.nc;
+`drft simulate --from out/fit.json --run NAME` simulates a fitted run again.
 """
 
 
@@ -92,6 +93,10 @@ def fit(
     bootstrap: Annotated[
         int | None, typer.Option(help="Draws of a bootstrap: intervals and bands of readings.")
     ] = None,
+    posterior: Annotated[
+        bool,
+        typer.Option("--posterior", help="Markov chains over the values; needs [posterior]."),
+    ] = False,
     step: Annotated[
         float | None,
         typer.Option(help="Integrator step [s]. [default: chosen for each run]"),
@@ -140,18 +145,21 @@ def fit(
     from identify.fit_constant import fit as fit_runs
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
-    from identify.results.result import result_files, write_with_figure
+    from identify.results.result import posterior_path, result_files, write_with_figure
     from identify.solver.multistart import DRAWS_SEED
     from identify.uncertainty.noise_model import Autoregressive, White, noise_model
+    from identify.uncertainty.posterior import require_extra
     from identify.uncertainty.profile_likelihood import require_fitted
     from identify.zeta_path.smoother import KNOT_SPACING
 
     _require_start(start_zeta)
     require_channels(CHANNELS if compare is None else compare)
     channels = tuple(each for each in CHANNELS if compare is None or each in compare)
-    _require_together(zeta, knots, starts, profile, bootstrap, autoregressive)
+    _require_together(zeta, knots, starts, profile, bootstrap, posterior, autoregressive)
     if zeta == "path" and "z" not in channels:
         raise InputError("--zeta path follows the sinkage, so --compare must name z")
+    if posterior and cluster is None:
+        require_extra()
     path = zeta == "path"
     fitted = _fitted_parameters(own, share, parameters, path=path, apart=cluster is not None)
     for name in profile or []:
@@ -159,24 +167,26 @@ def fit(
     stem = None if output is None else _stem(output)
     if stem is not None:
         text, binary, picture = result_files(stem)
-        require_places([text, binary, picture], runs)
-        require_no_recording(binary)
+        chains = [posterior_path(stem)] if posterior else []
+        require_places([text, binary, picture, *chains], runs)
+        for each in (binary, *chains):
+            require_no_recording(each)
     noise = Autoregressive.name if autoregressive else White.name
     if cluster is not None:
         from identify.cluster.worker import FitOptions, parameter_specs
         from identify.commands.fit_cluster import fit_on_cluster
 
-        if zeta != "constant" or starts != 1 or profile or bootstrap or model:
+        if zeta != "constant" or starts != 1 or profile or bootstrap or posterior or model:
             raise InputError(
                 "--cluster fits a constant zeta, each run alone and as its log has it; leave "
-                "--zeta, --starts, --profile, --bootstrap and --model out"
+                "--zeta, --starts, --profile, --bootstrap, --posterior and --model out"
             )
         alone = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
         kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
         fit_on_cluster(cluster, named, alone, stem, left_out, [*runs, parameters])
         return
-    seed = DRAWS_SEED if starts > 1 or bootstrap is not None else None
+    seed = DRAWS_SEED if starts > 1 or bootstrap is not None or posterior else None
     made = command_provenance("fit", [*runs, parameters, model], seed)
 
     console = Console()
@@ -221,10 +231,17 @@ def fit(
         if bootstrap is not None:
             show(f"bootstrap of {bootstrap} draws")
             result = result.bootstrap(bootstrap)
+        if posterior:
+
+            def tell_chains(stage: str, done: int, of_all: int) -> None:
+                show(f"posterior: {stage} {done} of {of_all}")
+
+            show("posterior: compiling")
+            result = result.sample_posterior(progress=tell_chains)
 
     console.print(result.table())
-    for each in result.profiles:
-        console.print(each.table())
+    for each in (*(profile.table() for profile in result.profiles), *result.interval_tables()):
+        console.print(each)
     for sentence in result.sentences():
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
     result = replace(result.with_failures(gathered.skipped), provenance=made)
@@ -248,6 +265,7 @@ def _require_together(
     starts: int,
     profile: list[str] | None,
     bootstrap: int | None,
+    posterior: bool,
     autoregressive: bool,
 ) -> None:
     """Check the kind of zeta, and that the other options go with it.
@@ -261,10 +279,10 @@ def _require_together(
 
     if zeta not in ZETAS:
         raise InputError(f"--zeta is {zeta!r}, must be one of {', '.join(ZETAS)}")
-    if zeta == "path" and (starts != 1 or profile or bootstrap):
+    if zeta == "path" and (starts != 1 or profile or bootstrap or posterior):
         raise InputError(
-            "--zeta path goes from one start to one answer; leave --starts, --profile and "
-            "--bootstrap out"
+            "--zeta path goes from one start to one answer; leave --starts, --profile, "
+            "--bootstrap and --posterior out"
         )
     if zeta != "path" and knots is not None:
         raise InputError("--knots is the spacing of the knots of --zeta path; leave it out")
@@ -311,4 +329,4 @@ def _fitted_parameters(
 
 
 def _stem(output: Path) -> Path:
-    return stem_of(output, (".json", ".h5", ".png"))
+    return stem_of(output, (".json", ".h5", ".png", ".nc"))

@@ -24,7 +24,9 @@ from drftjax.runlog.schema import UNITS
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
 from drftjax.setups.setup import SetUp
+from identify.results.interval_table import interval_table
 from identify.results.misfit import POOR_FIT, short
+from identify.results.posterior_file import posterior_document, write_posterior
 from identify.results.values import RunFit, Value
 from identify.solver.multistart import DRAWS_SEED
 
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from identify.solver.multistart import MultistartSummary
     from identify.uncertainty.bootstrap import Bootstrap
     from identify.uncertainty.estimate import Estimate
+    from identify.uncertainty.posterior import Posterior
     from identify.uncertainty.profile_likelihood import ProfileLikelihood
     from identify.zeta_path.path import ZetaPath
 
@@ -56,7 +59,9 @@ class FitResult:
         starts: Outcome of several starting points, where there were any.
         profiles: Profile likelihoods that were asked for.
         bootstraps: Bootstraps that were asked for.
-        estimate: Solution and covariance, from which `profile` and `bootstrap` start.
+        posterior: Draws of the posterior, where it was asked for.
+        estimate: Solution and covariance, from which `profile`, `bootstrap` and `sample_posterior`
+            start.
         floors: Noise floor by channel [m, N, N m], in which residuals are counted.
         provenance: Its inputs, its command line, and what it was made with.
     """
@@ -72,6 +77,7 @@ class FitResult:
     starts: "MultistartSummary | None" = None
     profiles: tuple["ProfileLikelihood", ...] = ()
     bootstraps: tuple["Bootstrap", ...] = ()
+    posterior: "Posterior | None" = None
     estimate: "Estimate | None" = field(default=None, repr=False)
     floors: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
@@ -190,6 +196,7 @@ class FitResult:
                 }
                 for each in self.bootstraps
             ],
+            "posterior": posterior_document(self.posterior) if self.posterior else None,
             "rmse_before": self.rmse(False),
             "rmse_after": self.rmse(),
             "noise_floors": dict(self.floors),
@@ -229,10 +236,28 @@ class FitResult:
 
         with jax.enable_x64(True):
             found = bootstrap(self._solved(), count, **options)
-        made = self.provenance
-        if made is not None:
-            made = msgspec.structs.replace(made, seed=options.get("seed", DRAWS_SEED))
-        return replace(self, bootstraps=tuple(found), provenance=made)
+        drawn = replace(self, bootstraps=tuple(found))
+        return drawn._with_seed(options.get("seed", DRAWS_SEED))
+
+    def sample_posterior(self, *arguments: Any, **options: Any) -> "FitResult":
+        """Return the result with its posterior; arguments as of `sample_posterior`."""
+        from identify.uncertainty.posterior import sample_posterior
+
+        with jax.enable_x64(True):
+            found = sample_posterior(self._solved(), *arguments, **options)
+        return replace(self, posterior=found)._with_seed(found.settings.seed)
+
+    def _with_seed(self, seed: int) -> "FitResult":
+        """Return the result with the seed of its draws in its provenance, where it has one."""
+        if self.provenance is None:
+            return self
+        return replace(self, provenance=msgspec.structs.replace(self.provenance, seed=seed))
+
+    def interval_tables(self) -> list[Table]:
+        """Return a table of errors and intervals, where any method beside the fit was asked for."""
+        if not (self.profiles or self.bootstraps or self.posterior):
+            return []
+        return [interval_table(self.values, self.profiles, self.bootstraps, self.posterior)]
 
     def _solved(self) -> "Estimate":
         if self.estimate is None:
@@ -250,6 +275,7 @@ class FitResult:
         lines += [str(self.starts)] if self.starts else []
         lines += [str(profile) for profile in self.profiles]
         lines += [sentence for each in self.bootstraps for sentence in each.sentences()]
+        lines += self.posterior.sentences() if self.posterior else []
         lines += self.findings
         lines += [f"left out: {name}: {why}" for name, why in self.failures.items()]
         if self.status not in ("converged", POOR_FIT):
@@ -258,15 +284,16 @@ class FitResult:
 
     def summary(self, width: int = 110) -> str:
         """Return table and findings as text, `width` columns wide."""
-        return summary_text([self.table(), *self.sentences()], width)
+        return summary_text([self.table(), *self.interval_tables(), *self.sentences()], width)
 
     def _repr_html_(self) -> str:
-        return summary_html([self.table(), *self.sentences()])
+        return summary_html([self.table(), *self.interval_tables(), *self.sentences()])
 
     def write(self, stem: Path) -> list[Path]:
         """Write `stem`.json and `stem`.h5, from which `drft simulate --from` reads models back.
 
-        The HDF5 file also holds every run's recorded and simulated channels.
+        The HDF5 file also holds every run's recorded and simulated channels. A posterior is
+        written to `stem`.nc, for ArviZ.
 
         Raises:
             InputError: where they cannot be written.
@@ -279,7 +306,11 @@ class FitResult:
             f"{n}_{k}": getattr(v, k) for n, v in self.shared.items() for k in ("value", "error")
         }
         write_result(binary, FIT_SCHEMA, {"status": self.status, **numbers}, groups)
-        return [text, binary]
+        if self.posterior is None:
+            return [text, binary]
+        chains = posterior_path(stem)
+        write_posterior(self.posterior, chains)
+        return [text, binary, chains]
 
 
 def result_files(stem: Path) -> tuple[Path, Path, Path]:
@@ -288,8 +319,13 @@ def result_files(stem: Path) -> tuple[Path, Path, Path]:
     return text, binary, picture
 
 
+def posterior_path(stem: Path) -> Path:
+    """Return `stem`.nc, the draws of a fit's posterior."""
+    return files_of(stem, (".nc",))[0]
+
+
 def write_with_figure(result: FitResult, stem: Path) -> list[Path]:
-    """Write `stem`.json, `stem`.h5 and `stem`.png; return their names.
+    """Write `stem`.json, `stem`.h5, `stem`.png, and a posterior's `stem`.nc; return their names.
 
     Raises:
         InputError: where they cannot be written.
