@@ -129,7 +129,7 @@ class LaggedProducts:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class PathPosterior:
     """Gaussian posterior of a linearised run at one weight and noise.
 
     Attributes:
@@ -165,7 +165,7 @@ class LinearizedPath:
     level: float
     settings: ZetaPathSettings = ZETA_PATH_SETTINGS
 
-    def posterior(self, weight: float, noise: Sequence[AR1Noise]) -> Posterior:
+    def posterior(self, weight: float, noise: Sequence[AR1Noise]) -> PathPosterior:
         """Return the posterior at a weight of squared second differences and a noise."""
         pairs = list(zip(self.products, noise, strict=True))
         gram = np.sum([p.whitened_gram(n) for p, n in pairs], axis=0)
@@ -179,11 +179,13 @@ class LinearizedPath:
             sum(p.log_determinant(n) for p, n in pairs),
         )
         evidence = found.log_evidence
-        return Posterior(
+        return PathPosterior(
             found.mean, found.covariance, found.information, evidence, weight, tuple(noise)
         )
 
-    def maximize_evidence_given_noise(self, noise: Sequence[AR1Noise], least: float) -> Posterior:
+    def maximize_evidence_given_noise(
+        self, noise: Sequence[AR1Noise], least: float
+    ) -> PathPosterior:
         """Return the posterior at the weight of largest evidence, at least `least`."""
         weights = self.settings.weight_grid
         found = [self.posterior(weight, noise) for weight in weights[least <= weights]]
@@ -194,7 +196,7 @@ class LinearizedPath:
         noise: Sequence[AR1Noise],
         instruments: Sequence[InstrumentFloor],
         kept: float | None = None,
-    ) -> Posterior:
+    ) -> PathPosterior:
         """Return the posterior at the weight and noise of largest evidence.
 
         From the smoothest path to the roughest, the noise at each weight starts from that at its

@@ -26,7 +26,7 @@ from identify.zeta_path.evidence import (
     InstrumentFloor,
     LaggedProducts,
     LinearizedPath,
-    Posterior,
+    PathPosterior,
     smoothness_prior,
 )
 from identify.zeta_path.path import CHANNELS, ZetaPath, cardinal_splines, segment_ends
@@ -93,7 +93,7 @@ class ZetaPathSolver:
         if begun is not None:
             self.coordinates = begun.coordinates
         self.rejections = 0
-        self.last: Posterior | None = None
+        self.last: PathPosterior | None = None
         self.fitted_channels = ["z"]
         self.all_channels = False
         self.predicted_gain = np.inf
@@ -193,7 +193,7 @@ class ZetaPathSolver:
         missing = self.curve.shape[1] - self.knots
         return np.insert(coordinates, [self.knots] * missing, 0.0)
 
-    def _maximize_evidence(self) -> tuple[Posterior, bool]:
+    def _maximize_evidence(self) -> tuple[PathPosterior, bool]:
         """Return the linearised run's posterior, and whether its path bends as the data ask for."""
         self.fitted_channels = [*self.channels] if self.all_channels else ["z"]
         picked = [self.channels.index(name) for name in self.fitted_channels]
@@ -280,8 +280,8 @@ class ZetaPathSolver:
         return 0.5 * (misfit + float(away @ prior @ away))
 
     @property
-    def posterior(self) -> Posterior:
-        """Posterior of the last linearisation."""
+    def posterior(self) -> PathPosterior:
+        """PathPosterior of the last linearisation."""
         assert self.last is not None
         return self.last
 
