@@ -11,7 +11,7 @@ from identify.results.values import Value
 
 if TYPE_CHECKING:
     from identify.uncertainty.bootstrap import Bootstrap
-    from identify.uncertainty.posterior import Posterior
+    from identify.uncertainty.posterior import ParameterPosterior
     from identify.uncertainty.profile_likelihood import ProfileLikelihood
 
 Ends = Mapping[str, tuple[float, float, float]]
@@ -21,7 +21,7 @@ def interval_table(
     values: Mapping[str, Value],
     profiles: Sequence["ProfileLikelihood"] = (),
     bootstraps: Sequence["Bootstrap"] = (),
-    posterior: "Posterior | None" = None,
+    posterior: "ParameterPosterior | None" = None,
 ) -> Table:
     """Return a table of standard errors and intervals; a dash where a method was not asked for.
 

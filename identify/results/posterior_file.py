@@ -12,13 +12,13 @@ from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog.result_file import POSTERIOR_SCHEMA
 from identify.uncertainty.markov_chains import ChainStatistics
-from identify.uncertainty.posterior import Posterior, import_arviz, require_extra
+from identify.uncertainty.posterior import ParameterPosterior, import_arviz, require_extra
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def posterior_document(posterior: Posterior) -> dict:
+def posterior_document(posterior: ParameterPosterior) -> dict:
     """Return settings, course and numbers of a posterior, in the layout of the JSON file."""
     chains, draws, _ = posterior.draws.shape
     columns = {
@@ -45,7 +45,7 @@ def posterior_document(posterior: Posterior) -> dict:
     }
 
 
-def write_posterior(posterior: Posterior, path: Path) -> None:
+def write_posterior(posterior: ParameterPosterior, path: Path) -> None:
     """Write the draws as an ArviZ `InferenceData` in netCDF; `arviz.from_netcdf` reads it.
 
     Group `posterior` holds each parameter by chain and draw, and by run where it is each run's own;
@@ -74,7 +74,7 @@ def write_posterior(posterior: Posterior, path: Path) -> None:
     replace_file(path, data)
 
 
-def _draws(posterior: Posterior) -> "Dataset":
+def _draws(posterior: ParameterPosterior) -> "Dataset":
     """Return the draws by parameter, and by run where it is each run's own."""
     from xarray import Dataset
 

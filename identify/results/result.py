@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from identify.solver.multistart import MultistartSummary
     from identify.uncertainty.bootstrap import Bootstrap
     from identify.uncertainty.estimate import Estimate
-    from identify.uncertainty.posterior import Posterior
+    from identify.uncertainty.posterior import ParameterPosterior
     from identify.uncertainty.profile_likelihood import ProfileLikelihood
     from identify.zeta_path.path import ZetaPath
 
@@ -77,7 +77,7 @@ class FitResult:
     starts: "MultistartSummary | None" = None
     profiles: tuple["ProfileLikelihood", ...] = ()
     bootstraps: tuple["Bootstrap", ...] = ()
-    posterior: "Posterior | None" = None
+    posterior: "ParameterPosterior | None" = None
     estimate: "Estimate | None" = field(default=None, repr=False)
     floors: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None

@@ -24,7 +24,7 @@ from identify.uncertainty.posterior_density import PosteriorDensity
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class ParameterPosterior:
     """Draws of values from their posterior, with intervals.
 
     Attributes:
@@ -114,7 +114,7 @@ def sample_posterior(
     estimate: Estimate,
     settings: PosteriorSettings = POSTERIOR_SETTINGS,
     progress: Callable[[str, int, int], None] | None = None,
-) -> Posterior:
+) -> ParameterPosterior:
     """Draw the values of a fit from their posterior.
 
     Args:
@@ -159,7 +159,7 @@ def _summarized(
     statistics: ChainStatistics,
     step: float,
     settings: PosteriorSettings,
-) -> Posterior:
+) -> ParameterPosterior:
     """Return the posterior with means, intervals and the diagnostics of its chains."""
     arviz = import_arviz()
     columns = np.moveaxis(draws, -1, 0)
@@ -173,7 +173,7 @@ def _summarized(
             [float(arviz.ess(each, method=method)) for each in columns]
             for method in ("bulk", "tail")
         ]
-    return Posterior(
+    return ParameterPosterior(
         labels,
         parameters,
         units,
