@@ -117,8 +117,7 @@ def misfit_sentences(
         sentences.insert(
             0,
             f"poor fit: the model is off in {' and '.join(off)}; the fitted values bend to what "
-            "it lacks, perhaps by more than their errors. Next: drft diagnose RUNS, which looks for "
-            "that",
+            "it lacks, perhaps by more than their errors. Next: drft diagnose RUNS looks for that",
         )
     return sentences
 
