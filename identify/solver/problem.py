@@ -144,6 +144,13 @@ class Problem(eqx.Module):
 
         return self._over_runs(one, shared, own)
 
+    def rows(self, shared: Array, own: Array) -> tuple[Array, Array]:
+        """Return rows with the normal equations of `blocks`, as the solver takes them.
+
+        Shapes as of `blocks`; where runs are simulated elsewhere there may be fewer rows a run.
+        """
+        return self.blocks(shared, own)
+
     def whiten(
         self, weighted: Float[Array, "channels samples"], observed: PaddedObservations
     ) -> Float[Array, "channels samples"]:
