@@ -38,29 +38,23 @@ class ArrowQR(lx.AbstractLinearSolver):
         runs, number = len(right), len(shared_prior)
         rows = blocks.reshape(runs, -1, blocks.shape[-1])
         beside, inner = rows[..., :number], rows[..., number:]
-        right = right.reshape(runs, -1)
-        if eliminated := inner.shape[-1]:
-            diagonal = jax.vmap(jnp.diag)
-            inner = jnp.concatenate([inner, diagonal(own_prior), diagonal(own_damping)], axis=1)
-            right = jnp.concatenate([right, right_own, zero_own], axis=1)
-            beside = jnp.pad(beside, ((0, 0), (0, 2 * eliminated), (0, 0)))
-            q, triangle = jnp.linalg.qr(inner)
-            along, along_right = jnp.einsum("rmo,rms->ros", q, beside), _along(q, right)
-            beside = beside - jnp.einsum("rmo,ros->rms", q, along)
-            right = right - jnp.einsum("rmo,ro->rm", q, along_right)
-        shared = jnp.zeros(number)
-        if number:
-            tall = jnp.concatenate(
-                [beside.reshape(-1, number), jnp.diag(shared_prior), jnp.diag(shared_damping)]
-            )
-            whole = jnp.concatenate([right.ravel(), right_shared, zero_shared])
-            q_shared, triangle_shared = jnp.linalg.qr(tall)
-            shared = jax.scipy.linalg.solve_triangular(triangle_shared, q_shared.T @ whole)
-        own = jnp.zeros((runs, eliminated))
-        if eliminated:
-            left = along_right - jnp.einsum("ros,s->ro", along, shared)
-            own = jax.vmap(jax.scipy.linalg.solve_triangular)(triangle, left)
-        return (shared, own), lx.RESULTS.successful, {}
+        eliminated = inner.shape[-1]
+        diagonal = jax.vmap(jnp.diag)
+        inner = jnp.concatenate([inner, diagonal(own_prior), diagonal(own_damping)], axis=1)
+        right = jnp.concatenate([right.reshape(runs, -1), right_own, zero_own], axis=1)
+        beside = jnp.pad(beside, ((0, 0), (0, 2 * eliminated), (0, 0)))
+        q, triangle = jnp.linalg.qr(inner)
+        along, along_right = jnp.einsum("rmo,rms->ros", q, beside), _along(q, right)
+        beside = beside - jnp.einsum("rmo,ros->rms", q, along)
+        right = right - jnp.einsum("rmo,ro->rm", q, along_right)
+        tall = jnp.concatenate(
+            [jnp.concatenate(beside), jnp.diag(shared_prior), jnp.diag(shared_damping)]
+        )
+        q_shared, triangle_shared = jnp.linalg.qr(tall)
+        whole = jnp.concatenate([right.ravel(), right_shared, zero_shared])
+        shared = _solve(triangle_shared, q_shared.T @ whole)
+        left = along_right - jnp.einsum("ros,s->ro", along, shared)
+        return (shared, jax.vmap(_solve)(triangle, left)), lx.RESULTS.successful, {}
 
     def transpose(self, state, options: dict[str, Any]):
         raise NotImplementedError("rows of runs are solved for, their transpose never is")
@@ -70,6 +64,10 @@ class ArrowQR(lx.AbstractLinearSolver):
 
     def assume_full_rank(self) -> bool:
         return True
+
+
+def _solve(triangle: Float[Array, "n n"], right: Float[Array, " n"]) -> Array:
+    return jax.scipy.linalg.solve_triangular(triangle, right) if len(right) else right
 
 
 def _along(q: Float[Array, "runs rows own"], right: Float[Array, "runs rows"]) -> Array:

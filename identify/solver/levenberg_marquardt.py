@@ -304,7 +304,7 @@ def _step(problem: Problem, rows: Rows, coordinates: Coordinates, state):
 
 
 def _finite(values: Array) -> np.ndarray:
-    return np.isfinite(np.asarray(values)).all(axis=tuple(range(1, values.ndim)))
+    return np.asarray(jnp.isfinite(values).reshape(len(values), -1).all(axis=1))
 
 
 @eqx.filter_jit
