@@ -14,7 +14,7 @@ class Piece(Protocol):
 
     @property
     def path(self) -> Path:
-        """Where it lies."""
+        """Place of its file or folder."""
         ...
 
     @property

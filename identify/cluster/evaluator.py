@@ -6,6 +6,7 @@ call asks for no step again that it has made before.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -26,12 +27,23 @@ from identify.solver.problem import AbstractEvaluator, Problem
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# Places whose derivatives workers hold until the fit asks for all of them, or has gone on: the best
-# so far, and the last that was tried.
-PLACES_HELD = 2
 
-# Runs in a chunk, at most [-]: a task then lasts a second or so, and a lost one costs no more.
-MOST_RUNS = 16
+@dataclass(frozen=True)
+class EvaluatorSettings:
+    """Numbers of the division of the runs.
+
+    Attributes:
+        most_runs: Runs in a chunk, at most: a task then lasts a second or so, and a lost one costs
+            no more.
+        places_held: Places whose derivatives workers hold until the fit asks for all of them, or
+            has gone on: the best so far, and the last that was tried.
+    """
+
+    most_runs: int = 16
+    places_held: int = 2
+
+
+EVALUATOR_SETTINGS = EvaluatorSettings()
 
 
 class OnCluster(AbstractEvaluator):
@@ -42,8 +54,8 @@ class OnCluster(AbstractEvaluator):
         client: "Client",
         settings: FitOptions,
         store: WorkStore,
-        report: Callable[[int], None] = lambda workers: None,
         numbers: ClusterSettings = CLUSTER_SETTINGS,
+        division: EvaluatorSettings = EVALUATOR_SETTINGS,
     ):
         """Begin with a fit.
 
@@ -51,15 +63,15 @@ class OnCluster(AbstractEvaluator):
             client: Of the cluster.
             settings: Of the fit; its parameters are those of the problems.
             store: Where steps are kept.
-            report: Called with the number of workers.
-            numbers: Decision numbers.
+            numbers: Numbers of the work on a cluster.
+            division: Numbers of the division of the runs.
         """
         self._settings = settings.encoded()
         self._store = store
-        self._report = report
         self._numbers = numbers
-        kept = f"{store.path} keeps the steps that are done"
-        self._watch = ClusterWatch(client, lambda: kept, numbers)
+        self._division = division
+        self._kept = f"{store.path} keeps the steps that are done"
+        self._watch = ClusterWatch(client, lambda: self._kept, numbers)
         self._problem: Problem | None = None
         self._digest = ""
         self._chunks: list[tuple[np.ndarray, Future]] = []
@@ -83,10 +95,9 @@ class OnCluster(AbstractEvaluator):
         if digest not in self._store:
             wholes = self._submit("blocks", shared, own)
             self._held[place] = wholes
-            for old in list(self._held)[:-PLACES_HELD]:
+            for old in list(self._held)[: -self._division.places_held]:
                 del self._held[old]
-            submit = self._watch.client.submit
-            parts = self._gather([submit(condensed_rows, each, pure=False) for each in wholes])
+            parts = self._gather([self._call(condensed_rows, each) for each in wholes])
             kept = [self._all_runs(part, len(own)) for part in zip(*parts, strict=True)]
             values: dict[str, tuple[float | None, float | None]] = {
                 each.quantity.name: (float(each.bijector.value(at)), None)
@@ -113,7 +124,7 @@ class OnCluster(AbstractEvaluator):
         if not self._size:
             # Of one size for the whole fit: a program is compiled for it.
             share = -(-runs // (self._numbers.tasks_a_worker * max(1, self._watch.workers)))
-            self._size = min(share, MOST_RUNS)
+            self._size = min(share, self._division.most_runs)
         self._problem, self._held = problem, {}
         leaves = problem.batch.trials, problem.batch.observed, problem.noise
         kind = problem.batch.channels, problem.batch.trials.rows, problem.batch.trials.every
@@ -123,16 +134,19 @@ class OnCluster(AbstractEvaluator):
             # The last chunk is filled up by its last run.
             places = np.minimum(np.arange(first, first + self._size), runs - 1)
             sent = encode_chunk(problem, places.tolist())
-            self._chunks.append((places, self._watch.client.submit(pass_on, sent, pure=False)))
+            self._chunks.append((places, self._call(pass_on, sent)))
 
     def _submit(self, what: str, shared: Array, own: Array) -> list["Future"]:
         to_all, to_each = np.asarray(shared), np.asarray(own)
         return [
-            self._watch.client.submit(
-                evaluate_chunk, self._settings, sent, what, to_all, to_each[places], pure=False
-            )
+            self._call(evaluate_chunk, self._settings, sent, what, to_all, to_each[places])
             for places, sent in self._chunks
         ]
+
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> "Future":
+        with self._watch.errors():
+            # Not pure: a key of its own, whatever the scheduler was asked before.
+            return self._watch.client.submit(function, *arguments, pure=False)
 
     def _gather(self, tasks: list["Future"]) -> list[tuple[np.ndarray, ...]]:
         """Return what all chunks' tasks bring back."""
@@ -140,7 +154,6 @@ class OnCluster(AbstractEvaluator):
 
         while len(self._watch.ended(tasks, every=True)) < len(tasks):
             self._watch.count_workers()
-            self._report(self._watch.workers)
         try:
             with self._watch.errors():
                 found: Any = self._watch.client.gather(tasks)
@@ -149,6 +162,8 @@ class OnCluster(AbstractEvaluator):
                 f"every worker that simulated one of the chunks of {self._size} runs died; "
                 "memory is short, or one of the runs cannot be simulated"
             ) from None
+        except TimeoutError:
+            raise InputError(f"the cluster does not answer; {self._kept}") from None
         return found
 
     def _all_runs(self, parts: tuple[np.ndarray, ...], runs: int) -> np.ndarray:

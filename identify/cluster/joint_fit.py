@@ -1,7 +1,7 @@
 """Fit of many run logs together on a cluster: parameters shared by all, beside each run's own."""
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,6 @@ def fit_together_on(
     store: WorkStore,
     prepared: Report = _no_report,
     progress: Progress = _no_report,
-    counted: Callable[[int], None] = _no_report,
     numbers: ClusterSettings = CLUSTER_SETTINGS,
 ) -> FitResult:
     """Fit logs together, as `identify.fit_constant.fit` does in one process.
@@ -45,7 +44,6 @@ def fit_together_on(
         store: Where the solver's steps are kept; those that it has are not computed again.
         prepared: Called with the number of logs that are dealt with, and of workers.
         progress: Called with the stage of the fit, the solver's step and the sum of squares.
-        counted: Called with the number of workers.
         numbers: Decision numbers.
 
     Returns:
@@ -70,7 +68,7 @@ def fit_together_on(
         fit_parameters(settings.encoded()),
         progress,
         noise_model(settings.noise),
-        evaluator=OnCluster(client, settings, store, counted, numbers),
+        evaluator=OnCluster(client, settings, store, numbers),
     )
     return result.with_failures(failures)
 

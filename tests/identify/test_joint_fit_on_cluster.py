@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from drftjax.cluster.connection import LocalWorkers, connect
 from drftjax.cluster.pieces import LogFile
 from drftjax.cluster.store import FinishedWork, WorkStore
+from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_run, write_run
 from identify.cluster import evaluator
@@ -169,6 +171,36 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
         ours = document["shared"][label]
         assert ours["value"] == pytest.approx(value.value, rel=SAME)
         assert ours["error"] == pytest.approx(value.error, rel=SAME)
+
+
+def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
+    from distributed import Client, LocalCluster
+
+    started = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+
+    def prepared(done: int, workers: int) -> None:
+        if done == len(logs):
+            started.close()
+
+    with (
+        Client(started) as client,
+        store_at(tmp_path / "fit.store") as store,
+        pytest.raises(InputError, match="the cluster is lost"),
+    ):
+        fit_together_on(client, logs, SETTINGS, store, prepared)
+
+
+def test_runs_that_kill_their_workers_end_the_fit_with_one_sentence(client, tmp_path):
+    from distributed.scheduler import KilledWorker
+
+    def gather(tasks: object) -> None:
+        raise KilledWorker("task", None, 3)
+
+    with store_at(tmp_path / "fit.store") as store:
+        place = evaluator.OnCluster(client, SETTINGS, store)
+        place._watch.client = SimpleNamespace(gather=gather)  # pyright: ignore
+        with pytest.raises(InputError, match="every worker that simulated one of the chunks"):
+            place._gather([])
 
 
 def test_a_store_of_lone_fits_takes_no_fit_of_all_together(drft, folder, tmp_path):
