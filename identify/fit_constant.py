@@ -392,9 +392,9 @@ def _result(
         for parameter in problem.parameters:
             name = parameter.quantity.name
             parameter.quantity.record(setup, (shared | own)[name].value)
-        fitted = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
-        if isinstance(zeta := fitted.simulator.terrain.zeta, PhaseZeta):
-            setup.terrain.zeta = zeta.knots()
+        if isinstance(each.trial.simulator.terrain.zeta, PhaseZeta):
+            fitted = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
+            setup.terrain.zeta = fitted.simulator.terrain.zeta.knots()  # pyright: ignore
         length = len(each.observation.time)
         channels = each.observation.channels
         picked = [problem.batch.channels.index(channel) for channel in channels]

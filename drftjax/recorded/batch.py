@@ -141,10 +141,9 @@ def share_program(trial: Trial, other: Trial) -> bool:
     """True where one compiled program runs both: same kind of wheel, terrain, rig and method."""
 
     def kind(trial: Trial) -> tuple:
-        parts = jax.tree.leaves((trial.simulator, trial.start))
-        # The number of rows is part of the structure, but padded.
-        structure = jax.tree.structure(replace(trial, rows=1))
-        return structure, [each.shape for each in parts]
+        # The numbers of rows and of knots are padded.
+        leaves, structure = jax.tree.flatten((trial.simulator, trial.start))
+        return structure, trial.every, [each.shape for each in leaves]
 
     return kind(trial) == kind(other)
 

@@ -123,13 +123,7 @@ def _fit_together(
                 bar.update(task, description=f"{stage}: step {number}{squares}")
 
             result = fit_together_on(client, logs, settings, store, prepared, report)
-    named = {
-        name: why
-        if name not in logs or str(logs[name].path) in why
-        else f"{logs[name].path}: {why}"
-        for name, why in result.failures.items()
-    }
-    return add_required_speeds(replace(result, failures={**failures, **named}))
+    return add_required_speeds(result.with_failures(failures))
 
 
 def _fit_apart(
