@@ -31,7 +31,7 @@ from identify.solver.first_weights import MODEL_SHARES, with_model_shares
 from identify.solver.initial_zeta import zeta_from_mean_sinkage
 from identify.solver.levenberg_marquardt import Solution, solve
 from identify.solver.multistart import best_start, require_starts
-from identify.solver.problem import Coordinates, Problem, predict
+from identify.solver.problem import IN_PROCESS, AbstractEvaluator, Coordinates, Problem, predict
 from identify.solver.settings import (
     BATCHED_SETTINGS,
     MULTISTART_SETTINGS,
@@ -118,6 +118,7 @@ def fit(
     model_error: Mapping[str, float] = MODEL_ERROR,
     starts: int = 1,
     settings: FitSettings = FIT_SETTINGS,
+    evaluator: AbstractEvaluator = IN_PROCESS,
 ) -> FitResult:
     """Fit `parameters` to all runs together, by weighted least squares.
 
@@ -133,12 +134,15 @@ def fit(
             command, by channel [m, N, N m]; none where it is empty.
         starts: Starting points to try; the best is kept. See `identify.solver.multistart`.
         settings: Decision numbers.
+        evaluator: Place where the runs are simulated; the result's own methods use this process.
 
     Raises:
         InputError: where no run is left, or two have the same name.
     """
     runs = with_phases(runs, parameters) if has_phase_zeta(parameters) else list(runs)
-    problem, before, failures = _problem(runs, tuple(parameters), noise, settings.model_shares)
+    problem, before, failures = _problem(
+        runs, tuple(parameters), noise, settings.model_shares, evaluator
+    )
     kept = [each for each in runs if each.name not in failures]
     coordinates, summary = zeta_from_mean_sinkage(problem, problem.start()), None
     report = progress or (lambda stage, step, loss: None)
@@ -187,7 +191,10 @@ def fit(
         estimate = apply_priors(
             estimate, lambda s, size: report("fit with its priors", s, np.nan), settings.priors
         )
-    return replace(_result(estimate, before, failures, doubts, settings), starts=summary)
+    result = _result(estimate, before, failures, doubts, settings)
+    # What simulates the runs elsewhere may be gone when the result is asked for more.
+    kept = replace(estimate, problem=replace(estimate.problem, evaluator=IN_PROCESS))
+    return replace(result, starts=summary, estimate=kept)
 
 
 def _in_short_steps(
@@ -256,6 +263,7 @@ def _problem(
     parameters: tuple[Parameter, ...],
     noise: AbstractNoise = WHITE,
     model_shares: Mapping[str, float] = MODEL_SHARES,
+    evaluator: AbstractEvaluator = IN_PROCESS,
 ) -> tuple[Problem, np.ndarray, dict[str, str]]:
     """Return the problem of the runs that can be simulated at their own values.
 
@@ -274,7 +282,8 @@ def _problem(
             jax.device_count(),
         )
         white = noise.for_channels(len(batch.channels))
-        problem = Problem(batch, parameters, white, device_mesh(), _prior_scale(runs, batch))
+        scale = jnp.asarray(_prior_scale(runs, batch))
+        problem = Problem(batch, parameters, white, device_mesh(), scale, evaluator)
         before = predict(problem, problem.start())
         fine = [bool(np.isfinite(run).all()) for run in before[: len(runs)]]
         if all(fine):
@@ -390,9 +399,9 @@ def _result(
         for parameter in problem.parameters:
             name = parameter.quantity.name
             parameter.quantity.record(setup, (shared | own)[name].value)
-        fitted = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
-        if isinstance(zeta := fitted.simulator.terrain.zeta, PhaseZeta):
-            setup.terrain.zeta = zeta.knots()
+        if isinstance(each.trial.simulator.terrain.zeta, PhaseZeta):
+            fitted = problem.trial_at(each.trial, shared_coordinates, own_coordinates[index])
+            setup.terrain.zeta = fitted.simulator.terrain.zeta.knots()  # pyright: ignore
         length = len(each.observation.time)
         channels = each.observation.channels
         picked = [problem.batch.channels.index(channel) for channel in channels]

@@ -73,12 +73,16 @@ def make(
 
 
 ANSWER_EXAMPLES = """
-Example:
+Examples:
 
   drft blind answer out/blind -o out/answers.json --jobs 2
 
+  drft blind answer out/blind -o out/answers.json --cluster local:2
+
 Each answer is written as soon as it is found; with --resume, answers in the file are kept and only
-the other sets are diagnosed. Labels are never opened: the command works without them, too.
+the other sets are diagnosed. With --cluster, answers go into a file .store beside, and a set whose
+runs were answered before is not diagnosed again. Labels are never opened: the command works without
+them, too.
 """
 
 
@@ -88,36 +92,120 @@ def answer(
     output: Annotated[Path, typer.Option("-o", "--output", help="Write the answers here (JSON).")],
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     resume: Annotated[bool, typer.Option("--resume", help="Keep the answers in the file.")] = False,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Diagnose on a Dask cluster, 'local', 'local:N' or 'tcp://scheduler:port', and go "
+            "on where a killed call ended."
+        ),
+    ] = None,
 ) -> None:
     """Diagnose every set of a folder from its runs alone."""
-    from rich.progress import Progress
-
-    from diagnose.blind.answers.answer import answer_sets, configure, runs_of
+    from diagnose.blind.answers.answer import runs_of
     from diagnose.blind.answers.answer_file import read_raw_answers, write_answers
     from drftjax.common.output_files import require_places
     from drftjax.common.text import replace_unprintable
 
     if output.suffix.lower() != ".json":
         raise InputError(f"{output}: a file of answers must end in .json")
+    if cluster is not None and (jobs != 1 or resume):
+        raise InputError(
+            "--cluster has workers and a store of its own; leave --jobs and --resume out"
+        )
     answers = read_raw_answers(output) if resume and output.exists() else {}
     open_sets = {name: runs for name, runs in runs_of(folder).items() if name not in answers}
-    configure()
     require_places([output])
+    if cluster is None:
+        failures = _answer_here(open_sets, jobs, output, answers)
+    else:
+        failures = _answer_on_cluster(cluster, open_sets, output, answers)
+    for name, reason in sorted(failures.items()):
+        typer.echo(f"no answer to {replace_unprintable(name)}: {replace_unprintable(reason)}")
+    if not answers:
+        raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
+    if cluster is not None:
+        write_answers(output, answers)
+    typer.echo(f"{len(answers)} answers written to {output}")
+
+
+def _answer_here(
+    sets: dict[str, list[Path]], jobs: int, output: Path, answers: dict[str, dict]
+) -> dict[str, str]:
+    """Add answers found by processes of this machine; return why there is none, by set."""
+    from rich.progress import Progress
+
+    from diagnose.blind.answers.answer import answer_sets, configure
+    from diagnose.blind.answers.answer_file import write_answers
+
+    configure()
     failures: dict[str, str] = {}
     with Progress(transient=True) as bar:
-        task = bar.add_task("answering", total=len(open_sets))
-        for name, result in answer_sets(open_sets, jobs):
+        task = bar.add_task("answering", total=len(sets))
+        for name, result in answer_sets(sets, jobs):
             if isinstance(result, str):
                 failures[name] = result
             else:
                 answers[name] = result
                 write_answers(output, answers)
             bar.advance(task)
-    for name, reason in sorted(failures.items()):
-        typer.echo(f"no answer to {replace_unprintable(name)}: {replace_unprintable(reason)}")
-    if not answers:
-        raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
-    typer.echo(f"{len(answers)} answers written to {output}")
+    return failures
+
+
+def _answer_on_cluster(
+    address: str, sets: dict[str, list[Path]], output: Path, answers: dict[str, dict]
+) -> dict[str, str]:
+    """Add answers found on a cluster or kept in its store; return why there is none, by set."""
+    from rich.progress import Progress
+
+    from drftjax.cluster.connection import (
+        connect,
+        dashboard,
+        parse_address,
+        quiet_dask,
+        require_extra,
+    )
+    from drftjax.cluster.store import WorkStore
+
+    where = parse_address(address)
+    require_extra()
+    quiet_dask()
+    from diagnose.blind.answers.answer_on_cluster import (
+        ANSWER_STORE,
+        AnswerOptions,
+        SetFiles,
+        answer_on,
+        stored_answer,
+    )
+
+    failures: dict[str, str] = {}
+    files: dict[str, SetFiles] = {}
+    for name, runs in sets.items():
+        try:
+            files[name] = SetFiles.at(runs[0].parent)
+        except InputError as problem:
+            failures[name] = str(problem)
+    options = {"software": AnswerOptions().software}
+    with WorkStore(output.with_suffix(".store"), ANSWER_STORE, options) as store:
+        todo = {name: each for name, each in files.items() if each.digest not in store}
+        if len(todo) < len(files):
+            typer.echo(f"{store.path} has {len(files) - len(todo)} of these {len(sets)} sets")
+        why: dict[str, str] = {}
+        if todo:
+            with connect(where) as client, Progress(transient=True) as bar:
+                bar.console.print(f"dashboard: {dashboard(client)}", highlight=False)
+                task = bar.add_task("waiting for workers", total=len(todo))
+
+                def report(dealt_with: int, workers: int) -> None:
+                    text = f"answering on {workers} workers"
+                    bar.update(task, completed=dealt_with, description=text)
+
+                why = answer_on(client, todo, store, report)
+        for name, each in files.items():
+            if each.digest in store:
+                answers[name] = stored_answer(store, each.digest)
+            else:
+                failures[name] = why[each.digest]
+    return failures
 
 
 SCORE_EXAMPLES = """

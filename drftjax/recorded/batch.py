@@ -7,6 +7,7 @@ on each.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import equinox as eqx
@@ -106,7 +107,7 @@ def make_batch(
     nothing = 0 * recorded[0].weight, jnp.asarray(0), jnp.asarray(0)
     silent = eqx.tree_at(lambda o: (o.weight, o.compared_rows, o.all_rows), recorded[0], nothing)
     recorded += [silent] * padding
-    stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])  # noqa: E731
+    stack = lambda *leaves: jnp.asarray(np.stack([np.asarray(x) for x in leaves]))  # noqa: E731
     return Batch(
         jax.tree.map(stack, *padded),
         jax.tree.map(stack, *recorded),
@@ -140,8 +141,9 @@ def share_program(trial: Trial, other: Trial) -> bool:
     """True where one compiled program runs both: same kind of wheel, terrain, rig and method."""
 
     def kind(trial: Trial) -> tuple:
-        parts = jax.tree.leaves((trial.simulator, trial.start))
-        return jax.tree.structure(pad_trial(trial, 1, 1)), [each.shape for each in parts]
+        # The numbers of rows and of knots are padded.
+        leaves, structure = jax.tree.flatten((trial.simulator, trial.start))
+        return structure, trial.every, [each.shape for each in leaves]
 
     return kind(trial) == kind(other)
 
@@ -155,19 +157,12 @@ def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
         knots: Knots of the command, at least the trial's; added ones hold the last value.
     """
     missing = max(0, knots - len(trial.time))
-    later = trial.time[-1] + jnp.arange(1, missing + 1).astype(float)
-    hold = lambda values: jnp.concatenate([values, jnp.repeat(values[-1], missing)])  # noqa: E731
-    return Trial(
-        trial.simulator,
-        trial.start,
-        jnp.concatenate([trial.time, later]),
-        hold(trial.omega),
-        hold(trial.vx),
-        trial.step,
-        trial.every,
-        rows,
-        trial.parts,
-    )
+    # In NumPy: a program for every number of knots would take longer than all the padding.
+    time, omega, vx = (np.asarray(each) for each in (trial.time, trial.omega, trial.vx))
+    later = time[-1] + np.arange(1, missing + 1).astype(float)
+    hold = lambda values: jnp.asarray(np.pad(values, (0, missing), mode="edge"))  # noqa: E731
+    longer = jnp.asarray(np.concatenate([time, later]))
+    return replace(trial, time=longer, omega=hold(omega), vx=hold(vx), rows=rows)
 
 
 def _pad_observation(
@@ -189,7 +184,7 @@ def _pad_observation(
 
     def padded(values: np.ndarray, dtype: type = float, filling: float = 0) -> Array:
         width = [(0, 0)] * (values.ndim - 1) + [(0, extra)]
-        return jnp.asarray(np.pad(values, width, constant_values=filling), dtype)
+        return jnp.asarray(np.pad(values, width, constant_values=filling).astype(dtype))
 
     return PaddedObservations(
         padded(row, int),

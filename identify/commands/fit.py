@@ -28,6 +28,7 @@ Examples:
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
   drft fit runs/*.h5 --zeta path               zeta(t), as smooth as data ask
   drft fit runs/*.h5 --zeta path --share lambda   and lambda of all beside it
+  drft fit runs/*.h5 --share lambda --cluster local -o out/fit
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
   drft fit runs/*.h5 --posterior -o out/fit    Markov chains, out/fit.nc
   drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
@@ -114,8 +115,8 @@ def fit(
     cluster: Annotated[
         str | None,
         typer.Option(
-            help="Fit every run alone on a Dask cluster, 'local', 'local:N' or "
-            "'tcp://scheduler:port', and go on where a killed call ended."
+            help="Fit on a Dask cluster, 'local', 'local:N' or 'tcp://scheduler:port', and go on "
+            "where a killed call ended: every run alone, unless --share names a parameter."
         ),
     ] = None,
 ) -> None:
@@ -173,18 +174,18 @@ def fit(
             require_no_recording(each)
     noise = Autoregressive.name if autoregressive else White.name
     if cluster is not None:
-        from identify.cluster.worker import FitOptions, parameter_specs
+        from identify.cluster.fit_options import FitOptions, parameter_specs
         from identify.commands.fit_cluster import fit_on_cluster
 
         if zeta != "constant" or starts != 1 or profile or bootstrap or posterior or model:
             raise InputError(
-                "--cluster fits a constant zeta, each run alone and as its log has it; leave "
-                "--zeta, --starts, --profile, --bootstrap, --posterior and --model out"
+                "--cluster fits constant numbers to runs as their logs have them; leave --zeta, "
+                "--starts, --profile, --bootstrap, --posterior and --model out"
             )
-        alone = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
+        how = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
         kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
-        fit_on_cluster(cluster, named, alone, stem, left_out, [*runs, parameters])
+        fit_on_cluster(cluster, named, how, stem, left_out, [*runs, parameters])
         return
     seed = DRAWS_SEED if starts > 1 or bootstrap is not None or posterior else None
     made = command_provenance("fit", [*runs, parameters, model], seed)
@@ -306,7 +307,7 @@ def _fitted_parameters(
     Args:
         own, share, parameters: As for the command.
         path: True for a fit of zeta(t), with which nothing else is fitted by default.
-        apart: True where each run is fitted by itself, so that nothing is shared by default.
+        apart: True where nothing is shared by default.
 
     Raises:
         InputError: for options that contradict one another, or a parameter that cannot be.

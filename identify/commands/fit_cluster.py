@@ -1,6 +1,5 @@
-"""`drft fit --cluster`: many run logs, each fitted alone on a Dask cluster, into a store."""
+"""`drft fit --cluster`: many run logs fitted on a Dask cluster, alone or together, with a store."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,20 +16,21 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from drftjax.common.errors import InputError
-from drftjax.common.text import replace_unprintable
-from identify.cluster.scheduler import (
+from drftjax.cluster.connection import (
     LocalWorkers,
-    LogFile,
     RemoteScheduler,
     connect,
     dashboard,
-    fit_on,
     parse_address,
+    quiet_dask,
     require_extra,
 )
-from identify.cluster.store import FitStore
-from identify.cluster.worker import FitOptions
+from drftjax.cluster.pieces import LogFile
+from drftjax.cluster.store import WorkStore
+from drftjax.common.errors import InputError
+from drftjax.common.text import replace_unprintable
+from identify.cluster.fit_options import FIT_STORE, FitOptions
+from identify.cluster.lone_fits import fit_on
 
 if TYPE_CHECKING:
     from identify.results.result import FitResult
@@ -53,7 +53,9 @@ def fit_on_cluster(
     left_out: Mapping[str, str],
     inputs: Sequence[Path | None],
 ) -> None:
-    """Fit every run by itself, continue where a killed call ended, and write the usual results.
+    """Fit runs, continue where a killed call ended, and write the usual results.
+
+    Runs that share no parameter are fitted each by itself.
 
     Args:
         address: The cluster's.
@@ -64,7 +66,7 @@ def fit_on_cluster(
         inputs: Files and folders that the command was given.
 
     Raises:
-        InputError: see `fit_on`; also where no run can be fitted.
+        InputError: see `fit_on` and `fit_together_on`; also where no run can be fitted.
     """
     from drftjax.results.provenance import command_provenance
     from identify.results.result import write_with_figure
@@ -73,9 +75,7 @@ def fit_on_cluster(
     require_extra()
     if stem is None:
         raise InputError("--cluster keeps its results beside those of -o: give -o too")
-    # The count of workers shows a killed one; no pages of log from each process.
-    for name in ("distributed", "tornado"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    quiet_dask()
     console = Console()
     logs: dict[str, LogFile] = {}
     failures = dict(left_out)
@@ -84,28 +84,79 @@ def fit_on_cluster(
             logs[name] = LogFile.at(path)
         except InputError as problem:
             failures[name] = str(problem)
-    with FitStore(stem.with_name(stem.name + ".store"), settings.plain_values()) as store:
-        todo = [log for log in logs.values() if log.digest not in store]
-        if len(todo) < len(logs):
-            _say(console, f"{store.path} has {len(logs) - len(todo)} of these {len(runs)} runs")
-        why = _fit(console, where, todo, settings, store) if todo else {}
-        for name, log in logs.items():
-            if log.digest in why:
-                reason = why[log.digest]
-                failures[name] = reason if str(log.path) in reason else f"{log.path}: {reason}"
-        done = {name: log.digest for name, log in logs.items() if log.digest in store}
-        if not done:
-            raise InputError(
-                next(iter(failures.values()))
-                if len(failures) == 1
-                else f"none of the {len(runs)} files can be fitted: {next(iter(failures.values()))}"
-            )
-        result = _together({name: store.result(at) for name, at in done.items()}, done, failures)
+    with WorkStore(
+        stem.with_name(stem.name + ".store"), FIT_STORE, settings.plain_values()
+    ) as store:
+        together = any(each.shared for each in settings.parameters)
+        fit_them = _fit_together if together else _fit_apart
+        result = fit_them(console, where, logs, settings, store, failures)
     _show(console, result)
     # Not before the workers end: the parent's JAX would take an accelerator's memory from them.
     result = replace(result, provenance=command_provenance("fit", inputs))
     written = ", ".join(str(each) for each in write_with_figure(result, stem))
-    _say(console, f"written: {written}; {store.path} keeps every fit for a call that goes on")
+    what = "the solver's steps" if together else "every fit"
+    _say(console, f"written: {written}; {store.path} keeps {what} for a call that goes on")
+
+
+def _fit_together(
+    console: Console,
+    where: LocalWorkers | RemoteScheduler,
+    logs: Mapping[str, LogFile],
+    settings: FitOptions,
+    store: WorkStore,
+    failures: Mapping[str, str],
+) -> "FitResult":
+    from identify.cluster.joint_fit import fit_together_on
+    from identify.design.required_speed import add_required_speeds
+
+    if not logs:
+        raise InputError(_none(failures, len(failures)))
+    if len(store):
+        _say(console, f"{store.path} has {len(store)} steps of the solver, made before")
+    with connect(where) as client:
+        _say(console, f"dashboard: {dashboard(client)}")
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("waiting for workers", total=len(logs))
+
+            def prepared(dealt_with: int, workers: int) -> None:
+                text = f"preparing runs on {workers} workers"
+                bar.update(task, completed=dealt_with, description=text)
+
+            def report(stage: str, number: int, loss: float) -> None:
+                squares = "" if np.isnan(loss) else f", sum of squares {loss:.6g}"
+                bar.update(task, description=f"{stage}: step {number}{squares}")
+
+            result = fit_together_on(client, logs, settings, store, prepared, report)
+    return add_required_speeds(result.with_failures(failures))
+
+
+def _fit_apart(
+    console: Console,
+    where: LocalWorkers | RemoteScheduler,
+    logs: Mapping[str, LogFile],
+    settings: FitOptions,
+    store: WorkStore,
+    failures: Mapping[str, str],
+) -> "FitResult":
+    failures, files = dict(failures), len(logs) + len(failures)
+    todo = [log for log in logs.values() if log.digest not in store]
+    if len(todo) < len(logs):
+        _say(console, f"{store.path} has {len(logs) - len(todo)} of these {files} runs")
+    why = _fit(console, where, todo, settings, store) if todo else {}
+    for name, log in logs.items():
+        if log.digest in why:
+            reason = why[log.digest]
+            failures[name] = reason if str(log.path) in reason else f"{log.path}: {reason}"
+    done = {name: log.digest for name, log in logs.items() if log.digest in store}
+    if not done:
+        raise InputError(_none(failures, files))
+    return _together({name: store.result(at) for name, at in done.items()}, done, failures)
+
+
+def _none(failures: Mapping[str, str], files: int) -> str:
+    first = next(iter(failures.values()))
+    return first if files == 1 else f"none of the {files} files can be fitted: {first}"
 
 
 def _fit(
@@ -113,7 +164,7 @@ def _fit(
     where: LocalWorkers | RemoteScheduler,
     todo: Sequence[LogFile],
     settings: FitOptions,
-    store: FitStore,
+    store: WorkStore,
 ) -> dict[str, str]:
     columns = (
         TextColumn("{task.description}"),
@@ -178,6 +229,10 @@ def _show(console: Console, result: "FitResult") -> None:
     else:
         for line in _summary(result):
             _say(console, line)
+    for value in result.shared.values():
+        _say(console, str(value))
+    if result.shared and result.status not in WORST_LAST[:2]:
+        _say(console, f"the solver is {result.status} after {result.steps} steps", "yellow")
     left_out = [f"left out: {why}" for why in result.failures.values()]
     for lines, style in ((result.findings, None), (left_out, "yellow")):
         for line in lines[:MOST_SENTENCES]:

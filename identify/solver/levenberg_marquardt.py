@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from identify.solver.problem import Coordinates, Problem, normal_equations
+from identify.solver.arrow import ArrowQR, columns, gauss_newton_step
+from identify.solver.problem import Coordinates, Problem
 from identify.solver.settings import SOLVER_SETTINGS, SolverSettings
 
 
@@ -56,7 +56,10 @@ def solve(
     least_gain: float | None = None,
     settings: SolverSettings = SOLVER_SETTINGS,
 ) -> Solution:
-    """Minimise the sum of squared weighted residuals, a compiled step at a time.
+    """Minimise the sum of squared weighted residuals.
+
+    The problem simulates the runs, here or elsewhere, and gives rows and their derivatives; what a
+    step makes of these is compiled apart, so the steps are the same wherever the runs are.
 
     Args:
         problem: Batch and parameters.
@@ -75,24 +78,23 @@ def solve(
     failures = np.zeros(len(counted), int)
 
     def restarted() -> tuple:
-        task = problem, problem.on_all_devices(jnp.asarray(moving))
-        return task, _initial(task, coordinates), np.inf, np.full(len(counted), np.inf), 0
+        return _Ground(problem, moving), None, np.inf, np.full(len(counted), np.inf), 0
 
     coordinates, ahead, status, number = start, None, "out of steps", 0
     # Places at which runs were held for the others' sake.
     parted: list[Coordinates] = []
-    task, state, loss, each, rejected = restarted()
+    ground, state, loss, each, rejected = restarted()
     shortened = False
     for number in range(1, settings.max_steps + 1):
-        tried = state.y_eval
-        coordinates, state, now, each_now, each_next = _step(task, coordinates, state)
-        now, each_now = float(now), np.asarray(each_now)
+        tried = coordinates if state is None else state.y_eval
+        rows = ground.rows(tried)
+        coordinates, state, now, each_now, each_next = ground.step(rows, coordinates, state)
         report(number, now)
         if now < loss:
             if _gain(each, each_now, counted) <= least_gain:
                 status = "converged"
                 break
-            promised = _gain(each_now, np.asarray(each_next), counted)
+            promised = _gain(each_now, each_next, counted)
             move = _longest_move(coordinates, state.y_eval)
             if not shortened and promised <= least_gain and move <= settings.short_move:
                 # So short a step is taken by the linearisation, without a simulation.
@@ -102,9 +104,10 @@ def solve(
             continue
         # From here on steps are damped, and promise little because they are short.
         shortened = True
-        simulated, each_tried = map(np.asarray, _tried(task, tried))
+        simulated = _finite(rows[0])
+        each_tried = np.asarray(jnp.sum(rows[0] ** 2, axis=(1, 2)))
         if not all(np.isfinite(part).all() for part in state.y_eval):
-            simulated = simulated & np.asarray(_differentiated(task, coordinates))
+            simulated = simulated & _finite(ground.rows(coordinates)[1])
         failures = np.where(moving & ~simulated, failures + 1, 0)
         if failures.any():
             if failures.max() < settings.max_failures:
@@ -116,10 +119,10 @@ def solve(
             if rejected < settings.max_rejections:
                 continue
             least = least_gain * loss / max(counted[moving].sum(), 1)
-            nearer = _part_of_step(task, coordinates, state, loss - least, settings)
+            nearer = _part_of_step(ground, coordinates, state, loss - least, settings)
             if nearer is not None:
                 coordinates = nearer
-                task, state, loss, each, rejected = restarted()
+                ground, state, loss, each, rejected = restarted()
                 shortened = False
                 continue
             rough = moving & (each_tried > each)
@@ -134,17 +137,19 @@ def solve(
         if not moving.any():
             status = "stalled"
             break
-        task, state, loss, each, rejected = restarted()
+        ground, state, loss, each, rejected = restarted()
         shortened = False
     if (active != moving).any() or not np.isfinite(loss):
         # The solver has not been at this place with all these runs.
-        task = problem, problem.on_all_devices(jnp.asarray(active))
-        stands = [(at, *_step(task, at, _initial(task, at))[1:3]) for at in (coordinates, *parted)]
-        best = min(stands, key=lambda each: np.nan_to_num(float(each[2]), nan=np.inf))
+        ground = _Ground(problem, active)
+        stands = [
+            (at, *ground.step(ground.rows(at), at, None)[1:3]) for at in (coordinates, *parted)
+        ]
+        best = min(stands, key=lambda each: np.nan_to_num(each[2], nan=np.inf))
         if best is not stands[0]:
             ahead, status = None, "stalled"
         coordinates, state, _ = best
-    ends = _ending(coordinates, ahead or coordinates, state)
+    ends = ground.ending(coordinates, ahead or coordinates, state)
     residual, blocks, prior, prior_slope = map(np.asarray, ends)
     coordinates = ahead or coordinates
     predicted_gain, _ = _whole_step(problem, residual, blocks, prior, prior_slope)
@@ -181,24 +186,20 @@ def _whole_step(
     Returns:
         Share of the sum of squares [-], and the step of all coordinates, shape (coordinates,).
     """
-    information, slope = normal_equations(blocks, len(problem.shared), residual)
-    information += np.diag(prior_slope**2)
-    slope += prior_slope * prior
-    step = -np.linalg.lstsq(information, slope, rcond=None)[0]
-    whole = max(np.sum(residual**2), np.finfo(float).tiny)
-    return float(-slope @ step / whole), step
+    fall, step = gauss_newton_step(blocks, residual, prior, prior_slope, len(problem.shared))
+    return fall / max(float(np.sum(residual**2)), np.finfo(float).tiny), step
 
 
 def _part_of_step(
-    task: "Task", coordinates: Coordinates, state, under: float, settings: SolverSettings
+    ground: "_Ground", coordinates: Coordinates, state, under: float, settings: SolverSettings
 ) -> Coordinates | None:
     """Return a place along the whole step where the sum of squares is `under` so much.
 
     None where there is none, or the predicted gain is negligible.
     """
-    problem, _ = task
-    residual, blocks, prior, prior_slope = map(np.asarray, _ending(coordinates, coordinates, state))
-    predicted_gain, step = _whole_step(problem, residual, blocks, prior, prior_slope)
+    problem = ground.problem
+    ends = _ending(coordinates, coordinates, state)
+    predicted_gain, step = _whole_step(problem, *map(np.asarray, ends))
     if predicted_gain < settings.negligible:
         return None
     shared, own = coordinates
@@ -208,34 +209,91 @@ def _part_of_step(
             (shared + part * step[:number], own + part * step[number:].reshape(own.shape))
         )
         # Not finite, so not under, where a run cannot be simulated.
-        if float(_loss(task, there)) < under:
+        if ground.loss(there) < under:
             return there
     return None
 
 
-_SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=lx.QR())
+_SOLVER = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12, linear_solver=ArrowQR())
 
 
-# A problem, and which of its runs count.
-Task = tuple[Problem, Bool[Array, " runs"]]
+# A run's rows and their derivatives at one place, of the runs that count.
+Rows = tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]
 
 
-def _function(coordinates: Coordinates, task: Task) -> tuple[tuple[Array, ...], None]:
-    problem, _ = task
-    return (structured_residual(task, coordinates), *problem.prior_residuals(*coordinates)), None
+@dataclass(frozen=True)
+class _Ground:
+    """A problem, and which of its runs count."""
+
+    problem: Problem
+    counting: np.ndarray
+
+    def rows(self, at: Coordinates) -> Rows:
+        """Return rows and derivatives of the runs that count; zero for the others."""
+        return self._counted(self.problem.rows(*at))
+
+    def loss(self, at: Coordinates) -> float:
+        """Return the sum of squares of the runs that count, and of the priors."""
+        (residual,) = self._counted([self.problem.residual(*at)])
+        priors = self.problem.prior_residuals(*at)
+        return float(jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in priors))
+
+    def step(self, rows: Rows, coordinates: Coordinates, state) -> tuple:
+        """Take a step of the solver, from the rows at the place that its state names.
+
+        Args:
+            rows: There; at `coordinates` where there is no state yet.
+            coordinates: The best so far.
+            state: The solver's.
+
+        Returns:
+            The best coordinates, the state, the sum of squares there, that of each run, and that
+            of each run which the linearisation predicts after the next step.
+        """
+        if state is None:
+            state = _initial(self.problem, rows, coordinates)
+        coordinates, state, loss, *each = _step(self.problem, rows, coordinates, state)
+        return coordinates, state, float(loss), *map(np.asarray, each)
+
+    def ending(self, coordinates: Coordinates, ahead: Coordinates, state) -> tuple:
+        """Return `_ending`, with a row for each reading where the solver had fewer."""
+        residual, blocks, *priors = _ending(coordinates, ahead, state)
+        if residual.shape != self.problem.batch.observed.weight.shape:
+            here, blocks = self._counted(self.problem.blocks(*coordinates))
+            residual = here + _along(blocks, jax.tree.map(jnp.subtract, ahead, coordinates))
+        return residual, blocks, *priors
+
+    def _counted(self, parts):
+        """Return parts with a leading axis of runs, zero for those that do not count."""
+        return self.problem.on_all_devices(_of_counting(jnp.asarray(self.counting), tuple(parts)))
 
 
 @eqx.filter_jit
-def _initial(task: Task, start: Coordinates):
-    shape, nothing = jax.eval_shape(_function, start, task)
-    state = _SOLVER.init(_function, start, task, {}, shape, nothing, frozenset())
-    return task[0].on_all_devices(state)
+def _of_counting(counting: Bool[Array, " runs"], parts: tuple) -> tuple:
+    def of(values: Array) -> Array:
+        return jnp.where(counting.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
+
+    return tuple(of(jnp.asarray(each)) for each in parts)
+
+
+def _function(coordinates: Coordinates, at: tuple[Problem, Rows]) -> tuple[tuple, None]:
+    problem, rows = at
+    return (structured_residual(rows, coordinates), *problem.prior_residuals(*coordinates)), None
 
 
 @eqx.filter_jit
-def _step(task: Task, coordinates: Coordinates, state):
-    coordinates, state, _ = _SOLVER.step(_function, coordinates, task, {}, state, frozenset())
-    coordinates, state = task[0].on_all_devices((coordinates, state))
+def _initial(problem: Problem, rows: Rows, start: Coordinates):
+    at = problem, rows
+    shape, nothing = jax.eval_shape(_function, start, at)
+    state = _SOLVER.init(_function, start, at, {}, shape, nothing, frozenset())
+    return problem.on_all_devices(state)
+
+
+@eqx.filter_jit
+def _step(problem: Problem, rows: Rows, coordinates: Coordinates, state):
+    at = problem, rows
+    coordinates, state, _ = _SOLVER.step(_function, coordinates, at, {}, state, frozenset())
+    coordinates, state = problem.on_all_devices((coordinates, state))
     residual, *priors = state.f_info.residual
     each = jnp.sum(residual**2, axis=(1, 2))
     loss = each.sum() + sum(jnp.sum(part**2) for part in priors)
@@ -245,73 +303,42 @@ def _step(task: Task, coordinates: Coordinates, state):
     return coordinates, state, loss, each, jnp.sum((residual + predicted_gain) ** 2, axis=(1, 2))
 
 
-@eqx.filter_jit
-def _tried(task: Task, tried: Coordinates) -> tuple[Bool[Array, " runs"], Float[Array, " runs"]]:
-    """Return which runs can be simulated at `tried`, and each run's sum of squares there."""
-    residual = task[0].residual(*tried)
-    return _finite(residual), jnp.sum(residual**2, axis=(1, 2))
-
-
-@eqx.filter_jit
-def _loss(task: Task, at: Coordinates) -> Float[Array, ""]:
-    """Return the sum of squares of the runs that count, and of the priors."""
-    residual, *priors = _function(at, task)[0]
-    return jnp.sum(residual**2) + sum(jnp.sum(part**2) for part in priors)
-
-
-@eqx.filter_jit
-def _differentiated(task: Task, coordinates: Coordinates) -> Bool[Array, " runs"]:
-    """Return which runs can be differentiated at these coordinates."""
-    return _finite(task[0].blocks(*coordinates)[1])
-
-
-def _finite(values: Array) -> Bool[Array, " runs"]:
-    return jnp.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+def _finite(values: Array) -> np.ndarray:
+    return np.asarray(jnp.isfinite(values).reshape(len(values), -1).all(axis=1))
 
 
 @eqx.filter_jit
 def _ending(coordinates: Coordinates, ahead: Coordinates, state):
-    """Return residuals and derivatives, extrapolated linearly from the solver's place to `ahead`.
+    """Return rows and derivatives, extrapolated linearly from the solver's place to `ahead`.
 
     The solver's own linearisation is used; nothing is simulated.
     """
     info = state.f_info
-    shared, own = coordinates
-    runs, number = own.shape
-    units = [
-        *((unit, jnp.zeros_like(own)) for unit in jnp.eye(len(shared))),
-        *((jnp.zeros_like(shared), jnp.tile(unit, (runs, 1))) for unit in jnp.eye(number)),
-    ]
-    blocks = jnp.stack([info.jac.mv(unit)[0] for unit in units], axis=-1)
+    blocks, *slopes = columns(info.jac.mv, coordinates)
     step = jax.tree.map(jnp.subtract, ahead, coordinates)
     residual, *priors = jax.tree.map(jnp.add, info.residual, info.jac.mv(step))
-    # Each prior depends on one coordinate, so a single sweep gives every slope.
-    _, *slopes = info.jac.mv(jax.tree.map(jnp.ones_like, coordinates))
     flat = [jnp.concatenate([part.ravel() for part in parts]) for parts in (priors, slopes)]
     return residual, blocks, *flat
 
 
-def _counted(active: Bool[Array, " runs"], values: Array) -> Array:
-    """Return `values` of each run, zero for those that do not count."""
-    return jnp.where(active.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
+def _along(blocks: Array, step: Coordinates) -> Array:
+    """Return the change of each run's rows along a step of (shared, own) coordinates."""
+    shared, own = step
+    spread = jnp.broadcast_to(shared, (len(own), len(shared)))
+    return jnp.einsum("rcsp,rp->rcs", blocks, jnp.concatenate([spread, own], axis=1))
 
 
 @eqx.filter_custom_jvp
-def structured_residual(task: Task, coordinates: Coordinates) -> Array:
-    """Return `problem.residual` of the runs that count, its derivative made of one block a run.
+def structured_residual(rows: Rows, coordinates: Coordinates) -> Array:
+    """Return the rows at the place where they were evaluated, with their derivative there.
 
-    The blocks are computed once, however many directions the solver asks for.
+    The solver asks nowhere else; the derivative is made of one block a run.
     """
-    problem, active = task
-    return _counted(active, problem.residual(*coordinates))
+    del coordinates
+    return rows[0]
 
 
 @structured_residual.def_jvp
 def _structured_derivative(primals, tangents):
-    (problem, active), coordinates = primals
-    _, (shared_dot, own_dot) = tangents
-    residual, blocks = (_counted(active, part) for part in problem.blocks(*coordinates))
-    runs = residual.shape[0]
-    spread = jnp.broadcast_to(shared_dot, (runs, shared_dot.shape[0]))
-    along = jnp.concatenate([spread, own_dot], axis=1)
-    return residual, jnp.einsum("rcsp,rp->rcs", blocks, along)
+    (residual, blocks), _ = primals
+    return residual, _along(blocks, tangents[1])

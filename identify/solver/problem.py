@@ -1,5 +1,8 @@
 """Weighted residuals of a batch, their Jacobian and the normal equations."""
 
+import abc
+from dataclasses import dataclass
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,13 +17,55 @@ from identify.parameters.parameter import Parameter
 from identify.solver.abstract_noise import AbstractNoise
 
 
+class AbstractEvaluator(abc.ABC):
+    """Place where the runs of a problem are simulated; shapes as of the problem's methods."""
+
+    @abc.abstractmethod
+    def prediction(self, problem: "Problem", shared: Array, own: Array) -> Array:
+        """Return `problem.prediction`."""
+
+    @abc.abstractmethod
+    def residual(self, problem: "Problem", shared: Array, own: Array) -> Array:
+        """Return `problem.residual`."""
+
+    @abc.abstractmethod
+    def blocks(self, problem: "Problem", shared: Array, own: Array) -> tuple[Array, Array]:
+        """Return `problem.blocks`."""
+
+    @abc.abstractmethod
+    def rows(self, problem: "Problem", shared: Array, own: Array) -> tuple[Array, Array]:
+        """Return `problem.rows`."""
+
+
+@dataclass(frozen=True)
+class InProcess(AbstractEvaluator):
+    """This process, on all devices of the problem's mesh.
+
+    `prediction`, `residual` and `blocks` are compiled programs of their own, so that a program that
+    calls one of them does not trace the simulation again.
+    """
+
+    def prediction(self, problem: "Problem", shared: Array, own: Array) -> Array:
+        return _prediction(problem, shared, own)
+
+    def residual(self, problem: "Problem", shared: Array, own: Array) -> Array:
+        return _residual(problem, shared, own)
+
+    def blocks(self, problem: "Problem", shared: Array, own: Array) -> tuple[Array, Array]:
+        return _blocks(problem, shared, own)
+
+    def rows(self, problem: "Problem", shared: Array, own: Array) -> tuple[Array, Array]:
+        return _blocks(problem, shared, own)
+
+
+IN_PROCESS = InProcess()
+
+
 class Problem(eqx.Module):
     r"""Weighted residuals of a batch as a function of coordinates, with their exact derivative.
 
     The residual of a sample is (simulated - recorded) / noise, whitened by the noise model:
     $r(\theta, u_1, \dots, u_R)$ with shared coordinates $\theta$ and each run's own $u$.
-    `prediction`, `residual` and `blocks` are compiled programs of their own, so that a program that
-    calls one of them does not trace the simulation again.
 
     Attributes:
         batch: Trials and recordings, stacked.
@@ -29,6 +74,7 @@ class Problem(eqx.Module):
         mesh: Devices over which the runs are divided.
         prior_scale: Factor on the residuals of priors [-], less than one while the runs are
             weighted by less than their noise.
+        evaluator: Place where the runs are simulated.
     """
 
     batch: Batch
@@ -36,6 +82,7 @@ class Problem(eqx.Module):
     noise: AbstractNoise
     mesh: Mesh = eqx.field(static=True)
     prior_scale: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.0)
+    evaluator: AbstractEvaluator = eqx.field(static=True, default=IN_PROCESS)
 
     @property
     def shared(self) -> tuple[Parameter, ...]:
@@ -104,25 +151,18 @@ class Problem(eqx.Module):
         error = jnp.asarray(step_error(simulated, trials))
         return eqx.tree_at(lambda p: p.batch.observed.step_error, plain, error)
 
-    @eqx.filter_jit
     def prediction(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
         """Return the simulated channels at the recorded times [m, N, N m]."""
+        return self.evaluator.prediction(self, shared, own)
 
-        def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array) -> Array:
-            return self._predict_one(trial, observed, shared, own, observed.all_rows)
-
-        return self._over_runs(one, shared, own)
-
-    @eqx.filter_jit
     def residual(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> Float[Array, "runs channels samples"]:
         """Return the weighted, whitened residuals [-]; zero where nothing is compared."""
-        return self._over_runs(self._residual_one, shared, own)
+        return self.evaluator.residual(self, shared, own)
 
-    @eqx.filter_jit
     def blocks(
         self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
     ) -> tuple[Float[Array, "runs channels samples"], Float[Array, "runs channels samples all"]]:
@@ -131,18 +171,17 @@ class Problem(eqx.Module):
         No run depends on another run's own parameters: as many forward sweeps as one run has
         parameters give the whole Jacobian of any number of runs.
         """
+        return self.evaluator.blocks(self, shared, own)
 
-        def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array):
-            def joint(both: Array) -> tuple[Array, Array]:
-                residual = self._residual_one(
-                    trial, observed, both[: len(self.shared)], both[len(self.shared) :]
-                )
-                return residual, residual
+    def rows(
+        self, shared: Float[Array, " shared"], own: Float[Array, "runs own"]
+    ) -> tuple[Float[Array, "runs channels rows"], Float[Array, "runs channels rows all"]]:
+        """Return residuals and derivatives as the solver takes them.
 
-            derivative, residual = jax.jacfwd(joint, has_aux=True)(jnp.concatenate([shared, own]))
-            return residual, derivative
-
-        return self._over_runs(one, shared, own)
+        Their normal equations are those of `blocks`; where the runs are simulated elsewhere there
+        are only as many rows a run as these need.
+        """
+        return self.evaluator.rows(self, shared, own)
 
     def whiten(
         self, weighted: Float[Array, "channels samples"], observed: PaddedObservations
@@ -150,7 +189,7 @@ class Problem(eqx.Module):
         """Return one run's weighted residuals, whitened by the noise model."""
         return self.noise.whiten(weighted, sample_gaps(observed))
 
-    def _predict_one(
+    def predict_one(
         self,
         trial: Trial,
         observed: PaddedObservations,
@@ -158,17 +197,44 @@ class Problem(eqx.Module):
         own: Array,
         rows: Int[Array, ""],
     ) -> Array:
+        """Return one run's channels, simulated up to this row."""
         table = self.trial_at(trial, shared, own).run_to(rows, self.batch.channels)
         return between_rows(table, observed)
 
-    def _residual_one(
+    def residual_one(
         self, trial: Trial, observed: PaddedObservations, shared: Array, own: Array
     ) -> Array:
-        simulated = self._predict_one(trial, observed, shared, own, observed.compared_rows)
+        """Return one run's weighted, whitened residuals."""
+        simulated = self.predict_one(trial, observed, shared, own, observed.compared_rows)
         return self.whiten(observed.weight * (simulated - observed.values), observed)
 
-    def _over_runs(self, one, shared: Array, own: Array):
-        return map_over_runs(self.batch, self.mesh, one, shared, own)
+
+@eqx.filter_jit
+def _prediction(problem: Problem, shared: Array, own: Array) -> Array:
+    def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array) -> Array:
+        return problem.predict_one(trial, observed, shared, own, observed.all_rows)
+
+    return map_over_runs(problem.batch, problem.mesh, one, shared, own)
+
+
+@eqx.filter_jit
+def _residual(problem: Problem, shared: Array, own: Array) -> Array:
+    return map_over_runs(problem.batch, problem.mesh, problem.residual_one, shared, own)
+
+
+@eqx.filter_jit
+def _blocks(problem: Problem, shared: Array, own: Array) -> tuple[Array, Array]:
+    number = len(problem.shared)
+
+    def one(trial: Trial, observed: PaddedObservations, shared: Array, own: Array):
+        def joint(both: Array) -> tuple[Array, Array]:
+            residual = problem.residual_one(trial, observed, both[:number], both[number:])
+            return residual, residual
+
+        derivative, residual = jax.jacfwd(joint, has_aux=True)(jnp.concatenate([shared, own]))
+        return residual, derivative
+
+    return map_over_runs(problem.batch, problem.mesh, one, shared, own)
 
 
 Coordinates = tuple[Float[Array, " shared"], Float[Array, "runs own"]]

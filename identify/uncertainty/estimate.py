@@ -137,10 +137,13 @@ class Estimate:
     @property
     def slopes(self) -> np.ndarray:
         """Derivative of each value by its coordinate."""
-        at = jnp.asarray(self.flat)
-        return np.array(
-            [float(p.bijector.slope(at[k])) for k, (p, _) in enumerate(self.coordinate_parameters)]
-        )
+        shared, own = self.solution.coordinates
+        pairs = zip(self.problem.shared, shared, strict=True)
+        of_shared = [float(p.bijector.slope(at)) for p, at in pairs]
+        of_own = [
+            p.bijector.slope(own[: len(self.runs), k]) for k, p in enumerate(self.problem.own)
+        ]
+        return np.r_[np.array(of_shared), np.array(of_own).T.ravel()]
 
     @property
     def covariance_of_values(self) -> np.ndarray:

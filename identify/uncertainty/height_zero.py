@@ -4,6 +4,7 @@ A wheel that runs steadily is as deep in soft sand from the true zero as in firm
 one. Only where its depth changes, over a standstill or another slip, do the two differ.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -50,27 +51,26 @@ def height_zero_sentences(
         settings: Decision numbers.
     """
     problem = estimate.problem
-    if "z" not in problem.batch.channels or any(
-        each.quantity.name == "sinkage_offset.offset" for each in problem.parameters
-    ):
+    ordered = problem.shared + problem.own
+    zetas = [place for place, each in enumerate(ordered) if each.quantity.is_zeta]
+    fitted = [each.quantity.name for each in ordered]
+    if "z" not in problem.batch.channels or not zetas or "sinkage_offset.offset" in fitted:
         return []
-    error, shift = zero_of_height(estimate)
-    unseen = np.minimum(error, settings.believed)
+    error, shift = zero_of_height(estimate, zetas)
     told = np.sqrt(np.diag(estimate.covariance))
-    shares, number = [], 0
-    for place, (each, run) in enumerate(estimate.coordinate_parameters):
-        if not each.quantity.is_zeta:
-            continue
-        number += 1
-        runs = [run] if run is not None else [*range(len(estimate.runs))]
-        slopes = np.abs(shift[place, runs])
+    runs = np.arange(len(estimate.runs))
+    shares = []
+    for place, slopes in zip(zetas, np.abs(shift).T, strict=True):
+        at = place + estimate.own * runs if place >= estimate.shared else np.full(len(runs), place)
+        moved = slopes * np.minimum(error, settings.believed)
         # A zeta is positive: a change of its coordinate is a share of it.
-        if slopes @ unseen[runs] > max(settings.noticeable, settings.errors * told[place]):
-            shares.append(float(slopes.sum()))
+        off = moved > np.maximum(settings.noticeable, settings.errors * told[at])
+        shares += slopes[off].tolist()
     if not shares:
         return []
     unit, scale = SHOWN["z"]
     low, high = (f"{100 * each / scale:.2g}" for each in (min(shares), max(shares)))
+    number = len(zetas) * len(runs)
     of = f" of {len(shares)} of {number} runs" if len(shares) < number else ""
     return [
         f"zeta{of} cannot be told apart from the zero of the height: 1 {unit} of it is "
@@ -81,26 +81,32 @@ def height_zero_sentences(
 
 
 def zero_of_height(
-    estimate: Estimate,
-) -> tuple[Float[np.ndarray, " runs"], Float[np.ndarray, "coordinates runs"]]:
-    """Standard error of each run's zero, and the change of the coordinates with it.
+    estimate: Estimate, zetas: Sequence[int]
+) -> tuple[Float[np.ndarray, " runs"], Float[np.ndarray, "runs zetas"]]:
+    """Standard error of each run's zero, and the change of its zeta with it.
+
+    Every run by itself, as if a shared zeta were its own; other shared numbers are held, which
+    costs little: what hardly moves a run hardly moves its zero.
 
     Args:
         estimate: Of the fit.
+        zetas: Places of the zeta among a run's parameters: shared ones, then its own.
 
     Returns:
-        Errors [m]; and changes of all coordinates for one metre of each run's zero [1/m], all other
-        coordinates following.
+        Errors [m]; and changes of the coordinates of zeta for one metre of the zero [1/m], the
+        run's other coordinates following.
     """
+    own = range(estimate.shared, estimate.shared + estimate.own)
+    kept = [*(place for place in zetas if place < estimate.shared), *own]
     column = _derivative(estimate)[..., None]
-    blocks = np.concatenate([estimate.solution.blocks, column], axis=-1)
-    spread = covariance(blocks, estimate.whitening, estimate.shared, estimate.run_variance)
-    runs, own = len(estimate.runs), estimate.own + 1
-    zeros = estimate.shared + own * np.arange(runs) + estimate.own
-    padded = estimate.shared + own * np.arange(len(blocks)) + estimate.own
-    others = np.delete(np.arange(len(spread)), padded)[: len(estimate.coordinate_parameters)]
-    variance = np.diag(spread)[zeros]
-    return np.sqrt(variance), spread[np.ix_(others, zeros)] / variance
+    blocks = np.concatenate([estimate.solution.blocks[..., kept], column], axis=-1)
+    errors, shifts = [], []
+    for run in range(len(estimate.runs)):
+        whitening = estimate.whitening.of_run(run)
+        spread = covariance(blocks[run][None], whitening, len(kept) + 1)
+        errors.append(np.sqrt(spread[-1, -1]))
+        shifts.append(spread[[kept.index(place) for place in zetas], -1] / spread[-1, -1])
+    return np.array(errors), np.array(shifts)
 
 
 def _derivative(estimate: Estimate) -> Float[np.ndarray, "runs channels samples"]:

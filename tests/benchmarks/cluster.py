@@ -22,17 +22,14 @@ sys.path.append(str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from rich.progress import Progress
 
+from drftjax.cluster.connection import LocalWorkers, connect
+from drftjax.cluster.pieces import LogFile
+from drftjax.cluster.store import WorkStore
+from drftjax.cluster.worker_process import set_up_worker
+from identify.cluster.fit_options import FIT_STORE, FitOptions, ParameterSpec
+from identify.cluster.lone_fits import fit_on
 from identify.cluster.result_codec import decode_result, encode_result
-from identify.cluster.scheduler import LocalWorkers, LogFile, connect, fit_on
-from identify.cluster.store import FitStore
-from identify.cluster.worker import (
-    FitOptions,
-    FitReply,
-    ParameterSpec,
-    _set_up,
-    fit_logs,
-    fit_replies,
-)
+from identify.cluster.worker import FitReply, fit_logs, fit_replies
 
 # The step is the one that a fit takes by itself.
 SETTINGS = FitOptions((ParameterSpec("terrain.zeta", None, None, None),), step=5e-4)
@@ -70,7 +67,7 @@ def one_process(logs: Sequence[LogFile]) -> tuple[float, list[FitReply]]:
     return time.perf_counter() - begin, found
 
 
-def on_cluster(logs: Sequence[LogFile], workers: int, store: FitStore) -> tuple[float, float]:
+def on_cluster(logs: Sequence[LogFile], workers: int, store: WorkStore) -> tuple[float, float]:
     """Time of start and first fits, and of the rest [s]."""
     warming, rest = logs[: 4 * workers], logs[4 * workers :]
     begin = time.perf_counter()
@@ -128,13 +125,13 @@ def main() -> None:
     given.add_argument("--workers", type=int, default=os.cpu_count())
     options = given.parse_args()
     print(machine(), flush=True)
-    _set_up()
+    set_up_worker(SETTINGS.software)
     with tempfile.TemporaryDirectory() as folder:
         logs = write_logs(Path(folder), options.logs)
         some = logs[: options.one]
         alone, found = one_process(some)
         path = Path(folder) / "fit.store"
-        with FitStore(path, SETTINGS.plain_values()) as store:
+        with WorkStore(path, FIT_STORE, SETTINGS.plain_values()) as store:
             start, rest = on_cluster(logs, options.workers, store)
             everything = [
                 decode_result(store.result(log.digest)) for log in logs if log.digest in store

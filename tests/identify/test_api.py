@@ -206,6 +206,9 @@ class Toy(eqx.Module):
         left += 0.01 * ORTHOGONAL  # noise that neither number can follow
         return jnp.where(fine, left, jnp.nan)[:, None, :]
 
+    def rows(self, shared, own):
+        return self.blocks(shared, own)
+
     def blocks(self, shared, own):
         residual = self.residual(shared, own)
         ramp = jnp.arange(1.0, 4.0)

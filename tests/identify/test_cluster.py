@@ -14,28 +14,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drftjax.cluster import connection
+from drftjax.cluster.connection import (
+    ClusterSettings,
+    LocalWorkers,
+    RemoteScheduler,
+    connect,
+    parse_address,
+)
+from drftjax.cluster.pieces import LogFile
+from drftjax.cluster.store import FinishedWork, WorkStore
+from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import read_result, read_run, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA
-from identify.cluster import scheduler
-from identify.cluster.result_codec import SingleRunResult, decode_result
-from identify.cluster.scheduler import (
-    LocalWorkers,
-    LogFile,
-    RemoteScheduler,
-    connect,
-    fit_on,
-    parse_address,
-)
-from identify.cluster.store import FinishedFit, FitStore
-from identify.cluster.worker import (
+from identify.cluster.fit_options import (
+    FIT_STORE,
     FitOptions,
     ParameterSpec,
-    _parameters,
-    fit_logs,
-    fit_replies,
+    fit_parameters,
     parameter_specs,
 )
+from identify.cluster.lone_fits import fit_on
+from identify.cluster.result_codec import SingleRunResult, decode_result
+from identify.cluster.worker import fit_logs, fit_replies
 from identify.fit_constant import fit
 from identify.parameters.parameter import parameter
 from identify.results.result import FitResult
@@ -104,7 +106,7 @@ def check_same(result: SingleRunResult, other: FitResult) -> None:
 
 
 def test_cluster_finds_what_one_process_finds(client, logs, tmp_path):
-    with FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store:
+    with WorkStore(tmp_path / "fit.store", FIT_STORE, SETTINGS.plain_values()) as store:
         assert fit_on(client, logs, SETTINGS, store, silent) == {}
         assert len(store) == RUNS
         for log in logs[:4]:
@@ -127,8 +129,8 @@ def test_parameters_are_the_same_on_the_wire(tmp_path):
     ]
     settings = FitOptions(parameter_specs(given))
     # Two NaN are not equal, but read alike.
-    assert repr(_parameters(settings.encoded())) == repr(given)
-    assert _parameters(settings.encoded()) is _parameters(settings.encoded())
+    assert repr(fit_parameters(settings.encoded())) == repr(given)
+    assert fit_parameters(settings.encoded()) is fit_parameters(settings.encoded())
 
 
 def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
@@ -140,7 +142,7 @@ def test_a_killed_worker_loses_nothing(client, logs, tmp_path):
             killed.append(pids[0])
             os.kill(pids[0], signal.SIGKILL)
 
-    with FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store:
+    with WorkStore(tmp_path / "fit.store", FIT_STORE, SETTINGS.plain_values()) as store:
         assert fit_on(client, logs, SETTINGS, store, report) == {}
         assert killed
         assert {log.digest for log in logs if log.digest in store} == {log.digest for log in logs}
@@ -234,8 +236,8 @@ def test_addresses():
 
 
 def test_a_scheduler_that_does_not_answer_is_given_up(drft, folder, tmp_path, monkeypatch):
-    quick = scheduler.ClusterSettings(connect_limit=1.0)
-    monkeypatch.setattr(scheduler, "CLUSTER_SETTINGS", quick)
+    quick = ClusterSettings(connect_limit=1.0)
+    monkeypatch.setattr(connection, "CLUSTER_SETTINGS", quick)
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         arguments = "fit", folder / "run00.h5", "-o", tmp_path / "fit", "--cluster"
@@ -252,10 +254,10 @@ def test_without_workers_a_cluster_is_given_up(logs, tmp_path):
     with (
         LocalCluster(n_workers=0, dashboard_address=None) as empty,
         Client(empty) as client,
-        FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
-        pytest.raises(scheduler.InputError, match="no worker"),
+        WorkStore(tmp_path / "fit.store", FIT_STORE, SETTINGS.plain_values()) as store,
+        pytest.raises(InputError, match="no worker"),
     ):
-        fit_on(client, logs, SETTINGS, store, silent, scheduler.ClusterSettings(worker_limit=0.5))
+        fit_on(client, logs, SETTINGS, store, silent, ClusterSettings(worker_limit=0.5))
 
 
 def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
@@ -268,14 +270,14 @@ def test_a_lost_scheduler_is_one_sentence(logs, tmp_path):
 
     with (
         Client(started) as client,
-        FitStore(tmp_path / "fit.store", SETTINGS.plain_values()) as store,
-        pytest.raises(scheduler.InputError, match=r"the cluster is lost .* keeps the \d+ fits"),
+        WorkStore(tmp_path / "fit.store", FIT_STORE, SETTINGS.plain_values()) as store,
+        pytest.raises(InputError, match=r"the cluster is lost .* keeps the \d+ fits"),
     ):
         fit_on(client, logs, SETTINGS, store, report)
 
 
 def test_without_dask_the_extra_is_named(drft, folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(scheduler.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(connection.importlib.util, "find_spec", lambda name: None)
     answer = drft("fit", folder / "run00.h5", "--cluster", "local", "-o", tmp_path / "fit")
     assert "pip install '.[cluster]'" in answer.refusal
 
@@ -283,13 +285,13 @@ def test_without_dask_the_extra_is_named(drft, folder, tmp_path, monkeypatch):
 def test_what_has_no_meaning_on_a_cluster_is_refused(drft, folder, tmp_path):
     arguments = "fit", folder / "run00.h5", "--cluster", "local:1"
     assert "give -o" in drft(*arguments).refusal
-    answer = drft(*arguments, "--share", "lambda", "-o", tmp_path / "fit")
-    assert "lambda cannot be shared" in answer.refusal
+    answer = drft(*arguments, "--share", "lambda", "--starts", "2", "-o", tmp_path / "fit")
+    assert "leave --zeta, --starts" in answer.refusal
 
 
 def test_workers_of_another_version_are_refused(logs):
     other = FitOptions((ZETA,), software="0.0.0")
-    with pytest.raises(scheduler.InputError, match=r"must have 0\.0\.0"):
+    with pytest.raises(InputError, match=r"must have 0\.0\.0"):
         fit_logs(other.encoded(), [])
 
 
@@ -297,15 +299,15 @@ def test_workers_of_another_version_are_refused(logs):
 def store(tmp_path) -> Path:
     """A store of two fits."""
     path = tmp_path / "fit.store"
-    with FitStore(path, SETTINGS.plain_values()) as kept:
-        kept.append(FinishedFit(2 * name, "log.h5", {}, b"result") for name in "ab")
+    with WorkStore(path, FIT_STORE, SETTINGS.plain_values()) as kept:
+        kept.append(FinishedWork(2 * name, "log.h5", {}, b"result") for name in "ab")
     return path
 
 
 def refusal(path: Path, settings: FitOptions = SETTINGS) -> str:
     before = path.read_bytes()
-    with pytest.raises(scheduler.InputError) as refused:
-        FitStore(path, settings.plain_values())
+    with pytest.raises(InputError) as refused:
+        WorkStore(path, FIT_STORE, settings.plain_values())
     assert path.read_bytes() == before
     text = str(refused.value)
     assert str(path) in text
@@ -323,9 +325,9 @@ def test_a_store_of_before_noise_models_had_names_is_gone_on_with(tmp_path):
     path = tmp_path / "fit.store"
     plain = SETTINGS.plain_values()
     before = {name: value for name, value in plain.items() if name != "noise"}
-    with FitStore(path, before | {"autoregressive": True}) as kept:
-        kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
-    with FitStore(path, plain) as kept:
+    with WorkStore(path, FIT_STORE, before | {"autoregressive": True}) as kept:
+        kept.append([FinishedWork("aa", "log.h5", {}, b"result")])
+    with WorkStore(path, FIT_STORE, plain) as kept:
         assert "aa" in kept
     other = FitOptions((ZETA,), noise="white", step=STEP)
     assert "holds fits with noise" in refusal(path, other)
@@ -335,10 +337,10 @@ def test_a_store_without_fits_is_begun_anew_with_other_settings(tmp_path):
     path = tmp_path / "fit.store"
     other = FitOptions((ZETA,), step=2e-3)
     for settings in (SETTINGS, other):
-        with FitStore(path, settings.plain_values()) as kept:
+        with WorkStore(path, FIT_STORE, settings.plain_values()) as kept:
             assert len(kept) == 0
-    with FitStore(path, other.plain_values()) as kept:
-        kept.append([FinishedFit("aa", "log.h5", {}, b"result")])
+    with WorkStore(path, FIT_STORE, other.plain_values()) as kept:
+        kept.append([FinishedWork("aa", "log.h5", {}, b"result")])
     assert "holds fits with" in refusal(path)
 
 
@@ -355,10 +357,10 @@ def test_a_store_cut_anywhere_goes_on(store):
     whole = store.read_bytes()
     for length in range(len(whole)):
         store.write_bytes(whole[:length])
-        with FitStore(store, SETTINGS.plain_values()) as kept:
+        with WorkStore(store, FIT_STORE, SETTINGS.plain_values()) as kept:
             assert len(kept) == max(0, whole[:length].count(b"\n") - 1)
-            kept.append([FinishedFit("bb", "log.h5", {}, b"result")])
-        with FitStore(store, SETTINGS.plain_values()) as kept:
+            kept.append([FinishedWork("bb", "log.h5", {}, b"result")])
+        with WorkStore(store, FIT_STORE, SETTINGS.plain_values()) as kept:
             assert "bb" in kept
             assert kept.result("bb") == b"result"
 
@@ -370,12 +372,12 @@ def test_a_file_that_is_no_store_is_left_alone(tmp_path):
         assert "no store" in refusal(path)
     path.unlink()
     path.mkdir()
-    with pytest.raises(scheduler.InputError, match="ordinary file"):
-        FitStore(path, {})
+    with pytest.raises(InputError, match="ordinary file"):
+        WorkStore(path, FIT_STORE, {})
 
 
 def test_a_store_in_use_is_refused(store):
-    with FitStore(store, SETTINGS.plain_values()):
+    with WorkStore(store, FIT_STORE, SETTINGS.plain_values()):
         assert "in use" in refusal(store)
 
 
@@ -388,13 +390,13 @@ def test_an_interrupt_reaches_no_process_begun_for_the_cluster():
             [sys.executable, "-c", asked], capture_output=True, text=True, check=True
         ).stdout.strip()
 
-    with scheduler._without_interrupts():
+    with connection._without_interrupts():
         begun = held()
     assert (begun, held()) == ("True", "False")
     # A shell has what it runs in the background ignore the signal.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with pytest.raises(KeyboardInterrupt), scheduler._without_interrupts():
+        with pytest.raises(KeyboardInterrupt), connection._without_interrupts():
             # What came meanwhile is not lost.
             signal.raise_signal(signal.SIGINT)
     finally:

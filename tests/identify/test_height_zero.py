@@ -78,7 +78,7 @@ def test_the_share_told_is_what_another_fit_finds(steady):
     moved = 1e-4
     here, there = fitted(off_by(steady, -moved)), fitted(off_by(steady, moved))
     change = np.log([each.runs[0].values[ZETA].value for each in (here, there)])
-    error, shift = zero_of_height(fitted(steady).estimate)
+    error, shift = zero_of_height(fitted(steady).estimate, [0])
     # A reading that is raised needs a firmer sand, and a zero that is raised a softer one.
     assert -shift[0, 0] == pytest.approx((change[1] - change[0]) / (2 * moved), rel=CURVED)
     assert error[0] > OFF
@@ -87,7 +87,7 @@ def test_the_share_told_is_what_another_fit_finds(steady):
 def test_a_run_that_stands_first_tells_its_zero(standing):
     plain = fitted(standing)
     assert not any("zero of the height" in line for line in plain.findings)
-    error, _ = zero_of_height(plain.estimate)
+    error, _ = zero_of_height(plain.estimate, [0])
     assert error[0] < 1e-3
     found = fitted(off_by(standing, -1e-3), "zeta", ZERO).runs[0].values
     assert abs(found[ZERO].value + 1e-3) < ERRORS * found[ZERO].error

@@ -37,7 +37,7 @@ OTHER_FILES = {
 OURS_WORKS = (
     "import drftjax, sys\n"
     "assert drftjax.fit.__module__ == 'identify.api', drftjax.fit\n"
-    "import identify.cluster.worker, identify.cluster.scheduler\n"
+    "import identify.cluster.worker, identify.cluster.evaluator\n"
     "print(drftjax.__file__, identify.cluster.__path__[0], sep='\\n')\n"
 )
 OTHER_WORKS = (
