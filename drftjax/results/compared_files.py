@@ -10,6 +10,7 @@ import msgspec
 
 from drftjax import __version__
 from drftjax.common.errors import InputError
+from drftjax.common.text import value_with_error
 from drftjax.results.agreement import Agreement, agreement
 from drftjax.results.provenance import Provenance, encodable, read_result_document
 from drftjax.runlog.files import HDF5_ENDINGS, digest_of
@@ -75,7 +76,9 @@ class FileValue:
     def __str__(self) -> str:
         if self.at_bound:
             return f"{self.value:.5g}, at a bound"
-        told = f"{self.value:.5g} ± {self.error:.2g}" if self.counts else f"{self.value:.5g}"
+        told = f"{self.value:.5g}"
+        if self.counts and self.error is not None:
+            told = value_with_error(self.value, self.error)
         if self.runs is None or self.runs == 1:
             return told
         scatter = "" if self.scatter is None else f", scatter {self.scatter:.2g}"

@@ -114,7 +114,7 @@ def test_chi_square_is_that_of_the_algebra(drft, three):
     squares = (1 / 3) ** 2 + (1 / 6) ** 2 + (2 / 3) ** 2 / 4
     assert second["agreement"]["chi_square"] == pytest.approx(squares, rel=ROUNDING)
     assert second["agreement"]["chance"] == pytest.approx(chi2.sf(squares, 2), rel=ROUNDING)
-    assert "lambda disagrees: 10 ± 1 in " in out
+    assert "lambda disagrees: 10.0 ± 1.0 in " in out
     assert "lie 4.2 errors apart; over the files it scatters by 3 times what the errors" in out
     assert "mass_z agrees within its errors." in out
     assert "No run log is in two of them." in out
@@ -157,7 +157,7 @@ def test_own_values_are_compared_by_their_mean(drft, tmp_path):
     assert (second["value"], second["error"], second["runs"]) == (9.0, 1.0, 1)
     assert zeta["agreement"]["chi_square"] == pytest.approx(49 / 2)
     assert "Record one run twice, with the sand prepared anew, since zeta disagrees most" in out
-    assert "2 ± 1 (mean of 2, scatter 1)" in out
+    assert "2.0 ± 1.0 (mean of 2, scatter 1)" in out
 
 
 def test_values_at_bounds_and_without_errors_are_shown_and_not_compared(drft, tmp_path):
@@ -279,7 +279,7 @@ def test_diagnoses_that_differ(drft, tmp_path):
     assert document["weights"] == {"none": [0.06, 0.9, 0.06], "drawbar": [0.9, None, 0.9]}
     assert f"{one} names drawbar; {other} names the reference model; {more} names drawbar." in out
     assert f"The runs of {other} cannot tell drawbar from what it names" in out
-    assert "drawbar.force disagrees: 10 ± 1 N in" in out
+    assert "drawbar.force disagrees: 10.0 ± 1.0 N in" in out
     assert "lie 7.1 errors apart" in out
     sentence = (
         "To tell drawbar from the reference model: run at twice the speed, where x differs by 3 mm "
