@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from drftjax.commands.options import CommandGroup
+from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 
 app = typer.Typer(
@@ -57,7 +58,7 @@ def make(
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Make sets of runs of rigs with a hidden fault, or none, and seal their labels."""
-    from rich.progress import Progress
+    from rich.console import Console
 
     from drftjax.common.jax_config import configure_jax
 
@@ -65,10 +66,9 @@ def make(
     from diagnose.blind.generation.generate import GenerationRequest, make_sets
 
     request = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong)
-    with Progress(transient=True) as bar:
-        task = bar.add_task("making sets", total=sets)
-        for _ in make_sets(request, jobs):
-            bar.advance(task)
+    with progress_line(Console(), "making sets", total=sets) as show:
+        for number, _ in enumerate(make_sets(request, jobs), start=1):
+            show("making sets", number)
     typer.echo(f"{sets} sets written to {folder}; their labels are sealed")
 
 
@@ -132,22 +132,21 @@ def _answer_here(
     sets: dict[str, list[Path]], jobs: int, output: Path, answers: dict[str, dict]
 ) -> dict[str, str]:
     """Add answers found by processes of this machine; return why there is none, by set."""
-    from rich.progress import Progress
+    from rich.console import Console
 
     from diagnose.blind.answers.answer import answer_sets, configure
     from diagnose.blind.answers.answer_file import write_answers
 
     configure()
     failures: dict[str, str] = {}
-    with Progress(transient=True) as bar:
-        task = bar.add_task("answering", total=len(sets))
-        for name, result in answer_sets(sets, jobs):
+    with progress_line(Console(), "answering", total=len(sets)) as show:
+        for number, (name, result) in enumerate(answer_sets(sets, jobs), start=1):
             if isinstance(result, str):
                 failures[name] = result
             else:
                 answers[name] = result
                 write_answers(output, answers)
-            bar.advance(task)
+            show("answering", number)
     return failures
 
 
@@ -155,7 +154,7 @@ def _answer_on_cluster(
     address: str, sets: dict[str, list[Path]], output: Path, answers: dict[str, dict]
 ) -> dict[str, str]:
     """Add answers found on a cluster or kept in its store; return why there is none, by set."""
-    from rich.progress import Progress
+    from rich.console import Console
 
     from drftjax.cluster.connection import (
         connect,
@@ -191,15 +190,14 @@ def _answer_on_cluster(
             typer.echo(f"{store.path} has {len(files) - len(todo)} of these {len(sets)} sets")
         why: dict[str, str] = {}
         if todo:
-            with connect(where) as client, Progress(transient=True) as bar:
-                bar.console.print(f"dashboard: {dashboard(client)}", highlight=False)
-                task = bar.add_task("waiting for workers", total=len(todo))
+            with connect(where) as client:
+                typer.echo(f"dashboard: {dashboard(client)}")
+                with progress_line(Console(), "waiting for workers", total=len(todo)) as show:
 
-                def report(dealt_with: int, workers: int) -> None:
-                    text = f"answering on {workers} workers"
-                    bar.update(task, completed=dealt_with, description=text)
+                    def report(dealt_with: int, workers: int) -> None:
+                        show(f"answering on {workers} workers", dealt_with)
 
-                why = answer_on(client, todo, store, report)
+                    why = answer_on(client, todo, store, report)
         for name, each in files.items():
             if each.digest in store:
                 answers[name] = stored_answer(store, each.digest)

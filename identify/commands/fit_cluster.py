@@ -7,14 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from drftjax.cluster.connection import (
     LocalWorkers,
@@ -27,6 +19,7 @@ from drftjax.cluster.connection import (
 )
 from drftjax.cluster.pieces import LogFile
 from drftjax.cluster.store import WorkStore
+from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
 from identify.cluster.fit_options import FIT_STORE, FitOptions
@@ -115,17 +108,14 @@ def _fit_together(
         _say(console, f"{store.path} has {len(store)} steps of the solver, made before")
     with connect(where) as client:
         _say(console, f"dashboard: {dashboard(client)}")
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task("waiting for workers", total=len(logs))
+        with progress_line(console, "waiting for workers", total=len(logs)) as show:
 
             def prepared(dealt_with: int, workers: int) -> None:
-                text = f"preparing runs on {workers} workers"
-                bar.update(task, completed=dealt_with, description=text)
+                show(f"preparing runs on {workers} workers", dealt_with)
 
             def report(stage: str, number: int, loss: float) -> None:
                 squares = "" if np.isnan(loss) else f", sum of squares {loss:.6g}"
-                bar.update(task, description=f"{stage}: step {number}{squares}")
+                show(f"{stage}: step {number}{squares}")
 
             result = fit_together_on(client, logs, settings, store, prepared, report)
     return add_required_speeds(result.with_failures(failures))
@@ -166,20 +156,13 @@ def _fit(
     settings: FitOptions,
     store: WorkStore,
 ) -> dict[str, str]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     with connect(where) as client:
         _say(console, f"dashboard: {dashboard(client)}")
-        with Progress(*columns, console=console) as bar:
-            task = bar.add_task("waiting for workers", total=len({log.digest for log in todo}))
+        number = len({log.digest for log in todo})
+        with progress_line(console, "waiting for workers", total=number) as show:
 
             def report(dealt_with: int, workers: int) -> None:
-                bar.update(task, completed=dealt_with, description=f"fits on {workers} workers")
+                show(f"fits on {workers} workers", dealt_with)
 
             return fit_on(client, todo, settings, store, report)
 

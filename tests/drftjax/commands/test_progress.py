@@ -30,3 +30,11 @@ def test_a_log_gets_a_line_with_the_stage_from_time_to_time(capsys):
 def test_a_terminal_and_a_quiet_command_get_no_lines(capsys):
     assert not told(capsys, terminal=True)
     assert not told(capsys, quiet=True)
+
+
+def test_pieces_that_are_done_stand_in_the_line(capsys):
+    with progress_line(Console(file=io.StringIO()), "fits", total=7, interval=0.05) as show:
+        show("fits on 2 workers", 3)
+        show("fits on 1 worker")
+        time.sleep(0.1)
+    assert capsys.readouterr().err.splitlines()[-1] == "fits on 1 worker: 3 of 7 (0 s)"
