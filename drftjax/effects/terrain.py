@@ -29,7 +29,8 @@ Pair = Float[Array, "2"]
 PARTING = 0.01
 
 
-# Regulariser: speed [m/s] over which a heap comes to stand ahead of the wheel.
+# Regulariser: speed [m/s] over which a heap comes to stand ahead of the wheel, and below which a
+# slip ratio fades.
 CREEP = 1e-3
 
 
@@ -74,6 +75,25 @@ class SlipSoftening(MemorylessZetaFactor):
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip())
         return 1 - self.loss * slip / (slip + self.half)
+
+
+class SlipRatioSoftening(MemorylessZetaFactor):
+    """zeta is lower the larger the slip ratio, at any speed."""
+
+    about: ClassVar = EffectInfo(
+        "slip_ratio_softening",
+        "terrain",
+        "ζ = ζ (1 - loss i), i = |r ω - v_x| / max(|r ω|, |v_x|)",
+        "zeta is lower the larger the slip ratio, at any speed",
+        form_of="slip_softening",
+        hypothesis=False,
+    )
+    loss: Number = strength("-", 0.1, "share of zeta lost on the spot", least=0.0, most=1.0)
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        rim, speed = jnp.abs(moment.radius * moment.omega), jnp.abs(moment.velocity[0])
+        slip = jnp.abs(moment.rim_slip()) / jnp.maximum(jnp.maximum(rim, speed), CREEP)
+        return 1 - self.loss * slip
 
 
 class TerrainVariation(MemorylessZetaFactor):
@@ -179,4 +199,12 @@ class Heap(MemorylessLoad, AbstractSandLoad):
         return size * jnp.stack([-self.resistance * way, self.lift * way**2])
 
 
-TERRAIN = (Loosening, SlipSoftening, TerrainVariation, TerrainWave, Bulldozing, Heap)
+TERRAIN = (
+    Loosening,
+    SlipSoftening,
+    SlipRatioSoftening,
+    TerrainVariation,
+    TerrainWave,
+    Bulldozing,
+    Heap,
+)

@@ -54,7 +54,7 @@ def test_effects_that_carriage_or_channels_cannot_show_are_no_candidates():
 
 
 def test_effects_that_no_blind_test_has_measured_are_looked_for_where_they_are_named():
-    new = ["vertical_compliance", "grouser_shadowing", "slip_sinkage", "heap"]
+    new = ["vertical_compliance", "grouser_shadowing", "slip_sinkage", "heap", "depth_power"]
     free = [coarse("free", recorded(setup_of((TIME, OMEGA))))]
     assert not names(free) & set(new)
     assert [each.about.name for each in possible_effects(free, effects_among(new))] == new

@@ -230,6 +230,26 @@ def test_slip_sinkage_settles_at_an_even_slip_and_digs_on_where_the_wheel_spins(
     assert spinning == pytest.approx(surface("excavation", 0.0, omega, 2.0, rate=rate), rel=CLOSE)
 
 
+def test_slip_ratio_softening_takes_its_share_of_a_slip_ratio_at_any_speed():
+    effect = KNOWN["slip_ratio_softening"](loss=0.2)
+    for scale in (0.2, 1.0, -5.0):
+        for vx, slip in ((0.6, 0.4), (1.0, 0.0), (1.25, 0.2), (0.0, 1.0)):
+            now = moment(vx * RADIUS * scale, scale, DT)
+            assert float(effect.factor(now, ())) == pytest.approx(1 - 0.2 * slip, rel=CLOSE)
+
+
+def test_stress_as_a_power_of_depth_is_a_straight_line_in_logarithms_and_as_before_at_20_mm():
+    excess, bare = -0.3, simulator(RIM)
+    power = replace(bare, effects=(KNOWN["depth_power"](excess=excess),))
+    at = jnp.array([0.0, -0.03]), jnp.array([0.0, -1e-2]), jnp.zeros(()), jnp.zeros(())
+    plain, changed = (sim.plate_load(*at, jnp.ones(())) for sim in (bare, power))
+    deep = np.asarray(plain.motion.depth) > 1e-4
+    ratio = np.asarray(changed.stress_z)[deep] / np.asarray(plain.stress_z)[deep]
+    depth = np.asarray(plain.motion.depth)[deep] / 0.02
+    line = np.polyfit(np.log(depth), np.log(ratio), 1)
+    np.testing.assert_allclose(line, [excess, 0.0], rtol=0, atol=CLOSE)
+
+
 def test_slip_sinkage_lowers_a_wheel_by_what_its_slip_digs():
     output = ran(False, slip_sinkage={"rate": 0.05, "length": 0.1})
     slip = last_turn(plain(False).slip)
