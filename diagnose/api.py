@@ -185,18 +185,22 @@ def _require_null(runs: Sequence[PreparedRun], effects: Sequence[type[AbstractEf
             )
 
 
-def _possible(
+def possible_effects(
     runs: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
 ) -> tuple[type[AbstractEffect], ...]:
-    """Effects that the rig of these runs can have: a smooth wheel has no grousers to be shorter.
+    """Effects that the rig can have and the compared channels can show.
+
+    A smooth wheel has no grousers to be shorter, and a torque that nobody read is not read wrongly.
 
     Raises:
         InputError: where none is left.
     """
     bare = runs[0].trial.simulator
+    compared = tuple(dict.fromkeys(name for each in runs for name in each.observation.channels))
 
     def refusal(effect: type[AbstractEffect]) -> str:
         try:
+            effect.about.require_shown(compared)
             dataclasses.replace(bare, effects=(effect(),)).check()
         except InputError as problem:
             return str(problem)
@@ -204,7 +208,7 @@ def _possible(
 
     refusals = [refusal(each) for each in effects]
     if all(refusals):
-        raise InputError(f"this rig can have none of the effects: {refusals[0]}")
+        raise InputError(f"these runs can show none of the effects: {refusals[0]}")
     return tuple(each for each, why in zip(effects, refusals, strict=True) if not why)
 
 
@@ -219,7 +223,8 @@ def diagnose_gathered(
 
     Args:
         gathered: Runs of one wheel, and why others are not among them.
-        effects: Effects to choose from; those that the wheel or the law cannot have are left out.
+        effects: Effects to choose from; those that the wheel, the law or the carriage cannot have
+            and those that no compared channel can show are left out.
         report: Called with what is done next.
         tell: Called with a sentence for every run that is left out here.
         settings: Numbers by which the diagnosis decides.
@@ -228,7 +233,7 @@ def diagnose_gathered(
         InputError: where no run can be followed, or the rig can have none of the effects.
     """
     kept, notes = gathered.runs, list(gathered.skipped.values())
-    effects = _possible(kept, effects)
+    effects = possible_effects(kept, effects)
     _require_null(kept, effects)
     while True:
         try:

@@ -127,7 +127,8 @@ def _along(
         readings = sensitivity.readings.at[:, read].set(
             _readings(effect, linearized, node)[:, read]
         )
-        start = linearized.motion[0].at[:2].set(effect.started(linearized.motion[0, :2]))
+        weight = -trial.simulator.rig.load(jnp.zeros(2))[1]
+        start = linearized.motion[0].at[:2].set(effect.started(linearized.motion[0, :2], weight))
         sensitivity = replace(sensitivity, readings=readings, start=start[None])
     return sensitivity
 

@@ -8,7 +8,7 @@ form and matter only where a strength is not zero. An effect with a memory keeps
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
@@ -17,6 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from drftjax.common.arrays import as_real
+from drftjax.common.errors import InputError
+from drftjax.physics.rig import Rig
 from drftjax.physics.stress import PlateMotion
 from drftjax.physics.terrain import Terrain
 from drftjax.physics.wheel import AbstractWheel, Plates
@@ -39,7 +41,10 @@ class EffectInfo:
         form_of: Name of the effect that this is another form of, under which a diagnosis reports
             it; empty for most.
         hypothesis: False for an effect that set-ups and fits may have, and that a diagnosis looks
-            for only where it is named: it moves most runs as another zeta does.
+            for only where it is named: it moves most runs as another zeta does, or no blind test
+            has measured yet how well it is told from the others.
+        channels: Channels among x, z, fx, fz, torque that it shows in, of which a diagnosis must
+            compare one; empty where it moves the wheel, and so shows in any.
     """
 
     name: str
@@ -48,6 +53,20 @@ class EffectInfo:
     meaning: str
     form_of: str = ""
     hypothesis: bool = True
+    channels: tuple[str, ...] = ()
+
+    def require_shown(self, compared: Collection[str]) -> None:
+        """Refuse an effect that none of the compared channels shows.
+
+        Args:
+            compared: Names among x, z, fx, fz, torque.
+
+        Raises:
+            InputError: names the channels that do.
+        """
+        if self.channels and not set(self.channels) & set(compared):
+            shown, given = " or ".join(self.channels), ", ".join(compared)
+            raise InputError(f"{self.name} shows in {shown}, and only {given} are compared")
 
 
 def strength(
@@ -159,6 +178,8 @@ class Adjustable(Protocol):
     def wheel(self) -> AbstractWheel: ...
     @property
     def terrain(self) -> Terrain: ...
+    @property
+    def rig(self) -> Rig: ...
 
 
 Model = TypeVar("Model", bound=Adjustable)
@@ -352,8 +373,13 @@ class AbstractSandLoad(AbstractLoad):
 class AbstractSensor(AbstractEffect):
     """Turns the true output into the reading of the instruments."""
 
-    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
-        """True start (x, z) of the axle [m], from its reading at rest."""
+    def started(self, position: Float[Array, "2"], weight: Float[Array, ""]) -> Float[Array, "2"]:
+        """True start (x, z) of the axle [m], from its reading at rest.
+
+        Args:
+            position: Reading at rest (x, z) [m].
+            weight: Vertical load that the sand carries there [N].
+        """
         return position
 
     @abc.abstractmethod

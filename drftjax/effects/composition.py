@@ -40,11 +40,17 @@ Number = Float[Array, ""]
 Pair = Float[Array, "2"]
 
 
-def initial_readings(effects: Effects, position: Pair) -> Pair:
-    """True start (x, z) of the axle [m], from the reading of all sensors together at rest."""
+def initial_readings(effects: Effects, position: Pair, weight: Number) -> Pair:
+    """True start (x, z) of the axle [m], from the reading of all sensors together at rest.
+
+    Args:
+        effects: All effects.
+        position: Reading at rest (x, z) [m].
+        weight: Vertical load that the sand carries there [N].
+    """
     for effect in reversed(effects):
         if isinstance(effect, AbstractSensor):
-            position = effect.started(position)
+            position = effect.started(position, weight)
     return position
 
 

@@ -1,11 +1,23 @@
-"""Drive effects, between the commanded angular velocity and the wheel's."""
+"""Drive effects, between the commanded speeds and those of wheel and carriage."""
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import AbstractDrive, EffectInfo, Memory, MemorylessDrive, shape, strength
+from drftjax.common.errors import InputError
+from drftjax.effects.base import (
+    AbstractAdjustment,
+    AbstractDrive,
+    EffectInfo,
+    Memory,
+    MemorylessDrive,
+    Model,
+    shape,
+    strength,
+)
+from drftjax.physics.rig import DrivenCarriage
 
 # Regulariser: angle [rad] over which a drive takes up its play.
 PLAY_WIDTH = 0.01
@@ -27,6 +39,25 @@ class SpeedGain(MemorylessDrive):
 
     def speed(self, omega: Number, angle: Number) -> Number:
         return (1 + self.gain) * omega
+
+
+class CarriageGain(AbstractAdjustment):
+    """A driven carriage runs at a fixed ratio of the commanded speed."""
+
+    about: ClassVar = EffectInfo(
+        "carriage_gain",
+        "drive",
+        "v_x = (1 + gain) v_x,cmd of a driven carriage",
+        "a driven carriage runs at a fixed ratio of the speed it is given",
+    )
+    gain: Number = strength("-", 0.03, "excess of the carriage's speed", least=-0.9)
+
+    def adjust(self, model: Model) -> Model:
+        carriage = model.rig.carriage
+        if not isinstance(carriage, DrivenCarriage):
+            raise InputError("carriage_gain needs a driven carriage; this one is free")
+        ratio = (1 + self.gain) * carriage.ratio
+        return eqx.tree_at(lambda s: s.rig.carriage.ratio, model, ratio)
 
 
 class SpeedLag(AbstractDrive):
@@ -127,4 +158,4 @@ class Backlash(AbstractDrive):
         return (1 - loose) * omega, turned
 
 
-DRIVE = (SpeedGain, SpeedLag, SpeedRipple, SpeedHarmonics, Backlash)
+DRIVE = (SpeedGain, CarriageGain, SpeedLag, SpeedRipple, SpeedHarmonics, Backlash)

@@ -6,12 +6,20 @@ from typing import TYPE_CHECKING, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import AbstractSensor, EffectInfo, Memory, strength
+from drftjax.effects.base import AbstractSensor, EffectInfo, Memory, along_z, strength
 
 if TYPE_CHECKING:
     from drftjax.physics.state import Output
 
 Number = Float[Array, ""]
+
+
+Pair = Float[Array, "2"]
+
+
+# Regulariser: angular velocity [rad/s] over which bearing friction turns over; 0.6 deg/s, a tenth
+# of the slowest reference run's.
+TURN_WIDTH = 0.01
 
 
 # A delay keeps so many readings, so far apart or a little more [s].
@@ -33,7 +41,7 @@ class SinkageGain(AbstractSensor):
     )
     gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
 
-    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+    def started(self, position: Pair, weight: Number) -> Pair:
         # The static sinkage was read on this scale, too.
         return position / jnp.stack([jnp.ones_like(self.gain), 1 + self.gain])
 
@@ -56,7 +64,7 @@ class SinkageOffset(AbstractSensor):
     )
     offset: Number = strength("m", 1e-3, "constant of the reading, upward positive")
 
-    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+    def started(self, position: Pair, weight: Number) -> Pair:
         # The static sinkage was read from this zero, too.
         return position - jnp.stack([jnp.zeros_like(self.offset), self.offset])
 
@@ -93,7 +101,7 @@ class TravelGain(AbstractSensor):
     )
     gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
 
-    def started(self, position: Float[Array, "2"]) -> Float[Array, "2"]:
+    def started(self, position: Pair, weight: Number) -> Pair:
         # The place of the start was read on this scale, too.
         return position / jnp.stack([1 + self.gain, jnp.ones_like(self.gain)])
 
@@ -102,6 +110,152 @@ class TravelGain(AbstractSensor):
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
         return dataclasses.replace(output, x=(1 + self.gain) * output.x), ()
+
+
+class VerticalCompliance(AbstractSensor):
+    """The frame gives under the vertical force, and the height is read beyond it."""
+
+    about: ClassVar = EffectInfo(
+        "vertical_compliance",
+        "rig",
+        "z read = z - compliance fz, the static sinkage under the rig's weight too",
+        "the frame gives: the height reads too deep in proportion to the vertical force",
+        hypothesis=False,
+        channels=("z",),
+    )
+    compliance: Number = strength("m/N", 1e-5, "depth read too much per force of the sand")
+
+    def started(self, position: Pair, weight: Number) -> Pair:
+        # The static sinkage was read with the frame bent by the weight.
+        return position + along_z(self.compliance * weight)
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return _with_z(output, output.z - self.compliance * output.fz), ()
+
+
+class ForceOffset(AbstractSensor):
+    """The force readings hold a constant."""
+
+    about: ClassVar = EffectInfo(
+        "force_offset",
+        "sensor",
+        "fx read = fx + fx_offset, fz read = fz + fz_offset",
+        "a force reading is off by a constant",
+        channels=("fx", "fz"),
+    )
+    fx_offset: Number = strength("N", 2.0, "constant of the reading of fx")
+    fz_offset: Number = strength("N", 2.0, "constant of the reading of fz")
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        fx, fz = output.fx + self.fx_offset, output.fz + self.fz_offset
+        return dataclasses.replace(output, fx=fx, fz=fz), ()
+
+
+class ForceGain(AbstractSensor):
+    """The force readings are off in ratio."""
+
+    about: ClassVar = EffectInfo(
+        "force_gain",
+        "sensor",
+        "fx read = (1 + fx_gain) fx, fz read = (1 + fz_gain) fz",
+        "a force reading is off in ratio",
+        channels=("fx", "fz"),
+    )
+    fx_gain: Number = strength("-", 0.03, "excess of the reading of fx", least=-0.9)
+    fz_gain: Number = strength("-", 0.03, "excess of the reading of fz", least=-0.9)
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        fx, fz = (1 + self.fx_gain) * output.fx, (1 + self.fz_gain) * output.fz
+        return dataclasses.replace(output, fx=fx, fz=fz), ()
+
+
+class ForceCrosstalk(AbstractSensor):
+    """Each force reading holds a share of the other axis, as of a sensor that is tilted."""
+
+    about: ClassVar = EffectInfo(
+        "force_crosstalk",
+        "sensor",
+        "fx read = fx + fz_in_fx fz, fz read = fz + fx_in_fz fx",
+        "a force reading is off by a share of the other axis",
+        channels=("fx", "fz"),
+    )
+    fz_in_fx: Number = strength("-", 0.02, "share of fz in the reading of fx")
+    fx_in_fz: Number = strength("-", 0.02, "share of fx in the reading of fz")
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        fx = output.fx + self.fz_in_fx * output.fz
+        fz = output.fz + self.fx_in_fz * output.fx
+        return dataclasses.replace(output, fx=fx, fz=fz), ()
+
+
+class TorqueOffset(AbstractSensor):
+    """The torque reading holds a constant."""
+
+    about: ClassVar = EffectInfo(
+        "torque_offset",
+        "sensor",
+        "torque read = torque + offset",
+        "the torque reading is off by a constant",
+        channels=("torque",),
+    )
+    offset: Number = strength("N m", 0.2, "constant of the reading")
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return dataclasses.replace(output, torque=output.torque + self.offset), ()
+
+
+class TorqueFriction(AbstractSensor):
+    """The torque is read on the motor's side of a bearing, with its friction."""
+
+    about: ClassVar = EffectInfo(
+        "torque_friction",
+        "sensor",
+        "torque read = torque + friction tanh(ω / 0.01 rad/s)",
+        "the torque reading holds bearing friction against the turning",
+        channels=("torque",),
+    )
+    friction: Number = strength("N m", 0.2, "friction of the bearing", least=0.0)
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        against = self.friction * jnp.tanh(output.omega / TURN_WIDTH)
+        return dataclasses.replace(output, torque=output.torque + against), ()
+
+
+class TorqueGain(AbstractSensor):
+    """The torque reading is off in ratio."""
+
+    about: ClassVar = EffectInfo(
+        "torque_gain",
+        "sensor",
+        "torque read = (1 + gain) torque",
+        "the torque reading is off in ratio",
+        channels=("torque",),
+    )
+    gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return dataclasses.replace(output, torque=(1 + self.gain) * output.torque), ()
 
 
 def _channels(output: "Output") -> Float[Array, "5"]:
@@ -166,4 +320,19 @@ class MeasurementFilter(AbstractSensor):
         return _with_channels(output, value), value
 
 
-SENSOR = (SinkageGain, SinkageOffset, SinkageDrift, TravelGain, MeasurementDelay, MeasurementFilter)
+# What reads a force or a torque wrongly before what makes all readings late.
+SENSOR = (
+    VerticalCompliance,
+    SinkageGain,
+    SinkageOffset,
+    SinkageDrift,
+    TravelGain,
+    ForceOffset,
+    ForceGain,
+    ForceCrosstalk,
+    TorqueOffset,
+    TorqueFriction,
+    TorqueGain,
+    MeasurementDelay,
+    MeasurementFilter,
+)

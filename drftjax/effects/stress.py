@@ -24,8 +24,13 @@ Number = Float[Array, ""]
 Each = Float[Array, " plates"]
 
 
-# Depth [m] that depth_hardening pivots about and rigid_floor and cohesion are measured in.
+# Depth [m] that depth_hardening and depth_power pivot about, and rigid_floor and cohesion are
+# measured in.
 REFERENCE_DEPTH = 0.02
+
+
+# Regulariser: depth [m] from which a power of depth counts: its derivative has none at the surface.
+LEAST_DEPTH = 1e-4
 
 
 # Regulariser: depth [m] over which cohesion fades in under the surface.
@@ -62,6 +67,24 @@ class DepthHardening(AbstractStressFactor):
 
     def factor(self, motion: PlateMotion) -> Each:
         return 1 + self.excess * (motion.depth / REFERENCE_DEPTH - 1)
+
+
+class DepthPower(AbstractStressFactor):
+    """Stress grows with a power of depth."""
+
+    about: ClassVar = EffectInfo(
+        "depth_power",
+        "terrain",
+        "σ = σ (d / 20 mm)^excess, from 0.1 mm of depth on",
+        "stress is a power of depth, of the exponent 1 + excess",
+        form_of="depth_hardening",
+        hypothesis=False,
+    )
+    excess: Number = strength("-", 0.1, "exponent of depth less 1", least=-0.9)
+
+    def factor(self, motion: PlateMotion) -> Each:
+        depth = jnp.maximum(motion.depth, LEAST_DEPTH) / REFERENCE_DEPTH
+        return jnp.exp(self.excess * jnp.log(depth))
 
 
 class RigidFloor(AbstractStressFactor):
@@ -136,4 +159,12 @@ class HeightDecrease(AbstractAdjustment):
         return eqx.tree_at(lambda s: s.terrain.law.height_decrease, model, true)
 
 
-STRESS = (RateHardening, DepthHardening, RigidFloor, Cohesion, MomentumFlux, HeightDecrease)
+STRESS = (
+    RateHardening,
+    DepthHardening,
+    DepthPower,
+    RigidFloor,
+    Cohesion,
+    MomentumFlux,
+    HeightDecrease,
+)

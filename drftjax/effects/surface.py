@@ -13,6 +13,7 @@ from drftjax.effects.base import (
     Memory,
     MemorylessSurface,
     StepContext,
+    shape,
     strength,
 )
 
@@ -101,4 +102,32 @@ class Excavation(AbstractPlane):
         return -self.rate * memory, jnp.zeros_like(axle)
 
 
-SURFACE = (SurfaceProfile, SurfaceBump, SurfaceSlope, Excavation)
+class SlipSinkage(AbstractPlane):
+    """Slip carries sand away from under the wheel, which moves on to fresh sand.
+
+    At an even slip ratio i the surface settles at -rate length i / (1 - i).
+    """
+
+    about: ClassVar = EffectInfo(
+        "slip_sinkage",
+        "terrain",
+        "h = -rate s, ds/dt = |r ω - v_x| - s |v_x| / length",
+        "slip carries sand away: the surface goes down with slip, and recovers with travel",
+        hypothesis=False,
+    )
+    rate: Number = strength("-", 0.1, "depth dug per slip distance", least=0.0)
+    length: Number = shape("m", 0.12, (0.06, 0.12, 0.25), "travel that leads to fresh sand")
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.rate)
+
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
+        # Implicit, so that a long step leaves nothing below zero.
+        dug = memory + moment.dt * jnp.abs(moment.rim_slip())
+        return dug / (1 + moment.dt * jnp.abs(moment.velocity[0]) / self.length)
+
+    def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return -self.rate * memory, jnp.zeros_like(axle)
+
+
+SURFACE = (SurfaceProfile, SurfaceBump, SurfaceSlope, Excavation, SlipSinkage)

@@ -11,6 +11,7 @@ from drftjax.effects.base import (
     AbstractZetaFactor,
     EffectInfo,
     Memory,
+    MemorylessLoad,
     MemorylessZetaFactor,
     StepContext,
     along_x,
@@ -26,6 +27,15 @@ Pair = Float[Array, "2"]
 
 # Regulariser: way [m] that the rim turns back over which a wheel parts from the pile ahead of it.
 PARTING = 0.01
+
+
+# Regulariser: speed [m/s] over which a heap comes to stand ahead of the wheel, and below which a
+# slip ratio fades.
+CREEP = 1e-3
+
+
+# Sinkage [m] that a heap's forces are given at.
+HEAPED_SINKAGE = 0.02
 
 
 class Loosening(AbstractZetaFactor):
@@ -65,6 +75,25 @@ class SlipSoftening(MemorylessZetaFactor):
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         slip = jnp.abs(moment.rim_slip())
         return 1 - self.loss * slip / (slip + self.half)
+
+
+class SlipRatioSoftening(MemorylessZetaFactor):
+    """zeta is lower the larger the slip ratio, at any speed."""
+
+    about: ClassVar = EffectInfo(
+        "slip_ratio_softening",
+        "terrain",
+        "ζ = ζ (1 - loss i), i = |r ω - v_x| / max(|r ω|, |v_x|)",
+        "zeta is lower the larger the slip ratio, at any speed",
+        form_of="slip_softening",
+        hypothesis=False,
+    )
+    loss: Number = strength("-", 0.1, "share of zeta lost on the spot", least=0.0, most=1.0)
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        rim, speed = jnp.abs(moment.radius * moment.omega), jnp.abs(moment.velocity[0])
+        slip = jnp.abs(moment.rim_slip()) / jnp.maximum(jnp.maximum(rim, speed), CREEP)
+        return 1 - self.loss * slip
 
 
 class TerrainVariation(MemorylessZetaFactor):
@@ -142,4 +171,40 @@ class Bulldozing(AbstractSandLoad):
         return along_x(-self.force * jnp.sign(travel) * piled * (1 - back / PARTING))
 
 
-TERRAIN = (Loosening, SlipSoftening, TerrainVariation, TerrainWave, Bulldozing)
+class Heap(MemorylessLoad, AbstractSandLoad):
+    """A heap ahead of a deep or braked wheel holds it back and bears some of its load.
+
+    Braked slip is b = 1 - r ω / v_x, from 0 where the wheel rolls or drives to 1 where it is locked
+    or turns against the way.
+    """
+
+    about: ClassVar = EffectInfo(
+        "heap",
+        "terrain",
+        "F_x = -resistance q d, F_z = lift q d², q = (H / 20 mm)² (1 + braking b), "
+        "d = tanh(v_x / 1 mm/s)",
+        "a heap ahead of a braked or deep wheel: resistance and lift with sinkage squared",
+        hypothesis=False,
+    )
+    resistance: Number = strength("N", 2.0, "force against the way at 20 mm of sinkage", least=0.0)
+    lift: Number = strength("N", 1.0, "force upward at 20 mm of sinkage", least=0.0)
+    braking: Number = shape("-", 2.0, (0.5, 2.0, 8.0), "growth of both from rolling to locked")
+
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
+        speed, rim = velocity[0], moment.radius * moment.omega
+        braked = jnp.clip(speed * (speed - rim) / (speed**2 + CREEP**2), 0, 1)
+        sinkage = jnp.maximum(-position[1], 0) / HEAPED_SINKAGE
+        size = sinkage**2 * (1 + self.braking * braked)
+        way = jnp.tanh(speed / CREEP)
+        return size * jnp.stack([-self.resistance * way, self.lift * way**2])
+
+
+TERRAIN = (
+    Loosening,
+    SlipSoftening,
+    SlipRatioSoftening,
+    TerrainVariation,
+    TerrainWave,
+    Bulldozing,
+    Heap,
+)

@@ -62,6 +62,31 @@ class GrouserHeight(AbstractAdjustment):
         return eqx.tree_at(lambda s: s.wheel.grouser_height, model, height)
 
 
+class GrouserShadowing(AbstractAdjustment):
+    """Sand between grousers moves with the wheel, so that only their outer part carries.
+
+    The rim and the grousers' tips carry as before.
+    """
+
+    about: ClassVar = EffectInfo(
+        "grouser_shadowing",
+        "wheel",
+        "faces of grousers carry from r + share h_g to r + h_g",
+        "sand between grousers moves with the wheel: only the outer share of their height carries",
+        hypothesis=False,
+    )
+    share: Number = strength(
+        "-", 0.3, "inner share of the height that carries nothing", least=0.0, most=1.0
+    )
+
+    def adjust(self, model: Model) -> Model:
+        if not isinstance(model.wheel, GrouserWheel):
+            raise InputError("grouser_shadowing needs a wheel with grousers")
+        shadow = model.wheel.grouser_shadow + self.share
+        require_between("the grousers' shadowed share", shadow, 0.0, 1.0)
+        return eqx.tree_at(lambda s: s.wheel.grouser_shadow, model, shadow)
+
+
 class Eccentricity(AbstractPlacement):
     """The axle is off the wheel's centre; z = 0 is where a centred wheel would touch."""
 
@@ -105,4 +130,4 @@ class Imbalance(MemorylessLoad):
         return moment.omega**2 * jnp.stack(outward)
 
 
-WHEEL = (WheelRadius, GrouserHeight, Eccentricity, Imbalance)
+WHEEL = (WheelRadius, GrouserHeight, GrouserShadowing, Eccentricity, Imbalance)

@@ -18,6 +18,10 @@ class AbstractCarriage(eqx.Module):
         """Velocity [m/s] that a step starts from: of a driven carriage, the speed commanded."""
 
     @abc.abstractmethod
+    def impose(self, velocity: Float[Array, "2"], given: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The velocity [m/s], along an axis that is driven that of `given`."""
+
+    @abc.abstractmethod
     def advance(
         self,
         velocity: Float[Array, "2"],
@@ -31,6 +35,9 @@ class FreeCarriage(AbstractCarriage):
     """The carriage rolls freely: x follows from the forces."""
 
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
+        return velocity
+
+    def impose(self, velocity: Float[Array, "2"], given: Float[Array, "2"]) -> Float[Array, "2"]:
         return velocity
 
     def advance(
@@ -51,10 +58,19 @@ class FreeCarriage(AbstractCarriage):
 
 
 class DrivenCarriage(AbstractCarriage):
-    """The carriage is driven at the commanded vx: slip is imposed, fx follows."""
+    """The carriage is driven at the commanded vx: slip is imposed, fx follows.
+
+    Attributes:
+        ratio: Its speed over the commanded one [-].
+    """
+
+    ratio: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
 
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
-        return jnp.stack([command.vx.astype(velocity.dtype), velocity[1]])
+        return jnp.stack([(self.ratio * command.vx).astype(velocity.dtype), velocity[1]])
+
+    def impose(self, velocity: Float[Array, "2"], given: Float[Array, "2"]) -> Float[Array, "2"]:
+        return jnp.stack([given[0], velocity[1]])
 
     def advance(
         self,

@@ -227,6 +227,8 @@ class GrouserWheel(AbstractWheel):
         grouser_height, grouser_thickness: Radial height and tangential thickness [m].
         grouser_fraction: Effective share of the grouser height [-]; 1 is the true geometry, 1/3
             is the shadowing rule of Agarwal et al. 2021.
+        grouser_shadow: Inner share of the effective height whose faces carry nothing, as the sand
+            between grousers moves with the wheel [-].
         grouser_count: Number of grousers.
         rim_plates, tip_plates, side_plates: Plates on each rim piece, tip and side face.
         reach: Angle from straight down within which every plate is carried [rad].
@@ -237,6 +239,7 @@ class GrouserWheel(AbstractWheel):
     grouser_height: Float[Array, ""]
     grouser_thickness: Float[Array, ""]
     grouser_fraction: Float[Array, ""]
+    grouser_shadow: Float[Array, ""]
     grouser_count: int = eqx.field(static=True)
     rim_plates: int = eqx.field(static=True)
     tip_plates: int = eqx.field(static=True)
@@ -252,6 +255,7 @@ class GrouserWheel(AbstractWheel):
         grouser_thickness: Real = 0.009,
         grouser_fraction: Real = 1.0,
         *,
+        grouser_shadow: Real = 0.0,
         plate_size: float = DEFAULT_PLATE_SIZE,
         reach: float = DEFAULT_REACH,
     ):
@@ -259,12 +263,14 @@ class GrouserWheel(AbstractWheel):
         require_between("grouser count", grouser_count, 1, 1000, " (PlainWheel has none)")
         _check_grousers("", radius, grouser_count, grouser_height, grouser_thickness)
         require_between("grouser fraction", grouser_fraction, 0.0, 2.0)
+        require_between("grouser shadow", grouser_shadow, 0.0, 1.0)
         _check_cut(radius, plate_size, reach)
         self.radius = as_real(radius)
         self.width = as_real(width)
         self.grouser_height = as_real(grouser_height)
         self.grouser_thickness = as_real(grouser_thickness)
         self.grouser_fraction = as_real(grouser_fraction)
+        self.grouser_shadow = as_real(grouser_shadow)
         self.grouser_count = int(grouser_count)
         gap = self._pitch * float(radius) - float(grouser_thickness)
         self.rim_plates = plate_count(gap, plate_size)
@@ -308,11 +314,13 @@ class GrouserWheel(AbstractWheel):
         # The far half of the rim piece belongs to the half pitch before the grouser.
         place = jnp.where(place > self._pitch / 2, place - self._pitch, place)
         across = (_midpoints(self.tip_plates, dtype) - 0.5) * self.grouser_thickness
-        up = self.radius + _midpoints(self.side_plates, dtype) * height
+        bare = 1 - self.grouser_shadow
+        outer = self.grouser_shadow + bare * _midpoints(self.side_plates, dtype)
+        up = self.radius + outer * height
         rim, tip, side = jnp.ones_like(place), jnp.ones_like(across), jnp.ones_like(up)
         rim_area = self.radius * span / self.rim_plates
         tip_area = self.grouser_thickness / self.tip_plates
-        side_area = height / self.side_plates
+        side_area = bare * height / self.side_plates
         return jax.tree.map(
             lambda *pieces: jnp.concatenate(pieces),
             Plates(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata
 from drftjax.effects.listing import typical_sizes
@@ -28,6 +29,10 @@ Classes = list[type[AbstractEffect]]
 
 
 COLOURS = ("tab:blue", "tab:orange")
+
+
+# Unit of each channel in a figure, and its number in an SI unit.
+UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
 
 
 def simulate_effects(effects: Classes) -> Output:
@@ -66,26 +71,49 @@ def simulate_effects(effects: Classes) -> Output:
 
 
 def draw_effect(effect: type[AbstractEffect]) -> Figure:
-    """Draw z with and without an effect, and the changes that it makes in z and x."""
+    """Draw z with and without an effect, and the changes that it makes in z and x.
+
+    Of an effect that shows in other channels alone, these are drawn.
+
+    Raises:
+        InputError: for an effect that the paper's rig cannot have.
+    """
     output = simulate_effects([effect])
-    time = output.time[0]
+    time, channels = output.time[0], effect.about.channels or ("z", "x")
     figure = Figure(figsize=(7, 7), layout="constrained")
-    both, change_z, change_x = figure.subplots(3, 1, sharex=True)
-    both.plot(time, 1e3 * output.z[0], color="0.5", label="without")
-    both.plot(time, 1e3 * output.z[1], color=COLOURS[0], label=f"with {typical_sizes(effect)}")
-    both.set(title=f"{effect.about.name}: {effect.about.meaning}", ylabel="z [mm]")
+    both, *changes = figure.subplots(1 + len(channels), 1, sharex=True)
+    (unit, scale), first = UNITS[channels[0]], getattr(output, channels[0])
+    both.plot(time, scale * first[0], color="0.5", label="without")
+    both.plot(time, scale * first[1], color=COLOURS[0], label=f"with {typical_sizes(effect)}")
+    title = f"{effect.about.name}: {effect.about.meaning}"
+    both.set_title(title, wrap=True)
+    both.set_ylabel(f"{channels[0]} [{unit}]")
     both.legend()
-    for axes, name, colour in zip((change_z, change_x), "zx", COLOURS, strict=True):
-        channel = getattr(output, name)
-        axes.plot(time, 1e3 * (channel[1] - channel[0]), color=colour)
-        axes.set_ylabel(f"change of {name} [mm]")
+    for axes, name, colour in zip(changes, channels, COLOURS, strict=False):
+        (unit, scale), channel = UNITS[name], getattr(output, name)
+        axes.plot(time, scale * (channel[1] - channel[0]), color=colour)
+        axes.set_ylabel(f"change of {name} [{unit}]")
         axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
-    change_x.set_xlabel("time [s]")
+    changes[-1].set_xlabel("time [s]")
     return figure
 
 
+def _shown_in_gallery(effect: type[AbstractEffect]) -> bool:
+    """Tell whether the paper's rig can have an effect and its x or z shows it."""
+    try:
+        effect.about.require_shown(("x", "z"))
+        replace(Simulator(), effects=(effect(),)).check()
+    except InputError:
+        return False
+    return True
+
+
 def draw_gallery(effects: Classes) -> Figure:
-    """Draw the changes that each effect makes in z and x, each in a panel of its own."""
+    """Draw the changes that each effect makes in z and x, each in a panel of its own.
+
+    Effects that a driven carriage, a force or a torque would show are left out.
+    """
+    effects = [each for each in effects if _shown_in_gallery(each)]
     output = simulate_effects(effects)
     columns = min(6, len(effects))
     lines = math.ceil(len(effects) / columns)

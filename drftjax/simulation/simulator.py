@@ -111,7 +111,9 @@ class Simulator(eqx.Module):
         effects = simulator.effects
         if not effects:
             return dataclasses.replace(state, memory=())
-        state = dataclasses.replace(state, position=chain.initial_readings(effects, state.position))
+        weight = -self.rig.load(jnp.zeros_like(state.velocity))[1]
+        position = chain.initial_readings(effects, state.position, weight)
+        state = dataclasses.replace(state, position=position)
         state = dataclasses.replace(state, memory=chain.begin(effects, state))
         truth, dt = simulator._truth(state, command)
         memory = chain.begin_reading(effects, state.memory, truth, dt)
@@ -200,6 +202,7 @@ class Simulator(eqx.Module):
         balance = StepBalance(self, start, state, memory, moment, zeta)
         guess = self.rig.carriage.approach(_guess(state.omega, start, omega, radius), command)
         velocity, sand, root = root_of(balance, guess, self.integrator.newton)
+        velocity = self.rig.carriage.impose(velocity, start)
         grown = jnp.minimum(balance.growth(root.jacobian).max(), balance.largest_growth())
         grown = jax.lax.stop_gradient(jnp.maximum(state.growth * grown, 1))
         after, output = self._moved(state, velocity, sand, memory, moment, zeta)
@@ -340,7 +343,7 @@ class StepBalance(AbstractBalance):
     zeta: Float[Array, ""]
 
     def by_plate(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, " plates"], ...]:
-        moment = self.moment
+        moment, velocity = self.moment, self._imposed(velocity)
         at = self._position(velocity), velocity, moment.angle, moment.omega
         return self.simulator.plate_load(*at, self.zeta, self.memory).wrenches()
 
@@ -348,12 +351,17 @@ class StepBalance(AbstractBalance):
         self, velocity: Float[Array, "2"], sums: tuple[Float[Array, ""], ...]
     ) -> tuple[Float[Array, "2"], Float[Array, "3"]]:
         simulator, memory, moment, dt = self.simulator, self.memory, self.moment, self.moment.dt
+        velocity = self._imposed(velocity)
         effects, rig, position = simulator.effects, simulator.rig, self._position(velocity)
         piled = chain.loads(effects, memory, position, velocity, moment, of_the_sand=True)
         sand = jnp.stack(sums).at[:2].add(piled)
         held = chain.loads(effects, memory, position, velocity, moment, of_the_sand=False)
         forces = sand[:2] + rig.load(velocity) + held
         return rig.mass() * (velocity - self.start) - dt * forces, sand
+
+    def _imposed(self, velocity: Float[Array, "2"]) -> Float[Array, "2"]:
+        # The root does not move along a driven axis, so derivatives by its speed enter here.
+        return self.simulator.rig.carriage.impose(velocity, self.start)
 
     def _position(self, velocity: Float[Array, "2"]) -> Float[Array, "2"]:
         return self.state.position + self.moment.dt * (velocity + self.start) / 2

@@ -100,8 +100,8 @@ class VirtualSetUp(msgspec.Struct, forbid_unknown_fields=True):
         return Simulator(
             wheel.build(),
             self.terrain.build(),
-            # Each command says whether the carriage is driven.
-            msgspec.structs.replace(self.rig, carriage="free").build(),
+            # Each command says whether the carriage is driven; an effect may say how.
+            msgspec.structs.replace(self.rig, carriage="driven").build(),
             ImplicitEuler(),
             tuple(build_effects(entry, place) for place, entry in enumerate(self.effects, start=1)),
         )

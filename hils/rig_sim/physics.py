@@ -70,12 +70,17 @@ class SwitchedCarriage(AbstractCarriage):
 
     Attributes:
         driven: Above 0 where the carriage is driven.
+        drive: The carriage where it is driven.
     """
 
     driven: Float[Array, ""]
+    drive: DrivenCarriage
 
     def approach(self, velocity: Float[Array, "2"], command: Command) -> Float[Array, "2"]:
-        return jnp.where(self.driven > 0, DrivenCarriage().approach(velocity, command), velocity)
+        return jnp.where(self.driven > 0, self.drive.approach(velocity, command), velocity)
+
+    def impose(self, velocity: Float[Array, "2"], given: Float[Array, "2"]) -> Float[Array, "2"]:
+        return jnp.where(self.driven > 0, self.drive.impose(velocity, given), velocity)
 
     def advance(
         self,
@@ -85,7 +90,7 @@ class SwitchedCarriage(AbstractCarriage):
     ) -> Float[Array, "2"]:
         return jnp.where(
             self.driven > 0,
-            DrivenCarriage().advance(velocity, impulse, inertia),
+            self.drive.advance(velocity, impulse, inertia),
             FreeCarriage().advance(velocity, impulse, inertia),
         )
 
@@ -134,7 +139,7 @@ class RigPhysics:
     """A compiled block of steps; holds no state of a run, so runs may share it.
 
     Args:
-        simulator: Every number of wheel, sand and rig; its carriage is not used.
+        simulator: Every number of wheel, sand and rig; of its carriage, how it is driven.
         step: Integrator step [s].
         lowering: Damper that lets the wheel down.
     """
@@ -220,7 +225,9 @@ def _equipped(
     firmness: Float[Array, ""],
 ) -> Simulator:
     """The simulator with the rig's own equipment, which a block of steps switches."""
-    rig = dataclasses.replace(simulator.rig, carriage=SwitchedCarriage(driven))
+    own = simulator.rig.carriage
+    drive = own if isinstance(own, DrivenCarriage) else DrivenCarriage()
+    rig = dataclasses.replace(simulator.rig, carriage=SwitchedCarriage(driven, drive))
     effects = (*simulator.effects, Damper(damping), Bed(firmness))
     return dataclasses.replace(simulator, rig=rig, effects=effects)
 

@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drftjax.common.errors import InputError
@@ -161,11 +161,12 @@ def _require_range(setup: SetUp, what: Quantity, low: float, high: float) -> Non
             ) from None
 
 
-def add_effects(setup: SetUp) -> dict[str, str]:
-    """Add all effects that a set-up's wheel and sand admit, at zero strength.
+def add_effects(setup: SetUp, channels: Sequence[str]) -> dict[str, str]:
+    """Add all effects that a set-up's wheel, sand and carriage admit, at zero strength.
 
     Args:
         setup: Changed in place.
+        channels: Channels that are measured; what shows in none of them is not added.
 
     Returns:
         Reasons why others are not admitted, by name.
@@ -177,6 +178,7 @@ def add_effects(setup: SetUp) -> dict[str, str]:
         if name in present:
             continue
         try:
+            effect_class(name).about.require_shown(channels)
             dataclasses.replace(simulator, effects=(effect_class(name)(),)).check()
         except InputError as problem:
             excluded[name] = f"{problem}"

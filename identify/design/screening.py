@@ -143,7 +143,7 @@ def screen(
     setup = copy.deepcopy(setup)
     progress("choosing a step")
     choose_setup_step(setup, RECORDED_STEPS)
-    excluded = add_effects(setup)
+    excluded = add_effects(setup, instrument.channels)
     trial, counts = _trial(setup, choices)
     screened, lacking = number_ranges(setup, trial, ranges or {}, choices)
 

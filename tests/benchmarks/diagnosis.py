@@ -27,17 +27,18 @@ def main() -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from diagnose.api import effects_among, possible_effects
     from diagnose.dataset import RigDataset
     from diagnose.pipeline import diagnose
-    from drftjax.effects.catalogue import catalogue
     from drftjax.recorded.prepared_run import prepare_runs
 
-    effects = tuple(catalogue().values())
     folders = [Path(each) for each in sys.argv[1:] or FOLDERS]
     table = Table("runs of", "verdict", "time, s", "CPU time, s", "of simulating them once")
     for folder, when in itertools.product(folders, ("the first time", "again")):
         begun, worked = time.perf_counter(), time.process_time()
-        found = diagnose(RigDataset.of(prepare_runs(sorted(folder.glob("*.h5")))), effects)
+        runs = prepare_runs(sorted(folder.glob("*.h5")))
+        effects = possible_effects(runs, effects_among(None))
+        found = diagnose(RigDataset.of(runs), effects)
         seconds, work = time.perf_counter() - begun, time.process_time() - worked
         ratio = f"{seconds / _simulated_once(found.dataset):.0f}"
         verdict = " + ".join(found.verdict)

@@ -24,6 +24,8 @@ RIM = PlainWheel(plate_size=0.005)
 NUMBERS = tuple((each.about.name, field) for each in OURS for field in field_metadata(each))
 STRENGTHS = tuple((each.about.name, field) for each in OURS for field in strengths(each))
 KNOWN = {each.about.name: each for each in OURS}
+# Those that a free carriage can have.
+ON_FREE = tuple(name for name in KNOWN if name != "carriage_gain")
 
 
 def typical(name: str) -> dict[str, float]:
@@ -54,9 +56,9 @@ def simulator(wheel: AbstractWheel = GROUSERS, law: AbstractStressLaw | None = N
     return Simulator(wheel, Terrain(law=Dynamic() if law is None else law))
 
 
-def commands(omega) -> Command:
+def commands(omega, vx=0.0) -> Command:
     omega = jnp.asarray(omega, float)
-    return Command(omega, jnp.zeros_like(omega), jnp.zeros_like(omega))
+    return Command(omega, jnp.zeros_like(omega) + vx, jnp.zeros_like(omega))
 
 
 def with_effects(
@@ -65,13 +67,15 @@ def with_effects(
     only: tuple[str, ...] = tuple(KNOWN),
     law: AbstractStressLaw | None = None,
 ) -> Simulator:
-    leave_out = () if isinstance(wheel, GrouserWheel) else ("grouser_height",)
-    return replace(simulator(wheel, law), effects=built(values, leave_out, only))
+    sim, leave_out = simulator(wheel, law), ("carriage_gain",)
+    if not isinstance(wheel, GrouserWheel):
+        leave_out += ("grouser_height", "grouser_shadowing")
+    return replace(sim, effects=built(values, leave_out, only))
 
 
-def rows(sim: Simulator, start: State, omega, dt, every: int) -> Output:
-    """Output at the start and after every `every` steps."""
-    command = commands(omega)
+def rows(sim: Simulator, start: State, omega, dt, every: int, vx=0.0) -> Output:
+    """Output at the start and after every `every` steps; `vx` is for a driven carriage."""
+    command = commands(omega, vx)
     after = simulate(sim, start, command, dt, every=every)[1]
     return with_first_row(sim, start, jax.tree.map(lambda c: c[0], command), after)
 

@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from diagnose.api import effects_among, possible_effects
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import residuals_of
@@ -26,7 +27,7 @@ from diagnose.result import Diagnosis
 from diagnose.run_pool import RunPool
 from drftjax.common.jax_config import configure_jax
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import catalogue, effect_class
+from drftjax.effects.catalogue import effect_class
 from drftjax.effects.stress import REFERENCE_DEPTH
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.runlog.hdf5.api import read_run
@@ -141,12 +142,12 @@ def diagnosed(
     candidates: Sequence[PreparedRun], effects: Sequence[type[AbstractEffect]]
 ) -> Diagnosis:
     """What the diagnosis says of some runs."""
-    return diagnose(RigDataset.of(candidates), effects)
+    return diagnose(RigDataset.of(candidates), possible_effects(candidates, effects))
 
 
 def answers(folder: Path, console: Console) -> None:
     """Print all diagnoses."""
-    everything = tuple(catalogue().values())
+    everything = effects_among(None)
     laws = tuple(effect_class(name) for name in STRESS_LAWS)
     one = runs(folder, ONE_PACKING)
     say(console, "One packing, by the whole catalogue", diagnosed(one, everything))

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagnose.api import effects_among, possible_effects
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import residuals_of
@@ -20,7 +21,6 @@ from diagnose.pipeline import diagnose
 from diagnose.result import Diagnosis
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import catalogue
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import Measured, RunLog
 from drftjax.setups.setup import CommandSetUp, SetUp
@@ -76,7 +76,7 @@ def against_quasi_static(
         believed.terrain.inertial_coefficient = 0.0
         believed.terrain.height_decrease = 0.0
         candidates.append(prepare_run(f"run {number}", run, model=believed))
-    return diagnose(RigDataset.of(candidates), effects)
+    return diagnose(RigDataset.of(candidates), possible_effects(candidates, effects))
 
 
 def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") -> float:
@@ -99,7 +99,7 @@ def main() -> None:
 
     configure_jax()
     for name, tops in (("fast", FAST), ("slow", SLOW)):
-        say(name, tops, against_quasi_static(tops, tuple(catalogue().values())))
+        say(name, tops, against_quasi_static(tops, effects_among(None)))
 
 
 def say(name: str, tops: Sequence[float], found: Diagnosis) -> None:

@@ -25,6 +25,7 @@ from drftjax.effects.base import (
     StepContext,
 )
 from drftjax.effects.catalogue import OURS, catalogue, field_metadata, shapes, strengths
+from drftjax.physics.rig import DrivenCarriage, Rig
 from drftjax.physics.state import State
 from drftjax.physics.stress import plate_motion
 from drftjax.runlog.hdf5.api import read_run
@@ -34,6 +35,7 @@ from tests.helpers.effect_runs import (
     GROUSERS,
     KNOWN,
     NUMBERS,
+    ON_FREE,
     STRENGTHS,
     built,
     commands,
@@ -69,6 +71,7 @@ SPEED = 0.6
 OMEGA = SPEED * (1 + 0.3 * np.sin(2 * np.pi * np.arange(1, STEPS + 1) / STEPS))
 CHANNELS = ("x", "z", "fx", "fz", "torque")
 START = partial(driven, False, SPEED)
+DRIVEN = Rig(carriage=DrivenCarriage())
 NULL_VECTOR = vector()
 TYPICAL = np.asarray([typical(name)[field] for name, field in STRENGTHS])
 PLACES = np.asarray([NUMBERS.index(each) for each in STRENGTHS])
@@ -83,12 +86,20 @@ def readings(values, only=tuple(KNOWN)):
     return jnp.stack([getattr(output, name) for name in CHANNELS])
 
 
+def driven_readings(values):
+    """The same of a driven carriage that is given half of the rim's speed."""
+    sim = replace(simulator(), rig=DRIVEN, effects=built(values, only=("carriage_gain",)))
+    output = rows(sim, START(), OMEGA, DT, EVERY, 0.5 * OMEGA * sim.wheel.radius)
+    return jnp.stack([getattr(output, name) for name in CHANNELS])
+
+
 def direction(index) -> np.ndarray:
     along = np.zeros(len(NUMBERS))
     along[PLACES[index]] = TYPICAL[index]
     return along
 
 
+ON_DRIVEN = [k for k, (name, _) in enumerate(STRENGTHS) if name not in ON_FREE]
 DIRECTIONS = np.stack([direction(k) for k in range(len(STRENGTHS))])
 
 
@@ -96,13 +107,14 @@ DIRECTIONS = np.stack([direction(k) for k in range(len(STRENGTHS))])
 def null():
     """Readings at the null, and their derivatives per typical strength (strengths, 5, rows)."""
     START()  # kept for later, so it must not be asked for first within a trace
-    value, along = jax.jit(
-        lambda at, directions: (
-            readings(at),
-            jax.vmap(lambda d: jax.jvp(readings, (at,), (d,))[1])(directions),
-        )
-    )(jnp.asarray(NULL_VECTOR), jnp.asarray(DIRECTIONS))
-    return np.asarray(value), np.asarray(along)
+
+    @partial(jax.jit, static_argnums=0)
+    def with_derivatives(run, at, directions):
+        return run(at), jax.vmap(lambda d: jax.jvp(run, (at,), (d,))[1])(directions)
+
+    value, along = with_derivatives(readings, NULL_VECTOR, DIRECTIONS)
+    _, of_driven = with_derivatives(driven_readings, NULL_VECTOR, DIRECTIONS[ON_DRIVEN])
+    return np.asarray(value), np.asarray(along.at[np.array(ON_DRIVEN)].set(of_driven))
 
 
 @pytest.fixture(scope="module")
@@ -110,14 +122,20 @@ def differences():
     """Central differences per typical strength: (changes, strengths, 5, rows)."""
     START()
     table = [NULL_VECTOR + s * c * d for c in CHANGES for s in (1, -1) for d in DIRECTIONS]
-    runs = np.asarray(jax.jit(jax.vmap(readings))(jnp.asarray(np.stack(table))))
-    runs = runs.reshape(len(CHANGES), 2, len(STRENGTHS), *runs.shape[1:])
+
+    def of(run, table):
+        found = np.array(jax.jit(jax.vmap(run))(jnp.asarray(table)))
+        return found.reshape(len(CHANGES), 2, -1, *found.shape[1:])
+
+    runs = of(readings, np.stack(table))
+    by_strength = np.stack(table).reshape(len(CHANGES), 2, len(STRENGTHS), -1)[:, :, ON_DRIVEN]
+    runs[:, :, ON_DRIVEN] = of(driven_readings, by_strength.reshape(-1, len(NUMBERS)))
     return (runs[:, 0] - runs[:, 1]) / (2 * np.asarray(CHANGES)[:, None, None, None])
 
 
 def test_the_catalogue_holds_ours_first_with_names_of_their_own():
     assert list(catalogue())[: len(OURS)] == [each.about.name for each in OURS]
-    assert len(set(KNOWN)) == len(OURS) == 38
+    assert len(set(KNOWN)) == len(OURS) == 51
 
 
 @effects
@@ -167,7 +185,8 @@ def test_at_zero_strength_every_hook_gives_back_what_it_was_given(name):
 
     seen = False
     if isinstance(effect, AbstractAdjustment):
-        same(effect.adjust(simulator()), simulator())
+        model = simulator() if name in ON_FREE else replace(simulator(), rig=DRIVEN)
+        same(effect.adjust(model), model)
         seen = True
     if isinstance(effect, AbstractDrive):
         memory = effect.begin(jnp.asarray(0.2), jnp.asarray(0.1))
@@ -261,15 +280,15 @@ PROFILE_STEPS = 8000
 
 @pytest.fixture(scope="module")
 def over_a_profile():
-    """z, x and their derivatives by every number of one effect, at half its strength."""
+    """Channels (5, rows), and their derivatives by every number of one effect."""
 
     def one(values, along, dt, omega):
         def run(values):
             sim = with_effects(GROUSERS, values)
             return simulate(sim, State.at_rest(0.0176), commands(omega), dt, every=400)[1]
 
-        value, change = jax.jvp(run, (values,), (along,))
-        return value.z, value.x, change.z, change.x
+        pair = jax.jvp(run, (values,), (along,))
+        return tuple(jnp.stack([getattr(each, name) for name in CHANNELS]) for each in pair)
 
     return jax.jit(jax.vmap(one, in_axes=(0, 0, None, None)))
 
@@ -282,21 +301,24 @@ def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drive
     dt = end / PROFILE_STEPS
     omega = np.radians(np.interp(dt * np.arange(1, PROFILE_STEPS + 1), knots, speeds))
     table, along = [], []
-    for name, effect in KNOWN.items():
+    for name in ON_FREE:
+        effect = KNOWN[name]
         half = {field: size / 2 for field, size in typical(name).items()}
         table.append(vector(**{name: half}))
         units = half | {field: float(getattr(effect(), field)) for field in shapes(effect)}
         along.append([units.get(f, 0.0) if n == name else 0.0 for n, f in NUMBERS])
-    z, x, by_z, by_x = over_a_profile(
+    values, changes = over_a_profile(
         jnp.asarray(np.stack(table)), jnp.asarray(along), jnp.asarray(dt), jnp.asarray(omega)
     )
-    driving = dt * 400 * np.arange(1, z.shape[1] + 1) < knots[3]
-    for name, *channels in zip(KNOWN, z, x, by_z, by_x, strict=True):
-        assert all(np.isfinite(each).all() for each in channels), name
+    driving = dt * 400 * np.arange(1, values.shape[2] + 1) < knots[3]
+    farthest = np.abs(values[:, 0]).max()
+    for name, value, change in zip(ON_FREE, values, changes, strict=True):
+        assert np.isfinite(value).all(), name
+        assert np.isfinite(change).all(), name
         # As much again of any effect moves the axle by less than the wheel's height, or a third of
         # the way. (While a wheel slows down, steps as long as these lose the derivative.)
-        assert np.abs(channels[2][driving]).max() < 0.15, name
-        assert np.abs(channels[3][driving]).max() < 0.3 * np.abs(x).max(), name
+        assert np.abs(change[1][driving]).max() < 0.15, name
+        assert np.abs(change[0][driving]).max() < 0.3 * farthest, name
 
 
 @pytest.mark.parametrize("name", ["paper", "fast_90deg", "fast_300deg"])
@@ -306,16 +328,15 @@ def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(
     command = read_run(shared / "reference_rigs" / f"{name}.h5").command
     dt = float(command.time[-1]) / PROFILE_STEPS
     omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), command.time, command.omega)
-    table = jnp.asarray(np.stack([NULL_VECTOR] * len(KNOWN)))
-    along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in KNOWN]
-    z, x, by_z, by_x = over_a_profile(
+    table = jnp.asarray(np.stack([NULL_VECTOR] * len(ON_FREE)))
+    along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in ON_FREE]
+    values, changes = over_a_profile(
         table, jnp.asarray(np.stack(along)), jnp.asarray(dt), jnp.asarray(omega)
     )
-    np.testing.assert_array_equal(z, np.broadcast_to(z[0], z.shape))
-    np.testing.assert_array_equal(x, np.broadcast_to(x[0], x.shape))
-    for effect, *channels in zip(KNOWN, by_z, by_x, strict=True):
-        assert all(np.isfinite(each).all() for each in channels), effect
-        assert max(np.abs(each).max() for each in channels) > FELT, effect
+    np.testing.assert_array_equal(values, np.broadcast_to(values[0], values.shape))
+    for effect, change in zip(ON_FREE, changes, strict=True):
+        assert np.isfinite(change).all(), effect
+        assert np.abs(change).max() > FELT, effect
 
 
 def test_loads_factors_and_surfaces_act_in_any_order():

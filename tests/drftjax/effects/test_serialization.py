@@ -69,6 +69,9 @@ def test_a_set_up_without_effects_says_none_and_keeps_none(tmp_path):
 def test_every_effect_comes_back_from_a_file(tmp_path, name):
     entry = entry_of(typical_effect(catalogue()[name]))
     setup = SetUp(command=CommandSetUp([0, 1], [0, 1]), effects=[entry])
+    if name == "carriage_gain":
+        setup.command.vx = [0, 0.1]
+        setup.rig.carriage = "driven"
     path = written(tmp_path, msgspec.json.encode(setup).decode(), "rig.json")
     (effect,) = read_setup(path).trial().simulator.effects
     assert type(effect) is catalogue()[name]

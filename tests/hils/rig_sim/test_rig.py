@@ -1,6 +1,7 @@
 """The virtual rig: its physics, instruments and firmware in one, in explicit time."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.physics.integrator import DEFAULT_STEP
+from drftjax.physics.rig import Rig
 from drftjax.physics.state import State
 from drftjax.setups.setup import WheelSetUp
 from drftjax.setups.terrain_setup import DynamicTerrain
@@ -131,7 +133,8 @@ def test_block_of_steps_is_the_simulator():
         packed = physics.advance(packed, 50, start, end)
     omega = np.concatenate([np.linspace(0, 0.2, 51)[1:], np.linspace(0.2, 0.5, 51)[1:]])
     still = jnp.zeros(100)
-    sim = setup.simulator()
+    # Neither demand drives the carriage.
+    sim = replace(setup.simulator(), rig=Rig())
     state, _ = simulate(sim, State.at_rest(0.0), Command(jnp.asarray(omega), still, still), 1e-3)
     assert physics.motion(packed).z == pytest.approx(float(state.position[1]), abs=COMPILED_APART)
     assert physics.motion(packed).x == pytest.approx(float(state.position[0]), abs=COMPILED_APART)
@@ -146,6 +149,12 @@ def test_driven_carriage_has_the_speed_it_is_given_and_a_free_one_finds_its_own(
     drive(driven, 3.0, FULL_SPEED, 0.5 * own)
     assert driven.rig.motion.vx == pytest.approx(0.5 * own, rel=SINGLE)
     assert driven.rig.motion.fx > free.rig.motion.fx + 1.0  # the sand pushes what slips
+
+
+def test_a_driven_carriage_of_a_rig_with_a_gain_is_faster_than_it_is_told():
+    fast = settled(quick(effects=[{"name": "carriage_gain", "gain": 0.03}]))
+    drive(fast, 1.0, FULL_SPEED, 0.05)
+    assert fast.rig.motion.vx == pytest.approx(1.03 * 0.05, rel=SINGLE)
 
 
 def test_paper_profile_sinks_as_the_reference_says():
