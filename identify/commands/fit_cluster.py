@@ -164,7 +164,9 @@ def _fit(
             def report(dealt_with: int, workers: int) -> None:
                 show(f"fits on {workers} workers", dealt_with)
 
-            return fit_on(client, todo, settings, store, report)
+            why = fit_on(client, todo, settings, store, report)
+    _say(console, f"dealt with {number}/{number} run logs on the cluster")
+    return why
 
 
 def _together(
