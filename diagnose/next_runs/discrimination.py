@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
 from diagnose.dataset import RigDataset, with_zeta
@@ -22,6 +23,7 @@ from drftjax.common.arrays import as_real
 from drftjax.effects.catalogue import reported_names
 from drftjax.recorded.observation import SHOWN, comparable_channels
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.results.advice import ProposedRun
 from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.step_choice import choose_step
 from drftjax.simulation.trial import Trial
@@ -63,35 +65,6 @@ class NextRunSettings:
 
 
 DEFAULT_NEXT_RUN = NextRunSettings()
-
-
-@dataclass(frozen=True)
-class NextRun:
-    """A run, and the difference of two hypotheses on it.
-
-    Attributes:
-        run: The run in words.
-        channel: The channel in which they differ.
-        difference: RMS difference there, in `unit`.
-        unit: Of the difference.
-        floors: The same in noise floors.
-    """
-
-    run: str
-    channel: str
-    difference: float
-    unit: str
-    floors: float
-
-    def document(self) -> dict:
-        """Plain values."""
-        return {
-            "run": self.run,
-            "channel": self.channel,
-            "difference": self.difference,
-            "unit": self.unit,
-            "floors": self.floors,
-        }
 
 
 def next_run(
@@ -149,7 +122,7 @@ def _proposals(
     differences: Sequence[Mapping[str, float]],
     compared: Sequence[str],
     floor: Mapping[str, float],
-) -> list[NextRun]:
+) -> list[ProposedRun]:
     """A run by channel, with its smallest difference from several hypotheses.
 
     Args:
@@ -165,12 +138,12 @@ def _proposals(
         difference = min(each[channel] for each in differences)
         unit, scale = SHOWN[channel]
         floors = difference / floor[channel]
-        found.append(NextRun(words, channel, scale * difference, unit, floors))
+        found.append(ProposedRun(words, channel, scale * difference, unit, floors))
     return found
 
 
 def _best_of(
-    proposals: Sequence[NextRun], as_made: str, recorded: set[str], min_floors: float
+    proposals: Sequence[ProposedRun], as_made: str, recorded: set[str], min_floors: float
 ) -> dict:
     """The run to make, and the channel to record on a run as made."""
     already = [p.floors for p in proposals if p.channel in recorded and p.run == as_made]
@@ -184,10 +157,11 @@ def _best_of(
     return {"run": _best(new, min_floors), "channel": _best(now, min_floors)}
 
 
-def _best(proposals: Sequence[NextRun], min_floors: float) -> dict | None:
+def _best(proposals: Sequence[ProposedRun], min_floors: float) -> dict | None:
     """The proposal of the largest difference, if that is large enough."""
     best = max(proposals, key=lambda each: each.floors, default=None)
-    return best.document() if best is not None and best.floors >= min_floors else None
+    large = best is not None and best.floors >= min_floors
+    return msgspec.to_builtins(best) if large else None
 
 
 @dataclass(frozen=True, eq=False)

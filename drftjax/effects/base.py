@@ -399,6 +399,22 @@ class AbstractSensor(AbstractEffect):
         """
 
 
+class MemorylessSensor(AbstractSensor):
+    """A sensor whose reading depends on the present alone."""
+
+    @abc.abstractmethod
+    def reading(self, output: "Output") -> "Output":
+        """The reading, of the true output or of the reading of the sensor before this one."""
+
+    def begin(self, output: "Output") -> Memory:
+        return ()
+
+    def read(
+        self, output: "Output", dt: Float[Array, ""], memory: Memory
+    ) -> tuple["Output", Memory]:
+        return self.reading(output), ()
+
+
 def along_x(force: Float[Array, ""]) -> Float[Array, "2"]:
     """A force (x, z) [N] that acts forward."""
     return jnp.stack([force, jnp.zeros_like(force)])

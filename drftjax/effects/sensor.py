@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from drftjax.effects.base import AbstractSensor, EffectInfo, Memory, along_z, strength
+from drftjax.effects.base import (
+    AbstractSensor,
+    EffectInfo,
+    Memory,
+    MemorylessSensor,
+    along_z,
+    strength,
+)
 
 if TYPE_CHECKING:
     from drftjax.physics.state import Output
@@ -30,7 +37,7 @@ def _with_z(output: "Output", z: Number) -> "Output":
     return dataclasses.replace(output, z=z, sinkage=-z)
 
 
-class SinkageGain(AbstractSensor):
+class SinkageGain(MemorylessSensor):
     """The vertical scale reads a wrong ratio."""
 
     about: ClassVar = EffectInfo(
@@ -45,14 +52,11 @@ class SinkageGain(AbstractSensor):
         # The static sinkage was read on this scale, too.
         return position / jnp.stack([jnp.ones_like(self.gain), 1 + self.gain])
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _with_z(output, (1 + self.gain) * output.z), ()
+    def reading(self, output: "Output") -> "Output":
+        return _with_z(output, (1 + self.gain) * output.z)
 
 
-class SinkageOffset(AbstractSensor):
+class SinkageOffset(MemorylessSensor):
     """The zero of the vertical scale is not where the rim touches the surface."""
 
     about: ClassVar = EffectInfo(
@@ -68,14 +72,11 @@ class SinkageOffset(AbstractSensor):
         # The static sinkage was read from this zero, too.
         return position - jnp.stack([jnp.zeros_like(self.offset), self.offset])
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _with_z(output, output.z + self.offset), ()
+    def reading(self, output: "Output") -> "Output":
+        return _with_z(output, output.z + self.offset)
 
 
-class SinkageDrift(AbstractSensor):
+class SinkageDrift(MemorylessSensor):
     """The vertical scale drifts with time."""
 
     about: ClassVar = EffectInfo(
@@ -83,14 +84,11 @@ class SinkageDrift(AbstractSensor):
     )
     rate: Number = strength("m/s", 5e-5, "drift of the reading, upward positive")
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _with_z(output, output.z + self.rate * output.time), ()
+    def reading(self, output: "Output") -> "Output":
+        return _with_z(output, output.z + self.rate * output.time)
 
 
-class TravelGain(AbstractSensor):
+class TravelGain(MemorylessSensor):
     """The horizontal scale reads a wrong ratio."""
 
     about: ClassVar = EffectInfo(
@@ -105,14 +103,11 @@ class TravelGain(AbstractSensor):
         # The place of the start was read on this scale, too.
         return position / jnp.stack([1 + self.gain, jnp.ones_like(self.gain)])
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return dataclasses.replace(output, x=(1 + self.gain) * output.x), ()
+    def reading(self, output: "Output") -> "Output":
+        return dataclasses.replace(output, x=(1 + self.gain) * output.x)
 
 
-class VerticalCompliance(AbstractSensor):
+class VerticalCompliance(MemorylessSensor):
     """The frame gives under the vertical force, and the height is read beyond it."""
 
     about: ClassVar = EffectInfo(
@@ -129,14 +124,11 @@ class VerticalCompliance(AbstractSensor):
         # The static sinkage was read with the frame bent by the weight.
         return position + along_z(self.compliance * weight)
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _with_z(output, output.z - self.compliance * output.fz), ()
+    def reading(self, output: "Output") -> "Output":
+        return _with_z(output, output.z - self.compliance * output.fz)
 
 
-class ForceOffset(AbstractSensor):
+class ForceOffset(MemorylessSensor):
     """The force readings hold a constant."""
 
     about: ClassVar = EffectInfo(
@@ -149,15 +141,12 @@ class ForceOffset(AbstractSensor):
     fx_offset: Number = strength("N", 2.0, "constant of the reading of fx")
     fz_offset: Number = strength("N", 2.0, "constant of the reading of fz")
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+    def reading(self, output: "Output") -> "Output":
         fx, fz = output.fx + self.fx_offset, output.fz + self.fz_offset
-        return dataclasses.replace(output, fx=fx, fz=fz), ()
+        return dataclasses.replace(output, fx=fx, fz=fz)
 
 
-class ForceGain(AbstractSensor):
+class ForceGain(MemorylessSensor):
     """The force readings are off in ratio."""
 
     about: ClassVar = EffectInfo(
@@ -170,15 +159,12 @@ class ForceGain(AbstractSensor):
     fx_gain: Number = strength("-", 0.03, "excess of the reading of fx", least=-0.9)
     fz_gain: Number = strength("-", 0.03, "excess of the reading of fz", least=-0.9)
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+    def reading(self, output: "Output") -> "Output":
         fx, fz = (1 + self.fx_gain) * output.fx, (1 + self.fz_gain) * output.fz
-        return dataclasses.replace(output, fx=fx, fz=fz), ()
+        return dataclasses.replace(output, fx=fx, fz=fz)
 
 
-class ForceCrosstalk(AbstractSensor):
+class ForceCrosstalk(MemorylessSensor):
     """Each force reading holds a share of the other axis, as of a sensor that is tilted."""
 
     about: ClassVar = EffectInfo(
@@ -191,16 +177,13 @@ class ForceCrosstalk(AbstractSensor):
     fz_in_fx: Number = strength("-", 0.02, "share of fz in the reading of fx")
     fx_in_fz: Number = strength("-", 0.02, "share of fx in the reading of fz")
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+    def reading(self, output: "Output") -> "Output":
         fx = output.fx + self.fz_in_fx * output.fz
         fz = output.fz + self.fx_in_fz * output.fx
-        return dataclasses.replace(output, fx=fx, fz=fz), ()
+        return dataclasses.replace(output, fx=fx, fz=fz)
 
 
-class TorqueOffset(AbstractSensor):
+class TorqueOffset(MemorylessSensor):
     """The torque reading holds a constant."""
 
     about: ClassVar = EffectInfo(
@@ -212,14 +195,11 @@ class TorqueOffset(AbstractSensor):
     )
     offset: Number = strength("N m", 0.2, "constant of the reading")
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return dataclasses.replace(output, torque=output.torque + self.offset), ()
+    def reading(self, output: "Output") -> "Output":
+        return dataclasses.replace(output, torque=output.torque + self.offset)
 
 
-class TorqueFriction(AbstractSensor):
+class TorqueFriction(MemorylessSensor):
     """The torque is read on the motor's side of a bearing, with its friction."""
 
     about: ClassVar = EffectInfo(
@@ -231,15 +211,12 @@ class TorqueFriction(AbstractSensor):
     )
     friction: Number = strength("N m", 0.2, "friction of the bearing", least=0.0)
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+    def reading(self, output: "Output") -> "Output":
         against = self.friction * jnp.tanh(output.omega / TURN_WIDTH)
-        return dataclasses.replace(output, torque=output.torque + against), ()
+        return dataclasses.replace(output, torque=output.torque + against)
 
 
-class TorqueGain(AbstractSensor):
+class TorqueGain(MemorylessSensor):
     """The torque reading is off in ratio."""
 
     about: ClassVar = EffectInfo(
@@ -251,11 +228,8 @@ class TorqueGain(AbstractSensor):
     )
     gain: Number = strength("-", 0.03, "excess of the reading", least=-0.9)
 
-    def begin(self, output: "Output") -> Memory:
-        return ()
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return dataclasses.replace(output, torque=(1 + self.gain) * output.torque), ()
+    def reading(self, output: "Output") -> "Output":
+        return dataclasses.replace(output, torque=(1 + self.gain) * output.torque)
 
 
 def _channels(output: "Output") -> Float[Array, "5"]:
