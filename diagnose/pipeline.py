@@ -12,10 +12,12 @@ from diagnose.checks.outlier_runs import (
     outliers_by_zeta,
 )
 from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.gap.budget import ChannelBudget, gap_budget, strength_errors_of
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import discretization_errors
 from diagnose.gap.gap import gaps
 from diagnose.gap.noise_floor import noise_floors
+from diagnose.gap.one_zeta import one_zeta_gaps
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
@@ -28,7 +30,6 @@ from diagnose.gap.zeta_matching import (
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, gaussian_prior, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
-from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.localization.localization import localize
@@ -106,12 +107,15 @@ class _MeasuredGap:
         floors: Noise floor of each channel [m, N, N m].
         notes: Sentences on the floors and on runs that do not go with the others.
         selected: The chosen hypothesis's effects, and the gap with them.
+        reference_prediction, prediction: Held-out runs by both.
     """
 
     reference: list[MatchedRun]
     floors: dict[str, float]
     notes: list[str]
     selected: SelectedEffects
+    reference_prediction: HeldOutPrediction
+    prediction: HeldOutPrediction
 
     @property
     def before(self) -> list[np.ndarray]:
@@ -141,6 +145,11 @@ class _Diagnosing:
         found = screen_effects(dataset, effects, self.pool, self.report, settings.screening)
         weighed = self.weigh(found)
         gap = self.measure_gap(weighed)
+        for _ in range(settings.verdict.max_retries):
+            if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
+                break
+            weighed = self.without_set(weighed)
+            gap = self.measure_gap(weighed)
         competing = competing_hypotheses(
             found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
@@ -192,6 +201,15 @@ class _Diagnosing:
                 if weighed.verdict == chosen.names and is_listed
                 else []
             ),
+            budget=self.budget(weighed, gap),
+            one_zeta_gap=one_zeta_gaps(
+                found.regressors,
+                gap.reference_prediction,
+                gap.prediction,
+                gap.floors,
+                self.pool,
+                settings.gap,
+            ),
         )
 
     def weigh(self, found: ScreeningResult) -> _Weighed:
@@ -199,8 +217,9 @@ class _Diagnosing:
         self.report("predicting the runs left out")
         limits = self.settings.held_out
         leading = [
-            *top_ranked(found.singles, limits.max_singles),
-            *top_ranked(found.pairs, limits.max_pairs),
+            each
+            for several, count in zip(found.by_size, limits.of_sizes(found.by_size), strict=True)
+            for each in top_ranked(several, count)
         ]
         predictions = self.pool.map_outer(
             lambda each: predict_held_out(found.regressors, each, self.pool), leading
@@ -217,6 +236,19 @@ class _Diagnosing:
         chosen = hypothesis_behind(found, leading, share, verdict)
         return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
 
+    def without_set(self, weighed: _Weighed) -> _Weighed:
+        """The weights without the verdict's set, which makes a channel worse."""
+        dropped = weighed.verdict
+        leading = [each for each in weighed.leading if each.names != dropped]
+        kept = {k: w for k, w in weighed.share.items() if k not in (dropped, (*dropped, UNKNOWN))}
+        total = sum(kept.values())
+        share = {names: weight / total for names, weight in kept.items()}
+        verdict, groups = decide(share, self.settings.verdict)
+        chosen = hypothesis_behind(weighed.screening, leading, share, verdict)
+        return replace(
+            weighed, leading=leading, share=share, verdict=verdict, groups=groups, chosen=chosen
+        )
+
     def weights(
         self,
         found: ScreeningResult,
@@ -225,11 +257,13 @@ class _Diagnosing:
     ) -> dict[tuple[str, ...], float]:
         """Weights of the reference model, the leading hypotheses and unknown."""
         regressors, none = found.regressors, found.none
-        scored = [_scored(none, none.fit.mean_square)]
+        scored = [_scored(none, none.fit.mean_square, none.fit.zeta_variance)]
         for each in leading:
-            residual = held_out[each.names].residual
-            power, _ = regressors.block_mean_squares(residual, self.pool)
-            scored.append(_scored(each, power))
+            predicted = held_out[each.names]
+            power, _ = regressors.block_mean_squares(predicted.residual, self.pool)
+            zetas = predicted.log_zeta + regressors.log_reference_zeta
+            spread = float(np.var(zetas, ddof=1)) if len(zetas) > 1 else 0.0
+            scored.append(_scored(each, power, spread))
         matrices = regressors.gram_matrices
         residuals = [each.residual for each in (none, *leading)]
         return weights(
@@ -240,7 +274,7 @@ class _Diagnosing:
             len(matrices.log_zeta),
             self.settings.weights,
             repeat_variance(regressors.dataset, residuals, none.by_zeta),
-            self.settings.linear_fit,
+            regressors.settings,
         )
 
     def measure_gap(self, weighed: _Weighed) -> _MeasuredGap:
@@ -248,10 +282,11 @@ class _Diagnosing:
         dataset, pool, settings = self.dataset, self.pool, self.settings
         regressors, none = weighed.screening.regressors, weighed.screening.none
         chosen = weighed.chosen
-        reference = at_mean_sinkage(regressors, predict_held_out(regressors, none, pool), pool)
-        matches = reference
+        plain = prediction = predict_held_out(regressors, none, pool)
+        matches = reference = at_mean_sinkage(regressors, plain, pool)
         if chosen.names:
-            matches = at_mean_sinkage(regressors, weighed.held_out[chosen.names], pool)
+            prediction = weighed.held_out[chosen.names]
+            matches = at_mean_sinkage(regressors, prediction, pool)
         before, after = residuals_of(reference), residuals_of(matches)
         own = discretization_errors(dataset, none.log_zeta, pool, settings.discretization)
         floors, how = noise_floors(dataset, before, after, own, none.by_zeta)
@@ -265,7 +300,30 @@ class _Diagnosing:
         ]
         gap = gaps(dataset, before, after, floors, settings.gap)
         selected = SelectedEffects(effects_of(chosen), chosen.log_zeta, matches, gap)
-        return _MeasuredGap(reference, floors, notes, selected)
+        return _MeasuredGap(reference, floors, notes, selected, plain, prediction)
+
+    def budget(self, weighed: _Weighed, gap: _MeasuredGap) -> dict[str, ChannelBudget]:
+        """The gap of each channel, divided by the verdict's effects."""
+        named = weighed.verdict == weighed.chosen.names
+        prediction = gap.prediction if named else gap.reference_prediction
+        after = gap.selected.after if named else gap.before
+        chosen = prediction.hypothesis
+        return gap_budget(
+            self.dataset,
+            prediction,
+            gap.before,
+            after,
+            gap.floors,
+            strength_errors_of(chosen, self.standard_errors(weighed, chosen)),
+            chosen.names,
+            self.pool,
+            self.settings.budget,
+        )
+
+    def standard_errors(self, weighed: _Weighed, chosen: Hypothesis) -> np.ndarray:
+        """Standard error of each coordinate, shape (free,)."""
+        regressors = weighed.screening.regressors
+        return _standard_errors(regressors, chosen, self.pool, self.settings.standard_error)
 
     def explain_unknown(
         self, weighed: _Weighed, gap: _MeasuredGap, places: Sequence[GapShare]
@@ -343,10 +401,8 @@ class _Diagnosing:
 
     def parameters(self, weighed: _Weighed) -> dict[str, dict[str, ParameterEstimate]]:
         """The chosen effects' numbers with standard errors, by effect and field."""
-        regressors, chosen = weighed.screening.regressors, weighed.chosen
-        error = _standard_errors(
-            regressors, chosen, self.pool, self.settings.standard_error, self.settings.linear_fit
-        )
+        chosen = weighed.chosen
+        error = self.standard_errors(weighed, chosen)
         found: dict[str, dict[str, ParameterEstimate]] = {}
         for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
             effect = chosen.model.effects[free.index]
@@ -358,10 +414,17 @@ class _Diagnosing:
         return found
 
 
-def _scored(each: Hypothesis, held_out_power: np.ndarray) -> ScoredHypothesis:
+def _scored(
+    each: Hypothesis, held_out_power: np.ndarray, held_out_zeta_variance: float
+) -> ScoredHypothesis:
     fit = each.fit
     return ScoredHypothesis(
-        each.names, held_out_power, fit.mean_square, fit.zeta_variance, len(each.coordinates)
+        each.names,
+        held_out_power,
+        fit.mean_square,
+        fit.zeta_variance,
+        len(each.coordinates),
+        held_out_zeta_variance,
     )
 
 
@@ -370,25 +433,28 @@ def _standard_errors(
     chosen: Hypothesis,
     pool: RunPool,
     settings: StandardErrorSettings,
-    linear_fit: LinearFitSettings,
 ) -> np.ndarray:
     r"""Standard error of each coordinate of a hypothesis, shape (free,).
 
-    The square root of the diagonal of $\Lambda^{-1}$ with
-    $\Lambda = \Pi + \sum_r (H_r - h_r h_r^T / z_r)$: precision $\Pi$ of the prior, which bounds the
-    error of a number that the runs do not determine, and each run's Hessian H of the coordinates
-    with its own log zeta (z, with cross terms h) marginalised. Block b weighs $w_b/(s_b +
-    \sigma_b^2)$.
+    The square root of the diagonal of the inverse of the information on (coordinates, each run's
+    log zeta): products of their columns, where block b weighs $w_b/(s_b + \sigma_b^2)$, the
+    precision of the coordinates' prior, which bounds the error of a number that the runs do not
+    determine, and what the bed says of the zetas.
     """
     matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
+    weights = regressors.settings
     worth = {"slow": settings.slow_worth, "fast": settings.fast_worth}
-    floor = linear_fit.model_errors(matrices.blocks) ** 2
+    floor = weights.model_errors(matrices.blocks) ** 2
     weight = np.array([worth[kind] for _, kind in matrices.blocks])
     weight = weight / (chosen.fit.mean_square + floor)
     gram = np.einsum("b,rbij->rij", weight, matrices.gram[:, :, :-1, :-1])
-    width, _ = gaussian_prior(chosen.model, linear_fit)
-    information = np.diag(1 / width**2)
-    for run in gram:
-        own = max(run[0, 0], 1e-300)
-        information += run[1:, 1:] - np.outer(run[1:, 0], run[0, 1:]) / own
-    return np.sqrt(np.diag(np.linalg.inv(information)))
+    width, _ = gaussian_prior(chosen.model, weights)
+    count, runs = len(width), len(gram)
+    information = np.zeros((count + runs, count + runs))
+    information[:count, :count] = np.diag(1 / width**2) + gram[:, 1:, 1:].sum(axis=0)
+    information[:count, count:] = gram[:, 1:, 0].T
+    information[count:, :count] = gram[:, 1:, 0]
+    hold = weights.bed.hold(chosen.fit.zeta_variance, runs)
+    own = np.diag(np.maximum(gram[:, 0, 0], 1e-300))
+    information[count:, count:] = own + hold * (np.eye(runs) - 1 / runs)
+    return np.sqrt(np.diag(np.linalg.inv(information))[:count])

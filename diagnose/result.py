@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from diagnose.dataset import RigDataset
+from diagnose.gap.budget import Budget
 from diagnose.gap.gap import Gap
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.gap.stepwise import NestedModel
@@ -23,7 +24,9 @@ from drftjax.results.provenance import Provenance
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SCHEMA = "drft-diagnosis"
+# Version 2 adds `budget` and `gap_one_zeta`, and `weights` of names that take part in a verdict of
+# several effects; every entry of version 1 means what it meant.
+SCHEMA, SCHEMA_VERSION = "drft-diagnosis", 2
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,10 @@ class Diagnosis:
         floors: Noise floor of each channel [m, N, N m].
         localization: Shares of the gap by axis.
         unknown_effect: The simplest unknown signal, where the verdict is unknown.
-        stepwise: The gap as two effects are added one by one; empty where there are not two.
+        stepwise: The gap as effects are added one by one; empty where there are not two.
+        budget: By channel, the gap divided by the verdict's effects, a remainder and chance.
+        one_zeta_gap: By channel, the gap with one zeta for the bed, without and with the effects
+            behind the verdict, on held-out runs.
         provenance: Its inputs, its command line, and what it was made with.
     """
 
@@ -81,6 +87,8 @@ class Diagnosis:
     localization: Sequence[GapShare] = field(default_factory=list)
     unknown_effect: UnknownEffect | None = None
     stepwise: Sequence[NestedModel] = field(default_factory=list)
+    budget: Budget = field(default_factory=dict)
+    one_zeta_gap: Mapping[str, Gap] = field(default_factory=dict)
     provenance: Provenance | None = None
 
     @property
@@ -144,13 +152,15 @@ class Diagnosis:
         """The diagnosis as plain values, in the layout of diagnosis.json."""
         return {
             "schema": SCHEMA,
-            "schema_version": 1,
+            "schema_version": SCHEMA_VERSION,
             "provenance": None if self.provenance is None else self.provenance.document(),
             "verdict": list(self.verdict),
             "weights": dict(self.weights),
             "groups": [list(group) for group in self.groups],
             "gap": {channel: gap.document() for channel, gap in self.gap.items()},
             "steps": [each.document() for each in self.stepwise],
+            "budget": {"channels": {name: each.document() for name, each in self.budget.items()}},
+            "gap_one_zeta": {name: gap.document() for name, gap in self.one_zeta_gap.items()},
             "where": [
                 {
                     "axis": each.axis,

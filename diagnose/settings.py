@@ -6,10 +6,12 @@
 Each part documents its numbers, their units and the reason for them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnose.checks.outlier_runs import DEFAULT_OUTLIER_RUNS, OutlierRunSettings
 from diagnose.dataset import DEFAULT_DATASET, DatasetSettings
+from diagnose.gap.budget import DEFAULT_BUDGET, BudgetSettings
 from diagnose.gap.discretization_error import DEFAULT_DISCRETIZATION, DiscretizationSettings
 from diagnose.gap.gap import DEFAULT_GAP, GapSettings
 from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelectionSettings
@@ -29,11 +31,15 @@ class HeldOutSettings:
 
     Attributes:
         max_singles: Leading single effects, two forms of one counting once.
-        max_pairs: Leading pairs, likewise.
+        max_sets: Leading sets of each greater number of effects, likewise.
     """
 
     max_singles: int = 4
-    max_pairs: int = 4
+    max_sets: int = 4
+
+    def of_sizes(self, by_size: Sequence[object]) -> list[int]:
+        """Number of hypotheses of one effect, of two, and so on."""
+        return [self.max_singles, *[self.max_sets] * (len(by_size) - 1)]
 
 
 DEFAULT_HELD_OUT = HeldOutSettings()
@@ -69,6 +75,7 @@ class DiagnosisSettings:
         standard_error: Errors of the numbers of effects.
         discretization: Comparison with finer plates, for the noise floor.
         gap: Intervals of the gap.
+        budget: Intervals of the budget.
         selection: Rule by which effects are worth adding.
         localization: Shares of the gap.
         outlier_runs: Runs that do not go with the others.
@@ -84,6 +91,7 @@ class DiagnosisSettings:
     standard_error: StandardErrorSettings = DEFAULT_STANDARD_ERROR
     discretization: DiscretizationSettings = DEFAULT_DISCRETIZATION
     gap: GapSettings = DEFAULT_GAP
+    budget: BudgetSettings = DEFAULT_BUDGET
     selection: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION
     localization: LocalizationSettings = DEFAULT_LOCALIZATION
     outlier_runs: OutlierRunSettings = DEFAULT_OUTLIER_RUNS

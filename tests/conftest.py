@@ -59,7 +59,7 @@ LONGEST = (
     "identify/test_outliers",
     "identify/test_fit_constant",
     "identify/test_zeta_path",
-    "diagnose/hypotheses/test_pair_screening",
+    "diagnose/hypotheses/test_set_screening",
 )
 
 

@@ -48,6 +48,7 @@ def diagnose(
 
     configure_jax()
     from diagnose.api import diagnose_gathered, effects_among
+    from diagnose.report.budget_text import budget_table
     from diagnose.report.model_writer import MODEL_FILE_MARK
     from diagnose.report.text import gap_table, paragraphs, verdict, write
     from diagnose.rig_runs import gather_runs
@@ -77,6 +78,7 @@ def diagnose(
 
     say(verdict(found), "bold")
     if not quiet:
+        console.print(budget_table(found))
         console.print(gap_table(found))
         for paragraph in paragraphs(found):
             say(paragraph)

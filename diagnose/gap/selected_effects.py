@@ -60,13 +60,17 @@ class SelectedEffects:
         """The same with them [noise floors]."""
         return math.hypot(*(gap.after / gap.floor for gap in self.gap.values()))
 
+    def worsens_no_channel(
+        self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION
+    ) -> bool:
+        """True where no channel's gap grows by more than the allowed share, or beyond chance."""
+        most = 1 + settings.min_improvement
+        return all(each.after < most * max(each.before, each.floor) for each in self.gap.values())
+
     def improves_gap(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
         """True where the gap shrinks by enough, and not at the cost of a channel."""
-        share = settings.min_improvement
-        no_channel_worse = all(
-            gap.after < (1 + share) * max(gap.before, gap.floor) for gap in self.gap.values()
-        )
-        return no_channel_worse and self.remaining < (1 - share) * self.before
+        least = (1 - settings.min_improvement) * self.before
+        return self.worsens_no_channel(settings) and self.remaining < least
 
 
 def best_selection(

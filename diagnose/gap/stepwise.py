@@ -44,7 +44,9 @@ def stepwise_gap(
     pool: RunPool,
     settings: GapSettings = DEFAULT_GAP,
 ) -> list[NestedModel]:
-    """Gap of a pair with the one effect that leaves less of it alone, refitted, and with both.
+    """Gap with more and more effects of a hypothesis, each set refitted, last with all.
+
+    Each smaller set is the best of those that were simulated.
 
     Args:
         found: The screening.
@@ -62,24 +64,19 @@ def stepwise_gap(
     if len(chosen.names) < 2:
         return []
     regressors, dataset = found.regressors, found.regressors.dataset
-
-    def residuals(single: Hypothesis) -> list[np.ndarray]:
-        prediction = held_out.get(single.names) or predict_held_out(regressors, single, pool)
-        return residuals_of(at_mean_sinkage(regressors, prediction, pool))
-
-    parts = [each for each in found.singles if set(each.names) < set(chosen.names)]
-    tried = [(each.names, residuals(each)) for each in parts]
-    scale = np.array([floors[channel] for channel in dataset.channels])[:, None]
-
-    def squares(after: Sequence[np.ndarray]) -> float:
-        """Sum of squares over all runs [noise floors squared]."""
-        if not dataset.all_finite(after):
-            return np.inf
-        return sum(float(np.nansum(np.square(each / scale))) for each in after)
-
-    first, after = min(tried, key=lambda each: squares(each[1]))
-    second = tuple(name for name in chosen.names if name not in first)
-    return [
-        NestedModel(reported_names(first), gaps(dataset, before, after, floors, settings)),
-        NestedModel(reported_names(first + second), whole),
-    ]
+    chain, names = [], set(chosen.names)
+    for smaller in reversed(found.by_size[: len(chosen.names) - 1]):
+        parts = [each for each in smaller if set(each.names) < names]
+        if parts:
+            chain.append(max(parts, key=lambda each: each.score))
+            names = set(chain[-1].names)
+    steps, order = [], ()
+    for each in reversed(chain):
+        prediction = held_out.get(each.names) or predict_held_out(regressors, each, pool)
+        after = residuals_of(at_mean_sinkage(regressors, prediction, pool))
+        if dataset.all_finite(after):
+            order += tuple(name for name in each.names if name not in order)
+            gap = gaps(dataset, before, after, floors, settings)
+            steps.append(NestedModel(reported_names(order), gap))
+    order += tuple(name for name in chosen.names if name not in order)
+    return [*steps, NestedModel(reported_names(order), whole)]

@@ -1,7 +1,8 @@
 """Screening: which effects, alone or in pairs, explain the runs of a dataset.
 
 All effects are ranked by linear fits; the leading ones are refined by simulation, alone, then in
-pairs with all others.
+pairs with all others, then in larger sets, stepwise: to the best sets of one size each other effect
+is added, and those that no longer help are taken out again.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,19 +17,21 @@ from diagnose.dataset import (
     match_initial_zeta,
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
-from diagnose.hypotheses.pair_screening import (
-    DEFAULT_PAIRS,
-    DEFAULT_RANKINGS,
-    PairScreeningSettings,
-    Ranking,
-    refine_pairs,
-)
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
     predicted_score,
     refine,
     relinearize,
+)
+from diagnose.hypotheses.set_screening import (
+    DEFAULT_LARGER_SETS,
+    DEFAULT_PAIRS,
+    DEFAULT_RANKINGS,
+    Ranking,
+    SetScreeningSettings,
+    refine_sets,
+    without_effect,
 )
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
@@ -43,6 +46,7 @@ from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSe
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, strengths
+from drftjax.recorded.repeats import group_by_condition
 
 Report = Callable[[str], None]
 
@@ -71,11 +75,16 @@ class ScreeningSettings:
             misses a block by more than this many model errors [-].
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
+        max_effects: Effects in one hypothesis at most.
+        min_set_gain: A further effect is looked for while the last one gained this much log score
+            [-]: about twice what an effect of one number costs in a weight, whose evidence counts
+            half as much.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
         refinement: Numbers of the refinement by simulation.
         pairs: Numbers of the choice of pairs.
+        larger_sets: The same of sets of three effects and more.
     """
 
     min_simulated: int = 6
@@ -92,11 +101,14 @@ class ScreeningSettings:
     hopeless_deficit: float = 100.0
     far_from_floor: float = 30.0
     pair_floor: float = 1.5
+    max_effects: int = 6
+    min_set_gain: float = 8.0
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
     refinement: RefinementSettings = DEFAULT_REFINEMENT
-    pairs: PairScreeningSettings = DEFAULT_PAIRS
+    pairs: SetScreeningSettings = DEFAULT_PAIRS
+    larger_sets: SetScreeningSettings = DEFAULT_LARGER_SETS
 
 
 DEFAULT_SCREENING = ScreeningSettings()
@@ -111,12 +123,19 @@ class ScreeningResult:
         none: The reference model with each run's own zeta, refined.
         singles: Effects simulated alone, best first.
         pairs: Pairs simulated, best first.
+        larger_sets: Sets of three effects and more, best first within one size, by size.
     """
 
     regressors: Regressors
     none: Hypothesis
     singles: tuple[Hypothesis, ...]
     pairs: tuple[Hypothesis, ...]
+    larger_sets: tuple[tuple[Hypothesis, ...], ...] = ()
+
+    @property
+    def by_size(self) -> tuple[tuple[Hypothesis, ...], ...]:
+        """Hypotheses of one effect, of two, and so on, best first within one size."""
+        return (self.singles, self.pairs, *self.larger_sets)
 
 
 def screen_effects(
@@ -163,8 +182,18 @@ class _Screening:
     settings: ScreeningSettings
 
     def run(self, report: Report) -> ScreeningResult:
-        """Rank, simulate and pair the effects."""
-        none = self.refine(linear_start(self.regressors, []), self.settings.reference_simulations)
+        """The screening, once repeats have shown how far zeta scatters."""
+        plain = self.refine(linear_start(self.regressors, []), self.settings.reference_simulations)
+        regressors = self.regressors
+        groups = group_by_condition(regressors.dataset.runs)
+        zetas = plain.log_zeta + regressors.log_reference_zeta
+        bed = regressors.settings.bed.after_repeats(zetas, groups)
+        weights = replace(regressors.settings, bed=bed)
+        seen = replace(self, regressors=replace(regressors, settings=weights))
+        return seen.screen(seen.refine(replace(plain, is_simulated=False), 1), report)
+
+    def screen(self, none: Hypothesis, report: Report) -> ScreeningResult:
+        """Rank, simulate and join the effects."""
         report("screening")
         ranked = self.rank()
         report(f"simulating the leading {len(ranked)} effects")
@@ -175,26 +204,71 @@ class _Screening:
         if miss > self.settings.far_from_floor:
             singles = self.with_large_strengths(singles)
         singles = self.finish(singles)
-        pairs: list[Hypothesis] = []
+        by_size: list[list[Hypothesis]] = [singles, []]
         if singles and self.leaves_gap(singles[0]):
             report("pairs of effects")
-            pairs = self.finish(self.refine_pairs(singles))
-        return ScreeningResult(self.regressors, none, tuple(singles), tuple(pairs))
+            by_size[1] = self.finish(self.refine_sets(singles, singles, self.settings.pairs))
+            self.add_effects(by_size, report)
+        singles, pairs, *larger = map(tuple, by_size)
+        return ScreeningResult(self.regressors, none, singles, pairs, tuple(larger))
+
+    def add_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
+        """Add one effect after another to the best sets while that pays.
+
+        Args:
+            by_size: Singles and pairs, best first; larger sets are appended.
+            report: Called with what is done next.
+        """
+        settings = self.settings
+        while by_size[-1] and len(by_size) < settings.max_effects:
+            best, smaller = by_size[-1][0], by_size[-2][0]
+            gained = best.score - smaller.score
+            if not self.leaves_gap(best) or gained < settings.min_set_gain:
+                break
+            report(f"sets of {len(by_size) + 1} effects")
+            by_size.append(
+                self.finish(self.refine_sets(by_size[-1], by_size[0], settings.larger_sets))
+            )
+            if by_size[-1]:
+                self.take_out(by_size)
+
+    def take_out(self, by_size: list[list[Hypothesis]]) -> None:
+        """Try the best of the largest sets without each of its effects.
+
+        The larger it is, the more likely that one which was added early has no part in it. What is
+        left is one of the sets of the size below.
+        """
+        best, known = by_size[-1][0], {frozenset(each.names) for each in by_size[-2]}
+        places = [
+            place
+            for place, name in enumerate(best.names)
+            if frozenset(best.names) - {name} not in known
+        ]
+        tried = self.settings.larger_sets
+        models = [AugmentedModel(_without(best.model.effects, place)) for place in places]
+        self.regressors.dataset.precompile(self.pool, predict, models)
+        found = self.pool.map_outer(
+            lambda place: without_effect(
+                self.regressors, best, place, self.pool, tried, self.settings.refinement
+            ),
+            places,
+        )
+        kept = [each for each in found if each.is_simulated]
+        by_size[-2] = sorted([*by_size[-2], *kept], key=lambda each: -each.score)
 
     def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
         """Refine a hypothesis by so many simulations at most."""
         return refine(self.regressors, start, simulations, self.pool, self.settings.refinement)
 
-    def refine_pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Simulate the leading pairs that begin with one of these."""
-        settings = self.settings
-        return refine_pairs(
-            self.regressors,
-            singles,
-            self.pool,
-            settings.pairs,
-            settings.refinement,
-        )
+    def refine_sets(
+        self,
+        bases: Sequence[Hypothesis],
+        singles: Sequence[Hypothesis],
+        settings: SetScreeningSettings,
+    ) -> list[Hypothesis]:
+        """Simulate the leading sets that begin with one of the bases."""
+        refinement = self.settings.refinement
+        return refine_sets(self.regressors, bases, singles, self.pool, settings, refinement)
 
     def rank(self) -> list[tuple[ShapeVariant, LinearFit]]:
         """The leading effects' best variants by linear fits, the rankings taking turns."""
@@ -318,6 +392,10 @@ class _Screening:
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
             if kind == "slow"
         )
+
+
+def _without(effects: tuple[type[AbstractEffect], ...], place: int):
+    return effects[:place] + effects[place + 1 :]
 
 
 def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:

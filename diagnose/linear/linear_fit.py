@@ -11,12 +11,13 @@ With $N_b$ samples in block b the mean square left is $s_b = \sum_r x_r^T G_{rb}
 log score (profile log-likelihood, up to a constant)
 
 $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
-  - \tfrac12 w_\zeta (R - 1) \ln(V_\zeta + \sigma_\zeta^2),$$
+  + \ln p(V_\zeta),$$
 
 where $\sigma_b$ is a model's own error, $e_b$ the part of the response that its linearity may be
-wrong by, $V_\zeta$ the variance of log zeta over the R runs, and $w$ the independent statements in
-a sample. The fit maximises it, with a Gaussian prior on $\theta$, by iteratively reweighted least
-squares: each iteration weighs block b by $w_b / (s_b + e_b + \sigma_b^2)$ of the one before.
+wrong by, $w$ the independent statements in a sample, and $p(V_\zeta)$ the evidence of the variance
+of log zeta over the runs (`diagnose.linear.bed`). The fit maximises it, with a Gaussian prior on
+$\theta$, by iteratively reweighted least squares: each iteration weighs block b by
+$w_b / (s_b + e_b + \sigma_b^2)$ of the one before.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from diagnose.linear.bed import DEFAULT_BED, AbstractBed
 from diagnose.linear.residual_blocks import KINDS
 
 Block = tuple[str, str]
@@ -56,8 +58,7 @@ class LinearFitSettings:
             fall below [m, N, N m].
         slow_worth: Independent statements in one bin of a slow part [-].
         fast_worth: Independent statements in one sample of a fast part [-].
-        zeta_worth: Independent statements in one run's log zeta [-].
-        zeta_scatter: Scatter of log zeta from run to run that sand shows in any case [-].
+        bed: Scatter of zeta between the runs.
         strength_prior: Width of the prior on a strength [typical sizes].
         shape_prior: Least width of the prior on a shape's logarithm [-]; half the range of the
             shape's grid where that is wider.
@@ -71,8 +72,7 @@ class LinearFitSettings:
     model_error: Mapping[Block, float] = field(default_factory=_default_model_error)
     slow_worth: float = 0.1
     fast_worth: float = 0.01
-    zeta_worth: float = 0.6
-    zeta_scatter: float = 0.012
+    bed: AbstractBed = DEFAULT_BED
     strength_prior: float = 5.0
     shape_prior: float = 1.0
     linear_error: float = 0.1
@@ -278,8 +278,7 @@ class _Problem:
         normal[:p, p:] = summed[:, 1:-1, 0].T
         normal[p:, :p] = summed[:, 1:-1, 0]
         right[p:] = -summed[:, 0, -1]
-        zeta_worth = self.settings.zeta_worth * (runs - 1)
-        hold = zeta_worth / max(runs - 1, 1) / (variance + self.settings.zeta_scatter**2)
+        hold = self.settings.bed.hold(variance, runs)
         normal[p:, p:] += hold * self.centring
         right[p:] -= hold * self.centring @ self.log_zeta
         return normal, right
@@ -349,8 +348,7 @@ def log_score(
     floor = (inflation * settings.model_errors(blocks)) ** 2
     worth = sample_count * settings.worth(blocks)
     score = -0.5 * float((worth * np.log(mean_square + floor)).sum())
-    scatter = float(np.log(zeta_variance + settings.zeta_scatter**2))
-    return score - 0.5 * settings.zeta_worth * (runs - 1) * scatter
+    return score + settings.bed.evidence(zeta_variance, runs)
 
 
 def block_names(channels: Sequence[str]) -> tuple[Block, ...]:

@@ -4,6 +4,7 @@ import base64
 import io
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -16,6 +17,7 @@ from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import percent
 from diagnose.unknown.correction_fit import UnknownEffect
 from diagnose.unknown.dependence import PERIODIC_VARIABLE, signal_against
+from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES, Curve
 from drftjax.recorded.observation import SHOWN
 
@@ -56,6 +58,53 @@ class FigureSettings:
 
 
 DEFAULT_FIGURES = FigureSettings()
+
+
+def budget_figure(found: Diagnosis) -> Figure:
+    """Figure of the gap of each channel, divided by effect, remainder and chance."""
+    channels = list(found.budget)
+    figure = Figure(figsize=(9.6, 1.4 + 0.55 * len(channels)), layout="constrained")
+    axes = figure.subplots()
+    names = list(dict.fromkeys(name for each in found.budget.values() for name in each.effects))
+    colours = mpl.colormaps["tab10"].colors  # pyright: ignore
+    start = np.zeros(len(channels))
+    parts = [
+        ("chance (noise floor)", "0.8", [min(b.floor, b.before) for b in found.budget.values()]),
+        *(
+            (
+                " or ".join(_group_of(found, name)),
+                colours[k % len(colours)],
+                [max(b.effects[name].size, 0.0) for b in found.budget.values()],
+            )
+            for k, name in enumerate(names)
+        ),
+        (
+            "unexplained",
+            "0.45",
+            [b.remainder * max(b.before - b.floor, 0.0) for b in found.budget.values()],
+        ),
+    ]
+    whole = np.array([max(b.before, 1e-300) for b in found.budget.values()])
+    for label, colour, sizes in parts:
+        share = 100 * np.array(sizes) / whole
+        axes.barh(range(len(channels)), share, 0.6, left=start, color=colour, label=label)
+        start = start + share
+    labels = []
+    for channel in channels:
+        unit, scale = SHOWN[channel]
+        size = found.budget[channel].before * scale
+        labels.append(f"{CHANNEL_NAMES[channel]}\n{size:.3g} {unit}")
+    axes.set_yticks(range(len(channels)), labels)
+    axes.invert_yaxis()
+    axes.set_xlabel("share of the reference model's gap [%]")
+    axes.set_title("Where the gap comes from", fontsize=10, loc="left")
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    return figure
+
+
+def _group_of(found: Diagnosis, name: str) -> Sequence[str]:
+    own = reported_name(name)
+    return next((each for each in found.groups if each and each[0] == own), [own])
 
 
 def at_a_glance(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> Figure:

@@ -14,7 +14,22 @@ from rich.table import Table
 from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
 from diagnose.localization.localization import localization_sentence
-from diagnose.report.figures import as_source, at_a_glance, residuals, unknown_signal, weights
+from diagnose.report.budget_text import (
+    budget_columns,
+    budget_rows,
+    budget_table,
+    effect_sentences,
+    one_zeta_sentence,
+    remainder_sentence,
+)
+from diagnose.report.figures import (
+    as_source,
+    at_a_glance,
+    budget_figure,
+    residuals,
+    unknown_signal,
+    weights,
+)
 from diagnose.report.model_writer import MODEL_FILE_MARK, estimate_in_words, model_toml
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
@@ -38,10 +53,17 @@ class ReportSettings:
         min_floors: The reference model misses the runs by far where the gap of a channel is so many
             noise floors [-].
         min_weight: Smaller weights are left out of the list of weights [-].
+        most_of_gap: Runs are named that hold this share of the gap [-].
+        max_named_runs: Of these, so many at most.
+        min_concentration: They are named where they hold so many times more of the gap than of the
+            time [-].
     """
 
     min_floors: float = 3.0
     min_weight: float = 0.01
+    most_of_gap: float = 0.6
+    max_named_runs: int = 3
+    min_concentration: float = 1.5
 
 
 DEFAULT_REPORT = ReportSettings()
@@ -49,7 +71,12 @@ DEFAULT_REPORT = ReportSettings()
 
 def in_words(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[Table | str]:
     """The whole diagnosis as sentences and tables, from top to bottom."""
-    return [verdict(found, settings), gap_table(found), *paragraphs(found, settings)]
+    return [
+        verdict(found, settings),
+        budget_table(found),
+        gap_table(found),
+        *paragraphs(found, settings),
+    ]
 
 
 def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
@@ -86,6 +113,9 @@ def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
             f"Something makes {runs} differ from the reference model (weight {percent(weight)}), "
             "but no effect that is known here explains it."
         )
+    if len(found.verdict) > 2:
+        listed = ", ".join(found.verdict[:-1]) + f" and {found.verdict[-1]}"
+        return f"These runs show {len(found.verdict)} effects at once: {listed}."
     effects = " and ".join(f"{name} ({found.meaning(name)})" for name in found.verdict)
     if alone:
         return (
@@ -113,12 +143,17 @@ def certainty_in_words(found: Diagnosis) -> float:
 def paragraphs(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[str]:
     """The rest of the diagnosis, in sentences."""
     weighty = [each for each in found.weights.items() if each[1] >= settings.min_weight]
-    lines = ["weights: " + ", ".join(f"{name} {percent(weight)}" for name, weight in weighty)]
+    lines = [*effect_sentences(found), remainder_sentence(found)]
     lines += group_sentences(found)
     lines += gap_sentences(found)
+    lines.append(one_zeta_sentence(found))
     if found.verdict != (NONE,):
+        lines.append(run_sentence(found))
         lines.append(localization_sentence(found.localization))
-    lines += parameter_sentences(found)
+    if found.verdict == (UNKNOWN,):
+        lines += parameter_sentences(found)
+    lines.append("weights: " + ", ".join(f"{name} {percent(weight)}" for name, weight in weighty))
+    lines = [each for each in lines if each]
     lines += [f"note: {note}" for note in found.notes]
     lines += next_sentences(found)
     return lines
@@ -146,6 +181,23 @@ def shrinkage_in_words(gap: Gap) -> str:
         return f"{gap.shrinkage:.0%}"
     low, high = gap.interval
     return f"{gap.shrinkage:.0%} ({low:.0%} to {high:.0%})"
+
+
+def run_sentence(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
+    """The runs that hold most of the gap; empty where it is spread."""
+    runs = sorted((e for e in found.localization if e.axis == "run"), key=lambda each: -each.share)
+    if len(runs) < 2:
+        return ""
+    named, total = [], 0.0
+    for each in runs[: settings.max_named_runs]:
+        named.append(f"{each.label} ({each.share:.0%})")
+        total += each.share
+        if total >= settings.most_of_gap:
+            time = sum(e.time for e in runs[: len(named)])
+            if total < settings.min_concentration * time:
+                return ""
+            return f"{total:.0%} of the gap is in {' and '.join(named)}."
+    return ""
 
 
 def gap_sentences(found: Diagnosis) -> list[str]:
@@ -306,9 +358,15 @@ def page(found: Diagnosis) -> str:
         version=__version__,
         names=[each.name for each in found.dataset.runs],
         verdict=verdict(found),
+        budget=as_source(budget_figure(found)),
+        budget_columns=budget_columns(found),
+        budget_rows=budget_rows(found),
         sentences=[
+            *effect_sentences(found),
+            *filter(None, [remainder_sentence(found)]),
             *group_sentences(found),
             *gap_sentences(found),
+            *filter(None, [one_zeta_sentence(found), run_sentence(found)]),
             *([localization_sentence(found.localization)] if found.verdict != (NONE,) else []),
         ],
         glance=as_source(at_a_glance(found)),

@@ -1,27 +1,28 @@
-r"""Weights of effects, pairs of them, none and unknown: approximate posterior probabilities.
+r"""Weights of sets of effects, none and unknown: approximate posterior probabilities.
 
 A hypothesis h with k free numbers is scored by the mean squares $s_b$ that it leaves in the blocks
-b of the residuals, each with a variance of its own. With $N_b$ samples in a block and R runs, the
-evidence is
+b of the residuals, each with a variance of its own, and by the variance V of log zeta over the
+runs. With $N_b$ samples in a block the evidence is
 
-$$E(s, V) = -\tfrac12 \sum_b w_b N_b \ln(s_b + a_b)
-  - \tfrac12 w_\zeta (R - 1) \ln(V + \sigma_\zeta^2),$$
+$$E(s, V) = -\tfrac12 \sum_b w_b N_b \ln(s_b + a_b) + \ln p(V),$$
 
-with V the variance of log zeta over the runs, $w$ the independent statements in a sample, and $a_b$
-the mean square that is not held against a model: its own error $(c\,\sigma_b)^2$, what repeats
-differ by beyond noise, and a share $\epsilon^2$ of what the reference model leaves beyond all
-these. The log weight is
+with $w$ the independent statements in a sample, $p(V)$ the evidence of the bed's scatter
+(`diagnose.linear.bed`), and $a_b$ the mean square that is not held against a model: its own error
+$(c\,\sigma_b)^2$, what repeats differ by beyond noise, and a share $\epsilon^2$ of what the
+reference model leaves beyond all these (likewise of V beyond the bed's scatter). The log weight is
 
-$$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V_h) + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h)
-  - \kappa k_h + \ln \pi_h,$$
+$$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V^{\mathrm{held\,out}}_h)
+  + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h) - \kappa k_h + \ln \pi_h,$$
 
 on runs that h was not fitted to and on those it was. Prediction alone would condemn a right effect
 where the one run that shows it best is the one left out, as the others know little of its numbers;
 the fit alone would reward what bends to every run.
 
-`unknown` is a model outside the catalogue: it is taken to leave a share $\rho$ (in amplitude) of
-what the reference model leaves beyond noise and $a_b$, with three free numbers, so that a listed
-effect must explain nearly all of a gap to be believed.
+`unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
+$\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
+Alone, it asks of listed effects that they explain nearly all of a gap to be believed. Beside some
+it is a remainder; but as an effect may take a part of what something unknown does, each effect is
+then less credible by `log_prior_beside_unknown`.
 
 The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
 --seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
@@ -48,7 +49,6 @@ class WeightSettings:
     Attributes:
         slow_worth: $w_b$, independent statements in a bin of a slow part [-].
         fast_worth: $w_b$, independent statements in a sample of a fast part [-].
-        zeta_worth: $w_\zeta$, independent statements in a run's log zeta [-].
         model_error_factor: $c$, factor on `LinearFitSettings.model_error` [-].
         formula_error_share: $\epsilon$, share of the reference model's residual (in amplitude) that
             a right effect may leave, because no rig follows a formula exactly [-].
@@ -60,12 +60,12 @@ class WeightSettings:
         unknown_parameters: Free numbers that `unknown` is charged for.
         log_prior_none: $\ln \pi$ of the reference model, over a single effect's [-].
         log_prior_unknown: $\ln \pi$ of `unknown`, over a single effect's [-].
-        log_prior_pair: $\ln \pi$ of a pair of effects, over a single effect's [-].
+        log_prior_further: $\ln \pi$ of each effect beyond the first [-].
+        log_prior_beside_unknown: $\ln \pi$ of each effect beside `unknown` [-].
     """
 
     slow_worth: float = 0.05
     fast_worth: float = 0.005
-    zeta_worth: float = 0.6
     model_error_factor: float = 1.2
     formula_error_share: float = 0.01
     held_out_share: float = 0.5
@@ -74,7 +74,8 @@ class WeightSettings:
     unknown_parameters: int = 3
     log_prior_none: float = 0.5
     log_prior_unknown: float = 1.0
-    log_prior_pair: float = -4.0
+    log_prior_further: float = -4.0
+    log_prior_beside_unknown: float = -6.0
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
@@ -83,7 +84,8 @@ class WeightSettings:
 
     def log_prior(self, effect_count: int) -> float:
         """Logarithm of the prior of a hypothesis of so many effects, over a single effect's [-]."""
-        return {0: self.log_prior_none, 1: 0.0}.get(effect_count, self.log_prior_pair)
+        further = self.log_prior_further * (effect_count - 1)
+        return further if effect_count else self.log_prior_none
 
 
 DEFAULT_WEIGHTS = WeightSettings()
@@ -100,6 +102,8 @@ class ScoredHypothesis:
         fitted_power: The same on the runs it was fitted to.
         zeta_variance: Variance of log zeta over the runs [-].
         parameter_count: Number of its free numbers.
+        held_out_zeta_variance: The same with each run's zeta at the numbers of the other conditions
+            [-].
     """
 
     names: tuple[str, ...]
@@ -107,6 +111,7 @@ class ScoredHypothesis:
     fitted_power: np.ndarray
     zeta_variance: float
     parameter_count: int
+    held_out_zeta_variance: float
 
 
 def log_weights(
@@ -118,8 +123,8 @@ def log_weights(
     settings: WeightSettings = DEFAULT_WEIGHTS,
     repeat_power: np.ndarray | float = 0.0,
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
-) -> tuple[np.ndarray, float]:
-    """Log weights, up to a common constant, of each hypothesis and of unknown.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Log weights, up to a common constant, of each hypothesis alone and beside `unknown`.
 
     Args:
         scored: Hypotheses, the reference model first.
@@ -132,33 +137,46 @@ def log_weights(
             noise and a model's own error is neither held against a model nor for `unknown` to
             explain.
         linear_fit: For a model's own error and the scatter of zeta.
+
+    Returns:
+        Both of shape (hypotheses,).
     """
     floor = (settings.model_error_factor * linear_fit.model_errors(blocks)) ** 2
     by_chance = np.maximum(repeat_power - noise_power - floor, 0)
+    bed, free = linear_fit.bed, settings.formula_error_share**2
+
+    def beyond(power: np.ndarray) -> np.ndarray:
+        return np.maximum(power - noise_power - floor - by_chance, 0)
+
+    def beyond_scatter(variance: float) -> float:
+        return max(variance - bed.scatter**2, 0.0)
+
     reference = scored[0]
-    beyond = np.maximum(reference.held_out_power - noise_power - floor - by_chance, 0)
-    allowed = floor + by_chance + settings.formula_error_share**2 * beyond
+    allowed = floor + by_chance + free * beyond(reference.held_out_power)
+    pardoned = free * beyond_scatter(reference.zeta_variance)
     worth = sample_count * settings.worth(blocks)
-    zeta_worth = settings.zeta_worth * max(runs - 1, 0)
+    taken = 1 - settings.unknown_residual_share**2
 
-    def evidence(power: np.ndarray, zeta_variance: float) -> float:
-        explained = -0.5 * float((worth * np.log(power + allowed)).sum())
-        scatter = float(np.log(zeta_variance + linear_fit.zeta_scatter**2))
-        return explained - 0.5 * zeta_worth * scatter
+    def evidence(power: np.ndarray, variance: float, explained: float = 0.0) -> float:
+        left = power - explained * beyond(power)
+        scatter = variance - explained * beyond_scatter(variance)
+        of_samples = -0.5 * float((worth * np.log(left + allowed)).sum())
+        return of_samples + bed.evidence(scatter, runs, pardoned)
 
-    found = []
-    for each in scored:
-        held_out, fitted = (
-            evidence(power, each.zeta_variance)
-            for power in (each.held_out_power, each.fitted_power)
-        )
-        both = settings.held_out_share * held_out + (1 - settings.held_out_share) * fitted
-        cost = settings.parameter_cost * each.parameter_count
-        found.append(both - cost + settings.log_prior(len(each.names)))
-    left = reference.held_out_power - (1 - settings.unknown_residual_share**2) * beyond
-    unknown = evidence(left, reference.zeta_variance) + settings.log_prior_unknown
-    cost = settings.parameter_cost * settings.unknown_parameters
-    return np.array(found), unknown - cost
+    def both(each: ScoredHypothesis, explained: float = 0.0) -> float:
+        held_out = evidence(each.held_out_power, each.held_out_zeta_variance, explained)
+        fitted = evidence(each.fitted_power, each.zeta_variance, explained)
+        u = settings.held_out_share
+        return u * held_out + (1 - u) * fitted - settings.parameter_cost * each.parameter_count
+
+    count = [len(each.names) for each in scored]
+    alone = [both(each) + settings.log_prior(k) for each, k in zip(scored, count, strict=True)]
+    own = settings.log_prior_unknown - settings.parameter_cost * settings.unknown_parameters
+    beside = [
+        both(each, taken) + own + k * settings.log_prior_beside_unknown
+        for each, k in zip(scored, count, strict=True)
+    ]
+    return np.array(alone), np.array(beside)
 
 
 def weights(
@@ -171,17 +189,20 @@ def weights(
     repeat_power: np.ndarray | float = 0.0,
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> dict[tuple[str, ...], float]:
-    """Weights that sum to one, by the names of the effects; ("none",) and ("unknown",) too.
+    """Weights that sum to one, by the names of the effects.
+
+    ("none",) and ("unknown",) stand without an effect; a set with a remainder ends in "unknown".
 
     Arguments as for `log_weights`.
     """
-    known, unknown = log_weights(
+    alone, beside = log_weights(
         scored, blocks, sample_count, noise_power, runs, settings, repeat_power, linear_fit
     )
-    logs = np.r_[known, unknown]
+    logs = np.r_[alone, beside]
     share = np.exp(logs - logs.max())
     share /= share.sum()
-    names = [each.names or (NONE,) for each in scored] + [(UNKNOWN,)]
+    names = [each.names or (NONE,) for each in scored]
+    names += [(*each.names, UNKNOWN) for each in scored]
     return dict(zip(names, share.tolist(), strict=True))
 
 

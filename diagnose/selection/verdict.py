@@ -1,4 +1,4 @@
-"""The verdict: the explanation with the most weight, and those that cannot be told from it."""
+"""The verdict: the set of effects with the most weight, and those that cannot be told from it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.selection.model_weights import NONE, UNKNOWN
 from drftjax.effects.catalogue import reported_names
 
-# Weight of each explanation, by the names of its effects; ("none",) and ("unknown",) too.
+# Weight of each explanation, by the names of its effects; ("none",) and ("unknown",) too. A set
+# beside which something unknown acts ends in "unknown".
 Weights = Mapping[tuple[str, ...], float]
 
 
@@ -21,10 +22,11 @@ class VerdictSettings:
         min_named_weight: An effect of less weight than this is not named beside another [-].
         alarm_ratio: Effects or `unknown` are named at all where they outweigh `none` by this factor
             [-]. It holds down the rate of false alarms, and is no part of the weights, which say
-            what
-            is likely: many rigs have an effect so faint that these runs could as well have none.
+            what is likely: many rigs have an effect so faint that these runs could as well have
+            none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
+        max_retries: Sets of effects that are dropped at most because they make a channel worse.
         max_competing: One run is asked to tell the verdict from so many at most.
     """
 
@@ -32,6 +34,7 @@ class VerdictSettings:
     min_named_weight: float = 0.1
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
+    max_retries: int = 3
     max_competing: int = 3
 
 
@@ -44,8 +47,9 @@ def decide(
     """The verdict, and the groups of names that cannot be told from each of its effects.
 
     Effects that share their weight speak together: all of them against none and unknown, then all
-    pairs against all effects alone. A second effect that has many likenesses is no less there.
-    `none` stands until effects or unknown outweigh it by `settings.alarm_ratio`.
+    sets of one size against all of another. A second effect that has many likenesses is no less
+    there. `none` stands until effects or unknown outweigh it by `settings.alarm_ratio`. Beside
+    effects `unknown` is a remainder, and no part of the verdict.
 
     Args:
         share: Weights that sum to one.
@@ -66,6 +70,15 @@ def decide(
     return verdict, [_group(first, verdict, kept[1:]) for first in verdict]
 
 
+def weight_by_set(share: Weights) -> dict[tuple[str, ...], float]:
+    """Weight of each set of effects, with and without a remainder, heaviest first."""
+    total: dict[tuple[str, ...], float] = {}
+    for names, weight in share.items():
+        listed = tuple(name for name in names if name != UNKNOWN) or names
+        total[listed] = total.get(listed, 0.0) + weight
+    return dict(sorted(total.items(), key=lambda each: -each[1]))
+
+
 def _speaking_together(
     share: Weights, settings: VerdictSettings
 ) -> list[tuple[tuple[str, ...], float]]:
@@ -74,14 +87,14 @@ def _speaking_together(
     Where effects stand, only those of the winning number of effects; else all, with none or unknown
     in front.
     """
-    ranked = sorted(share.items(), key=lambda each: -each[1])
+    ranked = list(weight_by_set(share).items())
     effects = [each for each in ranked if each[0] not in ((NONE,), (UNKNOWN,))]
     none = settings.alarm_ratio * share.get((NONE,), 0.0)
     unknown = share.get((UNKNOWN,), 0.0)
     if effects and _total(effects) >= max(none, unknown):
-        alone = [each for each in effects if len(each[0]) == 1]
-        pairs = [each for each in effects if len(each[0]) == 2]
-        return max(alone, pairs, key=_total)
+        sizes = {len(names) for names, _ in effects}
+        by_size = [[each for each in effects if len(each[0]) == size] for size in sizes]
+        return max(by_size, key=_total)
     stands = (NONE,) if none >= unknown else (UNKNOWN,)
     return sorted(ranked, key=lambda each: each[0] != stands)
 
@@ -93,7 +106,7 @@ def _group(first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...
         if len(names) != len(verdict):
             continue
         same = set(names) & set(verdict)
-        if len(verdict) == 1 or (len(same) == 1 and first not in same):
+        if len(same) == len(verdict) - 1 and first not in same:
             group += [n for n in names if n not in verdict and n not in group]
     return group
 
@@ -139,7 +152,8 @@ def hypothesis_behind(
     if verdict == (NONE,):
         return found.none
     if verdict == (UNKNOWN,):
-        return max(leading, key=lambda each: share[each.names], default=found.none)
+        by_set = weight_by_set(share)
+        return max(leading, key=lambda each: by_set[each.names], default=found.none)
     return next(each for each in leading if each.names == verdict)
 
 
@@ -164,11 +178,12 @@ def competing_hypotheses(
     if verdict == (UNKNOWN,):
         return []
     others = {each.names or (NONE,): each for each in (found.none, *leading)}
+    by_set = weight_by_set(share)
     # Two forms of one effect need no telling apart.
     known, competing = {frozenset(reported_names(verdict))}, []
-    for names in sorted(others, key=lambda names: -share[names]):
+    for names in sorted(others, key=lambda names: -by_set[names]):
         least = settings.min_named_weight if competing else settings.min_competing_weight
-        if share[names] < least or len(competing) == settings.max_competing:
+        if by_set[names] < least or len(competing) == settings.max_competing:
             break
         if frozenset(reported_names(names)) not in known:
             known.add(frozenset(reported_names(names)))

@@ -10,9 +10,9 @@ from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.cross_validation import predict_held_out
 from diagnose.gap.gap import gaps, shrinkage
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
-from diagnose.hypotheses.pair_screening import pair_candidates
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.set_screening import set_candidates
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
@@ -148,7 +148,7 @@ def test_a_pair_starts_with_what_straight_lines_give_to_both(regressors, pool):
         3,
         pool,
     )
-    proposal = next(pair_candidates(regressors, [gain], pool))
+    proposal = next(set_candidates(regressors, [gain], [gain], pool))
     assert proposal.names == {"travel_gain", "surface_slope"}
     pair = proposal.build()
     # The slope's true 20 mm/m alone makes the gap. A straight line's belief shortens its step, so
@@ -263,8 +263,10 @@ def test_weights_follow_what_is_left():
 
     def ratio(unseen: float, fitted: float) -> float:
         gap = np.array([4e-8])
-        drawbar = ScoredHypothesis(("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1)
-        judged = [ScoredHypothesis((), gap, gap, 0.0, 0), drawbar]
+        drawbar = ScoredHypothesis(
+            ("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1, 0.0
+        )
+        judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0), drawbar]
         found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, settings)
         return found[("drawbar",)] / found[("none",)]
 

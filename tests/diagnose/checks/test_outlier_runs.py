@@ -92,7 +92,7 @@ def test_runs_that_begin_alike_repeat_each_other_whatever_comes_between(case):
 
 def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
     gap, number, noise = np.array([1e-6]), np.array([400.0]), np.array([1e-12])
-    judged = [ScoredHypothesis((), gap, gap, 0.0, 0)]
+    judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0)]
 
     def of(by_chance: float) -> dict:
         return weights(

@@ -54,6 +54,8 @@ KEYS = {
     "groups",
     "gap",
     "steps",
+    "budget",
+    "gap_one_zeta",
     "where",
     "parameters",
     "correction",
@@ -177,7 +179,7 @@ def test_the_verdict_and_what_was_left_out_are_printed(diagnosed):
 def test_the_json_has_the_documented_layout(diagnosed):
     document = json.loads((diagnosed[0] / "diagnosis.json").read_text())
     assert set(document) == KEYS
-    assert (document["schema"], document["schema_version"]) == ("drft-diagnosis", 1)
+    assert (document["schema"], document["schema_version"]) == ("drft-diagnosis", 2)
     answer = msgspec.convert(document, Answer)
     assert answer.verdict == ["surface_slope"]
     assert sum(answer.weights.values()) == pytest.approx(1, abs=ROUNDING)

@@ -1,9 +1,9 @@
-"""Pairs of effects: which of them are worth a simulation.
+"""Sets of several effects: which of them are worth a simulation.
 
-A pair begins with a single effect that was refined. Another one is added to it by a linear fit:
-from its null, or, where it was refined alone as well, by the change that it made to the runs there.
-The first kind of start covers every effect, but only small strengths; the second holds far from the
-null, too.
+A set begins with a smaller one that was refined: a single effect, a pair. Another effect is added
+to it by a linear fit: from its null, or, where it was refined alone as well, by the change that it
+made to the runs there. The first kind of start covers every effect, but only small strengths; the
+second holds far from the null, too.
 """
 
 import itertools
@@ -39,27 +39,27 @@ DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.
 
 
 @dataclass(frozen=True)
-class PairScreeningSettings:
-    """Numbers by which pairs of effects are chosen for simulation.
+class SetScreeningSettings:
+    """Numbers by which sets of effects are chosen for simulation.
 
     Attributes:
-        max_first_effects: Refined single effects that pairs begin with, at most.
-        pairs_per_round: Pairs that are simulated in one round.
-        max_rounds: Rounds at most.
-        far_from_floor: Another round is made while the best pair misses a block by more than this
-            many model errors [-]: far from the null linear fits may rank the right pair low.
-        max_simulations: Simulations of all runs for each pair, at most.
-        both_starts: Leading pairs that are refined from the other kind of start as well, as neither
+        max_bases: Refined hypotheses that sets begin with, at most.
+        sets_per_round: Sets that are simulated in one round.
+        max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
+        far_from_floor: Another round is made while the best set misses a block by more than this
+            many model errors [-]: far from the null linear fits may rank the right set low.
+        max_simulations: Simulations of all runs for each set, at most.
+        both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
-        rankings: Linear fits rank pairs with an effect at its null once by each of these.
+        rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
-            raised to in the rankings of pairs of refined effects [-].
+            raised to in the rankings of sets of refined effects [-].
     """
 
-    max_first_effects: int = 3
-    pairs_per_round: int = 8
-    max_rounds: int = 2
+    max_bases: int = 3
+    sets_per_round: int = 8
+    max_rounds: int = 1
     far_from_floor: float = 5.0
     max_simulations: int = 4
     both_starts: int = 3
@@ -68,16 +68,20 @@ class PairScreeningSettings:
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
 
 
-DEFAULT_PAIRS = PairScreeningSettings()
+DEFAULT_PAIRS = SetScreeningSettings()
+
+# A base of two effects or more is simulated and linearised anew, so linear fits about it are nearer
+# to the truth than those about the reference model: fewer tries are enough.
+DEFAULT_LARGER_SETS = SetScreeningSettings(max_bases=2, sets_per_round=6, both_starts=1)
 
 
 @dataclass(frozen=True)
-class PairCandidate:
-    """A pair as a linear fit proposes it.
+class SetCandidate:
+    """A set of effects as a linear fit proposes it.
 
     Attributes:
         names: Its effects.
-        from_null: The second effect starts at its null, not from its refinement alone.
+        from_null: The added effect starts at its null, not from its refinement alone.
         score: Log score that the fit predicts.
         build: Makes the hypothesis, with its proposed step.
     """
@@ -88,17 +92,19 @@ class PairCandidate:
     build: Callable[[], Hypothesis]
 
 
-def refine_pairs(
+def refine_sets(
     regressors: Regressors,
+    bases: Sequence[Hypothesis],
     singles: Sequence[Hypothesis],
     pool: RunPool,
-    settings: PairScreeningSettings = DEFAULT_PAIRS,
+    settings: SetScreeningSettings = DEFAULT_PAIRS,
     refinement: RefinementSettings = DEFAULT_REFINEMENT,
 ) -> list[Hypothesis]:
-    """Simulate the leading pairs, each refined by some simulations.
+    """Simulate the leading sets of one effect more, each refined by some simulations.
 
     Args:
         regressors: The runs.
+        bases: Hypotheses that an effect is added to, best first.
         singles: Effects simulated alone, best first.
         pool: Threads.
         settings: Numbers of the choice.
@@ -107,10 +113,10 @@ def refine_pairs(
     Returns:
         Best first, but that the first few may be better still from another start.
     """
-    starts: dict[frozenset[str], dict[bool, PairCandidate]] = {}
-    for each in pair_candidates(regressors, singles, pool, settings):
-        # Two forms of one effect are no pair: the verdict would name one, with two sets of numbers.
-        if len(reported_names(each.names)) == 1:
+    starts: dict[frozenset[str], dict[bool, SetCandidate]] = {}
+    for each in set_candidates(regressors, bases, singles, pool, settings):
+        # Two forms of one effect are no set: the verdict would name one, with two sets of numbers.
+        if len(reported_names(each.names)) < len(each.names):
             continue
         starts.setdefault(each.names, {}).setdefault(each.from_null, each)
 
@@ -126,8 +132,8 @@ def refine_pairs(
     firsts = [next(iter(kinds.values())) for kinds in starts.values()]
     found: list[Hypothesis] = []
     for turn in range(settings.max_rounds):
-        first = turn * settings.pairs_per_round
-        begun = [each.build() for each in firsts[first : first + settings.pairs_per_round]]
+        first = turn * settings.sets_per_round
+        begun = [each.build() for each in firsts[first : first + settings.sets_per_round]]
         regressors.dataset.precompile(pool, predict, [each.model for each in begun])
         found += pool.map_outer(refined, begun)
         found.sort(key=lambda each: -each.score)
@@ -137,32 +143,70 @@ def refine_pairs(
     return [*pool.map_outer(better_start, leading), *rest]
 
 
+def without_effect(
+    regressors: Regressors,
+    whole: Hypothesis,
+    index: int,
+    pool: RunPool,
+    settings: SetScreeningSettings = DEFAULT_PAIRS,
+    refinement: RefinementSettings = DEFAULT_REFINEMENT,
+) -> Hypothesis:
+    """A hypothesis without one of its effects, the others' numbers refined by simulation.
+
+    Args:
+        regressors: The runs.
+        whole: The hypothesis.
+        index: Place of the effect.
+        pool: Threads.
+        settings: Numbers of the choice.
+        refinement: Numbers of the refinement.
+    """
+    kept = [k for k, free in enumerate(whole.model.free) if free.index != index]
+    effects = tuple(e for k, e in enumerate(whole.model.effects) if k != index)
+    start = Hypothesis(
+        AugmentedModel(effects),
+        whole.log_zeta,
+        whole.coordinates[kept],
+        whole.fit,
+        [each[:, :, [0, *(1 + k for k in kept)]] for each in whole.columns],
+        whole.residual,
+        is_simulated=False,
+        proposed_step=(np.zeros_like(whole.log_zeta), np.zeros(len(kept))),
+    )
+    return refine(regressors, start, settings.max_simulations, pool, refinement)
+
+
 def _worst_miss(regressors: Regressors, best: Hypothesis) -> float:
     """RMS of the worst block [model errors]; one at least."""
     blocks = regressors.gram_matrices.blocks
     return floor_inflation(blocks, best.fit.mean_square, 1.0, regressors.settings)
 
 
-def pair_candidates(
+def set_candidates(
     regressors: Regressors,
+    bases: Sequence[Hypothesis],
     singles: Sequence[Hypothesis],
     pool: RunPool,
-    settings: PairScreeningSettings = DEFAULT_PAIRS,
-) -> Iterator[PairCandidate]:
-    """Pairs that linear fits propose, the rankings taking turns; one may come more than once.
+    settings: SetScreeningSettings = DEFAULT_PAIRS,
+) -> Iterator[SetCandidate]:
+    """Sets that linear fits propose, the rankings taking turns; one may come more than once.
 
-    Arguments as for `refine_pairs`.
+    Arguments as for `refine_sets`.
     """
     # Another form of an effect begins nothing that the better one does not.
     firsts: dict[tuple[str, ...], Hypothesis] = {}
-    for each in top_ranked(singles, settings.max_first_effects):
+    for each in top_ranked(bases, settings.max_bases):
         firsts.setdefault(reported_names(each.names), each)
+    miss = bases[0].fit.mean_square
     orders = []
     for of_each in (
-        [_with_refined(regressors, each, singles, pool, settings) for each in firsts.values()],
-        [_with_any(regressors, each, singles, pool, settings.rankings) for each in firsts.values()],
+        [
+            _with_refined(regressors, each, miss, singles, pool, settings)
+            for each in firsts.values()
+        ],
+        [_with_any(regressors, each, miss, pool, settings.rankings) for each in firsts.values()],
     ):
-        for every in zip(*of_each, strict=True):
+        for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
     for turn in itertools.zip_longest(*orders):
@@ -172,12 +216,16 @@ def pair_candidates(
 def _with_refined(
     regressors: Regressors,
     first: Hypothesis,
+    miss: np.ndarray,
     singles: Sequence[Hypothesis],
     pool: RunPool,
-    settings: PairScreeningSettings,
-) -> list[list[PairCandidate]]:
-    """A single with a share of each other's change of the runs, by each of the rankings."""
-    others = [each for each in singles if each.is_simulated and each is not first]
+    settings: SetScreeningSettings,
+) -> list[list[SetCandidate]]:
+    """A base with a share of each single's change of the runs, by each of the rankings.
+
+    `miss` is what the best base leaves in each block.
+    """
+    others = [e for e in singles if e.is_simulated and not set(e.names) & set(first.names)]
     columns = [
         np.concatenate(
             [first.columns[run], *(_change_by(regressors, each, run) for each in others)], axis=2
@@ -188,7 +236,7 @@ def _with_refined(
     count, weights = len(first.coordinates), regressors.settings
     found = []
     for share in settings.refined_floor_shares:
-        inflation = floor_inflation(matrices.blocks, singles[0].fit.mean_square, share, weights)
+        inflation = floor_inflation(matrices.blocks, miss, share, weights)
         order = []
         for place, other in enumerate(others):
             fit = fit_linear(
@@ -202,7 +250,7 @@ def _with_refined(
             )
             build = partial(_join_refined, regressors, first, other, fit)
             names = frozenset((*first.names, *other.names))
-            order.append(PairCandidate(names, False, fit.score, build))
+            order.append(SetCandidate(names, False, fit.score, build))
         found.append(order)
     return found
 
@@ -230,11 +278,11 @@ def _join_refined(
 def _with_any(
     regressors: Regressors,
     first: Hypothesis,
-    singles: Sequence[Hypothesis],
+    miss: np.ndarray,
     pool: RunPool,
     rankings: Sequence[Ranking],
-) -> list[list[PairCandidate]]:
-    """A single with any other effect from its null, by each of the rankings."""
+) -> list[list[SetCandidate]]:
+    """A base with any other effect from its null, by each of the rankings."""
     columns = [
         np.concatenate([mine, theirs[:, :, 1:]], axis=2)
         for mine, theirs in zip(first.columns, regressors.columns, strict=True)
@@ -243,7 +291,7 @@ def _with_any(
     count, weights = len(first.coordinates), regressors.settings
     found = []
     for share, linear_error in rankings:
-        inflation = floor_inflation(matrices.blocks, singles[0].fit.mean_square, share, weights)
+        inflation = floor_inflation(matrices.blocks, miss, share, weights)
         best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
         for variant in regressors.variants:
             name = variant.effect.about.name
@@ -264,7 +312,7 @@ def _with_any(
         order = []
         for name, (variant, fit) in best.items():
             build = partial(_join_from_null, regressors, first, variant, fit)
-            order.append(PairCandidate(frozenset((*first.names, name)), True, fit.score, build))
+            order.append(SetCandidate(frozenset((*first.names, name)), True, fit.score, build))
         found.append(order)
     return found
 
@@ -289,7 +337,7 @@ def _join(
     fit: LinearFit,
     step: tuple[np.ndarray, np.ndarray],
 ) -> Hypothesis:
-    """A refined single with another effect at its null, and the step that is proposed for both."""
+    """A refined base with another effect at its null, and the step that is proposed for both."""
     both = [
         np.concatenate([mine, more[:, :, 1:]], axis=2)
         for mine, more in zip(first.columns, columns, strict=True)

@@ -1,16 +1,18 @@
-"""Pairs of effects: what each did alone leads to both, however far from the null."""
+"""Sets of effects: what each did alone leads to both, however far from the null."""
 
 import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
-from diagnose.hypotheses.pair_screening import (
-    PairScreeningSettings,
-    pair_candidates,
-    refine_pairs,
-)
 from diagnose.hypotheses.refinement import refine
+from diagnose.hypotheses.set_screening import (
+    DEFAULT_LARGER_SETS,
+    SetScreeningSettings,
+    refine_sets,
+    set_candidates,
+    without_effect,
+)
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
@@ -21,6 +23,8 @@ from tests.helpers.rig_datasets import dataset_with
 START, TOLD = 0.1, 0.03
 # The runs' own noise is 20 um, and plates and steps leave a part of it more [m].
 LEFT = 30e-6
+# Log score that noise alone gives a third effect on three short runs.
+THIRD_GAINS = 8.0
 # A damper, not friction: what friction does a pull does as well on a wheel that only goes forward,
 # and its derivative hangs on rounding where the wheel nearly sticks.
 TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_viscous": {"damping": 60.0}}
@@ -29,7 +33,7 @@ CANDIDATES = (
     *("measurement_delay", "surface_slope", "rate_hardening", "bulldozing", "depth_hardening"),
 )
 
-PAIRS = PairScreeningSettings().pairs_per_round
+PAIRS = SetScreeningSettings().sets_per_round
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +60,11 @@ def singles(regressors, pool):
 
 
 def test_what_singles_did_alone_puts_the_true_pair_first(regressors, singles, pool):
-    assert next(pair_candidates(regressors, singles, pool)).names == set(TRUTH)
+    assert next(set_candidates(regressors, singles, singles, pool)).names == set(TRUTH)
 
 
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(regressors, singles, pool):
-    pair = next(pair_candidates(regressors, singles, pool)).build()
+    pair = next(set_candidates(regressors, singles, singles, pool)).build()
     assert not pair.is_simulated
     assert pair.proposed_step is not None
     there = pair.coordinates + pair.proposed_step[1]
@@ -70,7 +74,7 @@ def test_the_way_ahead_of_a_pair_leads_near_both_truths(regressors, singles, poo
 
 
 def test_the_true_pair_is_settled_to_the_noise_and_beats_all_others(regressors, singles, pool):
-    pairs = refine_pairs(regressors, singles, pool)
+    pairs = refine_sets(regressors, singles, singles, pool)
     assert len({frozenset(each.names) for each in pairs}) == len(pairs) == PAIRS
     best = max(pairs, key=lambda each: each.score)
     assert set(best.names) == set(TRUTH)
@@ -85,7 +89,7 @@ def test_a_shape_found_alone_goes_into_the_pair(regressors, singles, pool):
     hardening = next(each for each in singles if each.names == ("rate_hardening",))
     pairs = [
         each.build()
-        for each in pair_candidates(regressors, singles, pool)
+        for each in set_candidates(regressors, singles, singles, pool)
         if each.names == {"rate_hardening", singles[0].names[0]}
     ]
     shape = next(k for k, free in enumerate(pairs[0].model.free) if free.scale is None)
@@ -95,16 +99,31 @@ def test_a_shape_found_alone_goes_into_the_pair(regressors, singles, pool):
 def test_while_the_best_pair_is_far_off_as_many_more_are_tried(
     regressors, singles, pool, monkeypatch
 ):
-    def with_the_truth_late(regressors, singles, pool, settings):
-        all_of_them = list(pair_candidates(regressors, singles, pool))
+    def with_the_truth_late(regressors, bases, singles, pool, settings):
+        all_of_them = list(set_candidates(regressors, singles, singles, pool))
         others = dict.fromkeys(each.names for each in all_of_them if each.names != set(TRUTH))
         order = [*list(others)[:PAIRS], frozenset(TRUTH), *list(others)[PAIRS:]]
         return sorted(all_of_them, key=lambda each: order.index(each.names))
 
-    monkeypatch.setattr("diagnose.hypotheses.pair_screening.pair_candidates", with_the_truth_late)
-    near = refine_pairs(regressors, singles, pool, PairScreeningSettings(far_from_floor=np.inf))
+    monkeypatch.setattr("diagnose.hypotheses.set_screening.set_candidates", with_the_truth_late)
+    settings = SetScreeningSettings(max_rounds=2, far_from_floor=np.inf)
+    near = refine_sets(regressors, singles, singles, pool, settings)
     assert len(near) == PAIRS
     assert set(TRUTH) not in [set(each.names) for each in near]
-    far = refine_pairs(regressors, singles, pool, PairScreeningSettings(far_from_floor=1.5))
+    settings = SetScreeningSettings(max_rounds=2, far_from_floor=1.5)
+    far = refine_sets(regressors, singles, singles, pool, settings)
     assert len(far) == 2 * PAIRS
     assert set(far[0].names) == set(TRUTH)
+
+
+def test_an_effect_that_has_no_part_is_taken_out_again(regressors, singles, pool):
+    """The true pair with a third effect, without it, is the true pair."""
+    pair = max(refine_sets(regressors, singles, singles, pool), key=lambda each: each.score)
+    bases = [pair]
+    with_third = refine_sets(regressors, bases, singles, pool, DEFAULT_LARGER_SETS)[0]
+    assert set(with_third.names) > set(TRUTH)
+    assert with_third.score < pair.score + THIRD_GAINS
+    place = next(k for k, name in enumerate(with_third.names) if name not in TRUTH)
+    left = without_effect(regressors, with_third, place, pool)
+    assert set(left.names) == set(TRUTH)
+    assert left.score == pytest.approx(pair.score, abs=THIRD_GAINS)

@@ -1,0 +1,303 @@
+r"""Budget of the gap: from the reference model down to the noise floor, divided by effect.
+
+With the model of a set S of the chosen effects the gap of a channel is v(S), the root mean square
+of its residual on held-out runs. The share of an effect is its Shapley value: the mean, over all
+orders in which the effects may be added, of what the gap falls by when it is (Shapley 1953, "A
+value for n-person games"; Lundberg & Lee 2017). Shares, the remainder (what all effects leave above
+the floor) and chance (the floor) add up to the gap of the reference model.
+
+A set's residual is that of the whole model and the contributions of the effects that it lacks,
+$r(S) = r + \sum_{i \notin S} c_i$. $c_i$ is the mean of what effect i changes in a run beside all
+others and alone, both simulated, at the matched zeta (to first order: the mean of its change of
+height is taken off by the response to zeta). What of the reference model's residual these leave,
+as effects do not just add, is divided among them by their size.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.dataset import RigDataset
+from diagnose.gap.cross_validation import HeldOutPrediction
+from diagnose.gap.gap import MM_PER_M, is_reducible
+from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.model.augmented_model import AugmentedModel
+from diagnose.run_pool import RunPool
+from drftjax.recorded.repeats import group_by_condition
+
+
+@dataclass(frozen=True)
+class BudgetSettings:
+    """Numbers of a budget's intervals.
+
+    Attributes:
+        draws: Draws of conditions and of the effects' numbers.
+        probability: Of an interval [-].
+        seed: Of the draws: fixed, so that the same runs give the same intervals.
+    """
+
+    draws: int = 200
+    probability: float = 0.9
+    seed: int = 0
+
+
+DEFAULT_BUDGET = BudgetSettings()
+
+
+@dataclass(frozen=True)
+class BudgetShare:
+    """One effect's part of the gap of one channel.
+
+    Attributes:
+        share: Of the gap above the noise floor [-]; negative where the effect makes it larger.
+        interval: Its 90 % interval [-]: of conditions and of the effect's numbers drawn anew.
+        size: The same part of the gap [m, N, N m].
+    """
+
+    share: float
+    interval: tuple[float, float]
+    size: float
+
+    def document(self) -> dict:
+        """Plain values; lengths in mm."""
+        return {
+            "share": self.share,
+            "interval": list(self.interval),
+            "size": self.size * MM_PER_M,
+        }
+
+
+@dataclass(frozen=True)
+class ChannelBudget:
+    """Budget of one channel, in SI units.
+
+    Attributes:
+        before, after: Gap of the reference model and of the one with all effects [m, N, N m].
+        floor: Noise floor [m, N, N m].
+        effects: By name. Shares and `remainder` add up to one; sizes, `remainder` times the gap
+            above the floor, and the floor to `before`.
+        remainder: Share of the gap above the floor that all effects leave [-].
+    """
+
+    before: float
+    after: float
+    floor: float
+    effects: Mapping[str, BudgetShare]
+    remainder: float
+
+    @property
+    def is_reducible(self) -> bool:
+        """True where the gap lies far enough above the floor to be divided."""
+        return is_reducible(self.before, self.floor)
+
+    def document(self) -> dict:
+        """Plain values; lengths in mm."""
+        return {
+            "before": self.before * MM_PER_M,
+            "after": self.after * MM_PER_M,
+            "floor": self.floor * MM_PER_M,
+            "effects": {name: each.document() for name, each in self.effects.items()},
+            "remainder": self.remainder,
+            "chance": min(self.floor, self.before) * MM_PER_M,
+        }
+
+
+Budget = Mapping[str, ChannelBudget]
+
+
+def gap_budget(
+    dataset: RigDataset,
+    prediction: HeldOutPrediction,
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    floors: Mapping[str, float],
+    strength_errors: Mapping[str, float],
+    names: Sequence[str],
+    pool: RunPool,
+    settings: BudgetSettings = DEFAULT_BUDGET,
+) -> dict[str, ChannelBudget]:
+    """Budget of every channel.
+
+    Args:
+        dataset: The runs.
+        prediction: Held-out runs by the chosen hypothesis.
+        before, after: Residual of each run by the reference model and by the chosen hypothesis, at
+            matched zeta [m, N, N m], shape (channels, samples).
+        floors: Noise floor of each channel [m, N, N m].
+        strength_errors: By effect, relative standard error of its strength [-].
+        names: Names to report, in the order of the hypothesis's effects.
+        pool: Threads.
+        settings: Numbers of the intervals.
+    """
+    parts = contributions(dataset, prediction, before, after, pool)
+    groups = group_by_condition(dataset.runs)
+    random = np.random.default_rng(settings.seed)
+    picked = random.integers(0, len(groups), (settings.draws, len(groups)))
+    errors = np.array([min(strength_errors.get(name, 0.0), 1.0) for name in names])
+    scales = random.standard_normal((settings.draws, len(names))) * errors
+    found = {}
+    for index, channel in enumerate(dataset.channels):
+        products = np.array([_products(dataset, group, index, after, parts) for group in groups])
+        duration = np.array([_duration(dataset, group, index, before) for group in groups])
+        whole = products.sum(axis=0) / (duration.sum() or 1.0)
+        floor = floors[channel]
+        gap, left, sizes = _divided(whole, floor)
+        drawn = np.array(
+            [
+                _shares(products[p].sum(axis=0) / (duration[p].sum() or 1.0), floor, scale)
+                for p, scale in zip(picked, scales, strict=True)
+            ]
+        )
+        excess = gap - floor
+        shares = sizes / excess if excess > 0 else np.zeros(len(names))
+        tail = (1 - settings.probability) / 2
+        low, high = np.quantile(drawn, [tail, 1 - tail], axis=0)
+        found[channel] = ChannelBudget(
+            gap,
+            left,
+            floor,
+            {
+                name: BudgetShare(
+                    float(share),
+                    (float(min(a, share)), float(max(b, share))),
+                    float(size) if excess > 0 else 0.0,
+                )
+                for name, share, a, b, size in zip(names, shares, low, high, sizes, strict=True)
+            },
+            float(max(left - floor, 0) / excess) if excess > 0 else 0.0,
+        )
+    return found
+
+
+def contributions(
+    dataset: RigDataset,
+    prediction: HeldOutPrediction,
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    pool: RunPool,
+) -> list[np.ndarray]:
+    """What each effect takes off the residual, by run [m, N, N m]; (effects, channels, samples).
+
+    Arguments as for `gap_budget`. The contributions of a run add up to `before` less `after`.
+    """
+    hypothesis = prediction.hypothesis
+    count, z = len(hypothesis.names), dataset.channels.index("z")
+    everything = (1 << count) - 1
+
+    def simulated(run: int, kept: int) -> np.ndarray:
+        at = _with_effects_only(hypothesis.model, prediction.coordinates[run], kept)
+        return dataset.prediction(hypothesis.model, run, prediction.log_zeta[run], at)
+
+    def of(run: int) -> np.ndarray:
+        gap = before[run] - after[run]
+        if count <= 1:
+            return gap[None][:count]
+        by_zeta = hypothesis.by_zeta(run)
+        slope = by_zeta[z].mean()
+        none, whole = simulated(run, 0), simulated(run, everything)
+        found = []
+        for place in range(count):
+            beside = simulated(run, everything & ~(1 << place)) - whole
+            alone = none - simulated(run, 1 << place)
+            each = np.nanmean([beside, alone], axis=0)
+            found.append(each - each[z].mean() / slope * by_zeta if slope > 0 else each)
+        parts = np.nan_to_num(np.array(found))
+        size = (parts**2).sum(axis=2, keepdims=True)
+        share = size / np.maximum(size.sum(axis=0), 1e-300)
+        return parts + share * (gap - parts.sum(axis=0))
+
+    return pool.map(of, dataset.run_numbers)
+
+
+def _with_effects_only(model: AugmentedModel, coordinates: np.ndarray, kept: int) -> np.ndarray:
+    """Coordinates with the strengths of all effects at zero but those of a bit mask."""
+    acts = np.array([f.scale is None or bool(kept >> f.index & 1) for f in model.free])
+    return np.where(acts, coordinates, 0.0)
+
+
+def _products(
+    dataset: RigDataset,
+    runs: Sequence[int],
+    index: int,
+    after: Sequence[np.ndarray],
+    parts: Sequence[np.ndarray],
+) -> np.ndarray:
+    """Integrals over time of products of (residual with all effects, contributions)."""
+    total = 0.0
+    for run in runs:
+        rows = np.concatenate([after[run][None, index], parts[run][:, index]])
+        rows = rows[:, np.isfinite(after[run][index])]
+        total = total + dataset.sample_interval(run) * rows @ rows.T
+    return np.asarray(total)
+
+
+def _duration(
+    dataset: RigDataset, runs: Sequence[int], index: int, before: Sequence[np.ndarray]
+) -> float:
+    counts = (np.isfinite(before[run][index]).sum() * dataset.sample_interval(run) for run in runs)
+    return float(sum(counts))
+
+
+def _divided(products: np.ndarray, floor: float) -> tuple[float, float, np.ndarray]:
+    """Gap before and after, and each effect's part of what lies above the floor."""
+    count = len(products) - 1
+
+    def gap(kept: int) -> float:
+        lacking = np.array([1.0, *(0.0 if kept >> k & 1 else 1.0 for k in range(count))])
+        return math.sqrt(max(lacking @ products @ lacking, 0.0))
+
+    value = [gap(kept) for kept in range(1 << count)]
+    sizes = shapley_values(lambda kept: value[0] - value[kept], count)
+    before, after = value[0], value[-1]
+    fallen = before - after
+    counted = before - max(after, floor)
+    return before, after, sizes * (counted / fallen if fallen > 0 else 1.0)
+
+
+def _shares(products: np.ndarray, floor: float, scale: np.ndarray) -> np.ndarray:
+    """Shares of the gap above the floor, where each effect's numbers are off by a share."""
+    turned = np.eye(len(products))
+    turned[0, 1:] = -scale
+    turned[np.arange(1, len(products)), np.arange(1, len(products))] = 1 + scale
+    before, _, sizes = _divided(turned @ products @ turned.T, floor)
+    return sizes / (before - floor) if before > floor else np.zeros(len(scale))
+
+
+def shapley_values(value, players: int) -> np.ndarray:
+    """Shapley value of each player of a game.
+
+    Args:
+        value: Worth of a coalition, by a bit mask of its players.
+        players: Their number n, small: all 2^n coalitions are asked for.
+
+    Returns:
+        Shape (players,); they add up to the worth of all.
+    """
+    found = np.zeros(players)
+    for player in range(players):
+        others = [k for k in range(players) if k != player]
+        for size in range(players):
+            weight = 1 / (players * math.comb(players - 1, size))
+            for some in itertools.combinations(others, size):
+                mask = sum(1 << k for k in some)
+                found[player] += weight * (value(mask | 1 << player) - value(mask))
+    return found
+
+
+def strength_errors_of(chosen: Hypothesis, errors: np.ndarray) -> dict[str, float]:
+    """By effect, the relative standard error of the strength that its runs tell best [-].
+
+    Args:
+        chosen: The hypothesis.
+        errors: Standard error of each coordinate, shape (free,).
+    """
+    found: dict[str, float] = {}
+    for free, at, error in zip(chosen.model.free, chosen.coordinates, errors, strict=True):
+        if free.scale is None:
+            continue
+        name = chosen.names[free.index]
+        found[name] = min(found.get(name, np.inf), abs(error / at) if at else 1.0)
+    return found

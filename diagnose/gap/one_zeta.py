@@ -1,0 +1,127 @@
+"""The gap with one zeta for the bed: each condition at the zeta that the others foretell.
+
+A zeta of its own lets each run meet its mean sinkage, whatever makes it sink. Where the bed was
+prepared alike, what another zeta makes up for is part of the gap: the held-out condition is
+simulated at the mean zeta of the others, and chance there is also what zeta scatters by.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diagnose.gap.cross_validation import HeldOutPrediction
+from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
+from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings
+from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.run_pool import RunPool
+from drftjax.recorded.repeats import group_by_condition
+
+
+def foretold_zetas(log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """Mean log zeta of the runs of all other conditions, for each run.
+
+    Args:
+        log_zeta: Of each run, over one reference for all [-], shape (runs,).
+        groups: Runs of each condition, by index.
+
+    Returns:
+        Shape (runs,); with one condition, the mean of all its runs.
+    """
+    found = np.full(len(log_zeta), float(np.mean(log_zeta)))
+    for group in groups:
+        others = np.setdiff1d(np.arange(len(log_zeta)), group)
+        if others.size:
+            found[list(group)] = log_zeta[others].mean()
+    return found
+
+
+def foretold_residuals(
+    regressors: Regressors, prediction: HeldOutPrediction, pool: RunPool
+) -> list[np.ndarray]:
+    """Residual of each run at the foretold zeta [m, N, N m], shape (channels, samples).
+
+    Where a run cannot be simulated there, its response to zeta is taken as linear.
+
+    Args:
+        regressors: Of the dataset.
+        prediction: Held-out runs.
+        pool: Threads.
+    """
+    dataset, hypothesis = regressors.dataset, prediction.hypothesis
+    zetas = prediction.log_zeta + regressors.log_reference_zeta
+    groups = group_by_condition(dataset.runs)
+    foretold = foretold_zetas(zetas, groups) - regressors.log_reference_zeta
+
+    def of(run: int) -> np.ndarray:
+        at = prediction.coordinates[run]
+        simulated = dataset.prediction(hypothesis.model, run, foretold[run], at)
+        found = simulated - dataset.recording(run)
+        if np.isfinite(found[~np.isnan(dataset.recording(run))]).all():
+            return found
+        apart = foretold[run] - prediction.log_zeta[run]
+        return prediction.residual[run] + apart * hypothesis.by_zeta(run)
+
+    return pool.map(of, dataset.run_numbers)
+
+
+def one_zeta_gaps(
+    regressors: Regressors,
+    before: HeldOutPrediction,
+    after: HeldOutPrediction,
+    floors: Mapping[str, float],
+    pool: RunPool,
+    settings: GapSettings = DEFAULT_GAP,
+) -> dict[str, Gap]:
+    """Gap in every channel with one zeta for the bed.
+
+    Args:
+        regressors: Of the dataset.
+        before, after: Held-out runs by the reference model and by the chosen hypothesis.
+        floors: Noise floor of each channel with each run's own zeta [m, N, N m].
+        pool: Threads.
+        settings: Numbers of a gap.
+    """
+    dataset = regressors.dataset
+    scatter = regressors.settings.bed.scatter
+    by_zeta = after.hypothesis.by_zeta
+    wider = {}
+    for index, channel in enumerate(dataset.channels):
+        response = np.concatenate([by_zeta(run)[index] for run in dataset.run_numbers])
+        # The foretold zeta is a mean of others: its own scatter is small beside the run's.
+        wider[channel] = float(np.hypot(floors[channel], scatter * _rms(response)))
+    first, last = (foretold_residuals(regressors, each, pool) for each in (before, after))
+    return gaps(dataset, first, last, wider, settings)
+
+
+def shares_made_up_by_zeta(regressors: Regressors, variant: ShapeVariant) -> tuple[float, float]:
+    """Share of an effect's response that another zeta would make up for [-].
+
+    Args:
+        regressors: The runs.
+        variant: The effect.
+
+    Returns:
+        With a zeta for each run, and with one for all.
+    """
+    return _made_up(regressors.gram_matrices, variant.columns, regressors.settings)
+
+
+def _made_up(
+    matrices: GramMatrices, columns: Sequence[int], settings: LinearFitSettings
+) -> tuple[float, float]:
+    blocks = matrices.blocks
+    weight = settings.worth(blocks) / settings.model_errors(blocks) ** 2
+    gram = np.einsum("b,rbij->rij", weight, matrices.gram)
+    own = np.maximum(gram[:, 0, 0], 1e-300)
+    power = shared = each = 0.0
+    for column in columns:
+        cross = gram[:, 0, 1 + column]
+        power += float(gram[:, 1 + column, 1 + column].sum())
+        each += float((cross**2 / own).sum())
+        shared += float(cross.sum() ** 2 / own.sum())
+    return (each / power, shared / power) if power > 0 else (1.0, 1.0)
+
+
+def _rms(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0

@@ -1,0 +1,117 @@
+"""The budget of the gap in words and as a table: which effect makes how much of it."""
+
+from rich.markup import escape
+from rich.table import Table
+
+from diagnose.gap.budget import ChannelBudget
+from diagnose.report.model_writer import estimate_in_words
+from diagnose.report.remedies import remedy
+from diagnose.result import Diagnosis
+from diagnose.selection.model_weights import UNKNOWN, percent
+from drftjax.effects.catalogue import reported_name
+from drftjax.recorded.observation import SHOWN
+
+
+def budget_columns(found: Diagnosis) -> tuple[str, ...]:
+    """Headings: what makes the gap, and size and share by channel."""
+    channels = (head for c in found.budget for head in (f"{c} [{SHOWN[c][0]}]", "share (90 %)"))
+    return ("where the gap comes from", *channels)
+
+
+def budget_rows(found: Diagnosis) -> list[tuple[str, ...]]:
+    """Rows: the gap, each effect of the verdict, the remainder, chance."""
+    budgets = list(found.budget.items())
+    rows = [("the reference model's gap", *_cells(budgets, lambda b: (b.before, "")))]
+    for name in dict.fromkeys(name for _, each in budgets for name in each.effects):
+        rows.append((group_name(found, name), *_cells(budgets, lambda b, n=name: _effect(b, n))))
+    rows.append(("unexplained", *_cells(budgets, _remainder)))
+    rows.append(("chance (noise floor)", *_cells(budgets, lambda b: (min(b.floor, b.before), ""))))
+    return rows
+
+
+def group_name(found: Diagnosis, name: str) -> str:
+    """An effect of the verdict with those that it trades places with: one line, one share."""
+    own = reported_name(name)
+    group = next((each for each in found.groups if each and each[0] == own), [own])
+    return " or ".join(group)
+
+
+def _cells(budgets, of) -> list[str]:
+    cells: list[str] = []
+    for channel, budget in budgets:
+        size, share = of(budget)
+        cells += [f"{size * SHOWN[channel][1]:.3f}", share]
+    return cells
+
+
+def _effect(budget: ChannelBudget, name: str) -> tuple[float, str]:
+    each = budget.effects[name]
+    if not budget.is_reducible:
+        return each.size, "-"
+    low, high = each.interval
+    return each.size, f"{each.share:.0%} ({low:.0%} to {high:.0%})"
+
+
+def _remainder(budget: ChannelBudget) -> tuple[float, str]:
+    size = budget.remainder * max(budget.before - budget.floor, 0)
+    return size, f"{budget.remainder:.0%}" if budget.is_reducible else "-"
+
+
+def budget_table(found: Diagnosis) -> Table:
+    """Table of the budget."""
+    table = Table()
+    for number, name in enumerate(budget_columns(found)):
+        table.add_column(name, justify="right" if number else "left")
+    for row in budget_rows(found):
+        table.add_row(*map(escape, row))
+    return table
+
+
+def effect_sentences(found: Diagnosis) -> list[str]:
+    """One sentence for each effect of the verdict: how sure, its numbers, and a remedy."""
+    sentences = []
+    for name in found.verdict:
+        numbers = found.parameters.get(name)
+        if numbers is None:
+            continue
+        values = ", ".join(f"{key} = {estimate_in_words(each)}" for key, each in numbers.items())
+        sure = percent(found.weights.get(name, 0.0))
+        sentences.append(
+            f"{name} ({found.meaning(name)}; takes part with {sure}): {values}. "
+            f"To do: {remedy(name)}."
+        )
+    return sentences
+
+
+def remainder_sentence(found: Diagnosis) -> str:
+    """The part of the gap that the verdict's effects leave; empty where it is none or unlikely."""
+    weight = found.weights.get(UNKNOWN, 0.0)
+    if found.verdict == (UNKNOWN,) or weight < 0.5:
+        return ""
+    parts = ", ".join(
+        f"{budget.remainder:.0%} of the gap in {channel}"
+        for channel, budget in found.budget.items()
+        if budget.is_reducible
+    )
+    return (
+        f"Something more acts that no listed effect explains (weight {percent(weight)}): "
+        f"{parts} is left unexplained."
+    )
+
+
+def one_zeta_sentence(found: Diagnosis) -> str:
+    """The gap with one zeta for the bed, before and after, where it differs from that above."""
+    parts = []
+    for channel, gap in found.one_zeta_gap.items():
+        own, (unit, scale) = found.gap[channel], SHOWN[channel]
+        if gap.before - gap.floor > 0.5 * max(own.before, own.floor):
+            parts.append(
+                f"{channel} {gap.before * scale:.2f} → {gap.after * scale:.2f} {unit} "
+                f"(chance {gap.floor * scale:.2f})"
+            )
+    if not parts:
+        return ""
+    return (
+        "With one zeta for the bed, each condition at the zeta that the others foretell, the gap "
+        f"is {', '.join(parts)}."
+    )

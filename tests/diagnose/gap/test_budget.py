@@ -1,0 +1,145 @@
+"""The budget of the gap adds up, and divides it as the effects' own contributions do."""
+
+import itertools
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnose.gap.budget import gap_budget, shapley_values
+from diagnose.gap.cross_validation import HeldOutPrediction
+from diagnose.gap.one_zeta import foretold_zetas
+
+# Sums of a few numbers of size one, in double precision.
+ROUNDING = 1e-12
+
+
+def by_permutations(value, players: int) -> np.ndarray:
+    """Shapley values by their definition: the mean over all orders of joining."""
+    found = np.zeros(players)
+    for order in itertools.permutations(range(players)):
+        mask = 0
+        for player in order:
+            found[player] += value(mask | 1 << player) - value(mask)
+            mask |= 1 << player
+    return found / math.factorial(players)
+
+
+def test_shapley_values_are_the_mean_over_all_orders():
+    worth = np.random.default_rng(3).standard_normal(16)
+    worth[0] = 0.0
+    found = shapley_values(lambda mask: worth[mask], 4)
+    assert found == pytest.approx(by_permutations(lambda mask: worth[mask], 4), abs=ROUNDING)
+    assert found.sum() == pytest.approx(worth[15], abs=ROUNDING)
+
+
+class Bench:
+    """Runs whose effects add: a signal each, and zeta that shifts z alone."""
+
+    channels = ("x", "z")
+    run_numbers = range(2)
+
+    def __init__(self, signals: np.ndarray):
+        self.signals = signals
+        setup = SimpleNamespace()
+        self.runs = [SimpleNamespace(name=name, setup=setup) for name in "ab"]
+
+    def sample_interval(self, run: int) -> float:
+        return 0.01
+
+    def prediction(self, model, run: int, log_zeta: float, coordinates: np.ndarray) -> np.ndarray:
+        return -np.einsum("e,ecs->cs", coordinates, self.signals)
+
+
+def budget_of(monkeypatch, signals: np.ndarray, left: np.ndarray, floors: dict, errors=()):
+    monkeypatch.setattr("diagnose.gap.budget.group_by_condition", lambda runs: [[0], [1]])
+    names = tuple("abc"[: len(signals)])
+    free = [SimpleNamespace(index=k, scale=1.0) for k in range(len(signals))]
+    hypothesis: Any = SimpleNamespace(
+        names=names,
+        model=SimpleNamespace(free=free),
+        by_zeta=lambda run: np.stack([np.zeros(left.shape[1]), np.ones(left.shape[1])]),
+    )
+    prediction = HeldOutPrediction(hypothesis, np.zeros(2), np.ones((2, len(signals))), [left] * 2)
+    before = [left + signals.sum(axis=0)] * 2
+    bench: Any = Bench(signals)
+    pool: Any = SimpleNamespace(map=lambda of, runs: [of(run) for run in runs])
+    return gap_budget(bench, prediction, before, [left] * 2, floors, dict(errors), names, pool)
+
+
+def zero_mean(rows: np.ndarray) -> np.ndarray:
+    """Signals without a mean in z, which another zeta would take."""
+    return rows - rows.mean(axis=-1, keepdims=True)
+
+
+def test_effects_at_different_times_share_a_gap_as_the_orders_of_adding_do(monkeypatch):
+    time = np.arange(400)
+    signals = np.zeros((2, 2, 400))
+    signals[0, 0, time < 200] = 4e-3
+    signals[1, 0, time >= 200] = 3e-3
+    signals[:, 1] = zero_mean(signals[:, 0])
+    left = 1e-4 * zero_mean(np.random.default_rng(0).standard_normal((2, 400)))
+    found = budget_of(monkeypatch, signals, left, {"x": 1e-5, "z": 1e-5})["x"]
+
+    def gap(kept: int) -> float:
+        lacking = [signals[k, 0] for k in range(2) if not kept >> k & 1]
+        return float(np.sqrt(np.mean(np.square(left[0] + sum(lacking)))))
+
+    expected = by_permutations(lambda kept: gap(0) - gap(kept), 2)
+    sizes = [found.effects[name].size for name in "ab"]
+    assert sizes == pytest.approx(expected, rel=1e-9)
+    assert sizes[0] > sizes[1] > 0
+
+
+def test_shares_remainder_and_chance_add_up_to_the_gap(monkeypatch):
+    random = np.random.default_rng(1)
+    signals = zero_mean(1e-3 * random.standard_normal((3, 2, 300)))
+    left = zero_mean(2e-4 * random.standard_normal((2, 300)))
+    floors = {"x": 5e-5, "z": 4e-4}  # z: all that is left is chance
+    for channel, found in budget_of(monkeypatch, signals, left, floors).items():
+        shares = sum(each.share for each in found.effects.values())
+        assert shares + found.remainder == pytest.approx(1.0, abs=ROUNDING)
+        sizes = sum(each.size for each in found.effects.values())
+        whole = sizes + found.remainder * (found.before - found.floor) + found.floor
+        assert whole == pytest.approx(found.before, rel=1e-9)
+        assert (found.remainder == 0.0) == (channel == "z")
+
+
+def test_what_zeta_makes_up_for_is_nobodys_share(monkeypatch):
+    """A constant shift of z is another zeta's, so an effect that makes one has no share of z."""
+    random = np.random.default_rng(2)
+    signals = zero_mean(1e-3 * random.standard_normal((2, 2, 300)))
+    left = np.zeros((2, 300))
+    plain = budget_of(monkeypatch, signals, left, {"x": 1e-5, "z": 1e-5})["z"]
+    monkeypatch.setattr(
+        Bench,
+        "prediction",
+        lambda self, model, run, zeta, at: (
+            -np.einsum("e,ecs->cs", at, self.signals) - at[1] * np.array([[0.0], [5e-3]])
+        ),
+    )
+    shifted = budget_of(monkeypatch, signals, left, {"x": 1e-5, "z": 1e-5})["z"]
+    for name in "ab":
+        assert shifted.effects[name].share == pytest.approx(plain.effects[name].share, abs=1e-9)
+
+
+def test_a_number_that_the_runs_hardly_tell_widens_its_share(monkeypatch):
+    signals = zero_mean(1e-3 * np.random.default_rng(4).standard_normal((2, 2, 300)))
+    left = np.zeros((2, 300))
+    floors = {"x": 1e-5, "z": 1e-5}
+
+    def width(**errors: float) -> float:
+        low, high = budget_of(monkeypatch, signals, left, floors, errors)["x"].effects["a"].interval
+        return high - low
+
+    assert width(a=0.5) > 5 * width(a=0.01) > 0
+
+
+def test_a_condition_is_foretold_by_the_others():
+    zetas = np.log([0.8, 0.82, 0.9, 1.0])
+    found = foretold_zetas(zetas, [[0, 1], [2], [3]])
+    assert found[:2] == pytest.approx([zetas[2:].mean()] * 2)
+    assert found[3] == pytest.approx(zetas[:3].mean())
+    assert foretold_zetas(zetas, [[0, 1, 2, 3]]) == pytest.approx([zetas.mean()] * 4)
