@@ -17,7 +17,7 @@ from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, pr
 from diagnose.gap.discretization_error import discretization_errors
 from diagnose.gap.gap import gaps
 from diagnose.gap.noise_floor import noise_floors
-from diagnose.gap.one_zeta import one_zeta_gaps
+from diagnose.gap.one_zeta import one_zeta_gaps, zeta_shares
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
 from diagnose.gap.stepwise import stepwise_gap
@@ -210,6 +210,7 @@ class _Diagnosing:
                 self.pool,
                 settings.gap,
             ),
+            zeta_shares=zeta_shares(found.regressors),
         )
 
     def weigh(self, found: ScreeningResult) -> _Weighed:

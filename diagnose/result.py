@@ -11,10 +11,12 @@ import numpy as np
 from diagnose.dataset import RigDataset
 from diagnose.gap.budget import Budget
 from diagnose.gap.gap import Gap
+from diagnose.gap.one_zeta import ZetaShare
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.gap.stepwise import NestedModel
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
+from diagnose.linear.bed import AbstractBed
 from diagnose.localization.shares import GapShare
 from diagnose.unknown.correction_fit import Correction, UnknownEffect
 from drftjax.common.rich_text import summary_html, summary_text
@@ -70,6 +72,7 @@ class Diagnosis:
         budget: By channel, the gap divided by the verdict's effects, a remainder and chance.
         one_zeta_gap: By channel, the gap with one zeta for the bed, without and with the effects
             behind the verdict, on held-out runs.
+        zeta_shares: By effect, the share of it that another zeta would make up for.
         provenance: Its inputs, its command line, and what it was made with.
     """
 
@@ -89,6 +92,7 @@ class Diagnosis:
     stepwise: Sequence[NestedModel] = field(default_factory=list)
     budget: Budget = field(default_factory=dict)
     one_zeta_gap: Mapping[str, Gap] = field(default_factory=dict)
+    zeta_shares: Mapping[str, ZetaShare] = field(default_factory=dict)
     provenance: Provenance | None = None
 
     @property
@@ -100,6 +104,11 @@ class Diagnosis:
     def origin(self) -> float | None:
         """Recorded x of the effects' x = 0 [m]; None where x is as recorded."""
         return self.dataset.runs[0].setup.start.origin
+
+    @property
+    def bed(self) -> AbstractBed:
+        """Scatter of zeta between the runs, after what repeats say."""
+        return self.screening.regressors.settings.bed
 
     @property
     def gap(self) -> Mapping[str, Gap]:
@@ -161,6 +170,14 @@ class Diagnosis:
             "steps": [each.document() for each in self.stepwise],
             "budget": {"channels": {name: each.document() for name, each in self.budget.items()}},
             "gap_one_zeta": {name: gap.document() for name, gap in self.one_zeta_gap.items()},
+            "bed": {
+                "rule": type(self.bed).__name__,
+                "scatter": self.bed.scatter,
+                "made_up_by_zeta": {
+                    name: {"each_run": each.own, "one_for_all": each.bed}
+                    for name, each in self.zeta_shares.items()
+                },
+            },
             "where": [
                 {
                     "axis": each.axis,

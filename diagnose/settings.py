@@ -7,7 +7,7 @@ Each part documents its numbers, their units and the reason for them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from diagnose.checks.outlier_runs import DEFAULT_OUTLIER_RUNS, OutlierRunSettings
 from diagnose.dataset import DEFAULT_DATASET, DatasetSettings
@@ -16,6 +16,7 @@ from diagnose.gap.discretization_error import DEFAULT_DISCRETIZATION, Discretiza
 from diagnose.gap.gap import DEFAULT_GAP, GapSettings
 from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelectionSettings
 from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
+from diagnose.linear.bed import AbstractBed
 from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.next_runs.discrimination import DEFAULT_NEXT_RUN, NextRunSettings
@@ -97,6 +98,11 @@ class DiagnosisSettings:
     outlier_runs: OutlierRunSettings = DEFAULT_OUTLIER_RUNS
     next_run: NextRunSettings = DEFAULT_NEXT_RUN
     unknown_effect: UnknownEffectSettings = DEFAULT_UNKNOWN_EFFECT
+
+    def with_bed(self, bed: AbstractBed) -> "DiagnosisSettings":
+        """The same with another rule for the zetas of the runs; see `diagnose.linear.bed`."""
+        weights = replace(self.screening.linear_fit, bed=bed)
+        return replace(self, screening=replace(self.screening, linear_fit=weights))
 
     @property
     def linear_fit(self) -> LinearFitSettings:

@@ -1,7 +1,7 @@
 """`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -37,6 +37,13 @@ def diagnose(
         str | None,
         typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
     ] = None,
+    bed: Annotated[
+        Literal["prepared", "free"],
+        typer.Option(
+            help="prepared: all runs have about one zeta, and what it does between conditions is "
+            "part of the gap. free: nobody prepared the bed, and each run has its own."
+        ),
+    ] = "prepared",
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the verdict alone.")] = False,
 ) -> None:
     """Find which effect makes runs of a rig differ from the model, where, and by how much."""
@@ -48,6 +55,7 @@ def diagnose(
 
     configure_jax()
     from diagnose.api import diagnose_gathered, effects_among
+    from diagnose.linear.bed import BEDS
     from diagnose.report.budget_text import budget_table
     from diagnose.report.model_writer import MODEL_FILE_MARK
     from diagnose.report.text import gap_table, paragraphs, verdict, write
@@ -59,7 +67,7 @@ def diagnose(
     from drftjax.results.provenance import command_provenance
     from drftjax.setups.generated_files import require_own_setup
 
-    chosen = effects_among(_names(effects))
+    chosen, settings = effects_among(_names(effects)), DEFAULT_SETTINGS.with_bed(BEDS[bed])
     if output is not None:
         require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
         require_own_setup(output / "model.toml", MODEL_FILE_MARK)
@@ -74,7 +82,9 @@ def diagnose(
 
     with progress_line(console, "reading runs", quiet=quiet) as show:
         gathered = gather_runs(runs, lambda left_out: say(left_out, "yellow"))
-        found = diagnose_gathered(gathered, chosen, show, lambda left_out: say(left_out, "yellow"))
+        found = diagnose_gathered(
+            gathered, chosen, show, lambda left_out: say(left_out, "yellow"), settings
+        )
 
     say(verdict(found), "bold")
     if not quiet:

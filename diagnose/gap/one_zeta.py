@@ -6,14 +6,16 @@ simulated at the mean zeta of the others, and chance there is also what zeta sca
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from diagnose.gap.cross_validation import HeldOutPrediction
 from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
 from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings
-from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
+from drftjax.effects.catalogue import reported_name
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -93,22 +95,39 @@ def one_zeta_gaps(
     return gaps(dataset, first, last, wider, settings)
 
 
-def shares_made_up_by_zeta(regressors: Regressors, variant: ShapeVariant) -> tuple[float, float]:
-    """Share of an effect's response that another zeta would make up for [-].
+@dataclass(frozen=True)
+class ZetaShare:
+    """Share of an effect's response that another zeta would make up for.
+
+    Attributes:
+        own: With a zeta for each run [-].
+        bed: With one zeta for all [-].
+    """
+
+    own: float
+    bed: float
+
+
+def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
+    """How much of each effect another zeta would make up for, from products that exist already.
+
+    Of an effect with shapes, the one that zeta makes up for least counts.
 
     Args:
         regressors: The runs.
-        variant: The effect.
-
-    Returns:
-        With a zeta for each run, and with one for all.
     """
-    return _made_up(regressors.gram_matrices, variant.columns, regressors.settings)
+    found: dict[str, ZetaShare] = {}
+    for variant in regressors.variants:
+        name = reported_name(variant.effect.about.name)
+        share = _made_up(regressors.gram_matrices, variant.columns, regressors.settings)
+        if name not in found or share.own < found[name].own:
+            found[name] = share
+    return found
 
 
 def _made_up(
     matrices: GramMatrices, columns: Sequence[int], settings: LinearFitSettings
-) -> tuple[float, float]:
+) -> ZetaShare:
     blocks = matrices.blocks
     weight = settings.worth(blocks) / settings.model_errors(blocks) ** 2
     gram = np.einsum("b,rbij->rij", weight, matrices.gram)
@@ -119,7 +138,7 @@ def _made_up(
         power += float(gram[:, 1 + column, 1 + column].sum())
         each += float((cross**2 / own).sum())
         shared += float(cross.sum() ** 2 / own.sum())
-    return (each / power, shared / power) if power > 0 else (1.0, 1.0)
+    return ZetaShare(each / power, shared / power) if power > 0 else ZetaShare(1.0, 1.0)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -4,6 +4,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from diagnose.gap.budget import ChannelBudget
+from diagnose.linear.bed import FreeBed
 from diagnose.report.model_writer import estimate_in_words
 from diagnose.report.remedies import remedy
 from diagnose.result import Diagnosis
@@ -115,3 +116,27 @@ def one_zeta_sentence(found: Diagnosis) -> str:
         "With one zeta for the bed, each condition at the zeta that the others foretell, the gap "
         f"is {', '.join(parts)}."
     )
+
+
+def zeta_sentence(found: Diagnosis, most: float = 0.98) -> str:
+    """Effects that another zeta would make up for, in one sentence; empty where there are none.
+
+    Args:
+        found: The diagnosis.
+        most: Share of an effect from which on these runs cannot show it [-].
+    """
+    free = isinstance(found.bed, FreeBed)
+    hidden = [name for name, each in found.zeta_shares.items() if each.own > most]
+    lost = [name for name, each in found.zeta_shares.items() if each.bed > most]
+    if free:
+        lost = hidden
+    sentences = []
+    if lost:
+        sentences.append(f"These runs cannot show {', '.join(lost)}: another zeta makes up for it.")
+    shown = [name for name in hidden if name not in lost]
+    if shown:
+        sentences.append(
+            f"Only that all runs have about one zeta (scatter {found.bed.scatter:.1%}) lets these "
+            f"runs show {', '.join(shown)}; for a bed that nobody prepared, use --bed free."
+        )
+    return " ".join(sentences)

@@ -21,6 +21,7 @@ from diagnose.report.budget_text import (
     effect_sentences,
     one_zeta_sentence,
     remainder_sentence,
+    zeta_sentence,
 )
 from diagnose.report.figures import (
     as_source,
@@ -154,7 +155,7 @@ def paragraphs(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> l
         lines += parameter_sentences(found)
     lines.append("weights: " + ", ".join(f"{name} {percent(weight)}" for name, weight in weighty))
     lines = [each for each in lines if each]
-    lines += [f"note: {note}" for note in found.notes]
+    lines += [f"note: {note}" for note in (*found.notes, zeta_sentence(found)) if note]
     lines += next_sentences(found)
     return lines
 
@@ -382,7 +383,7 @@ def page(found: Diagnosis) -> str:
         unknown=found.verdict == (UNKNOWN,),
         signal=_signal(found),
         next=next_sentences(found),
-        notes=found.notes,
+        notes=[note for note in (*found.notes, zeta_sentence(found)) if note],
     )
 
 

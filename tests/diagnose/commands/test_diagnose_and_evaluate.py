@@ -56,6 +56,7 @@ KEYS = {
     "steps",
     "budget",
     "gap_one_zeta",
+    "bed",
     "where",
     "parameters",
     "correction",
