@@ -38,6 +38,7 @@ from diagnose.linear.linear_fit import (
     LinearFit,
     LinearFitSettings,
     floor_inflation,
+    log_score,
 )
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
@@ -79,6 +80,8 @@ class ScreeningSettings:
         min_set_gain: A further effect is looked for while the last one gained this much log score
             [-]: about twice what an effect of one number costs in a weight, whose evidence counts
             half as much.
+        min_set_share: The same while it gained this share of what was left to gain [-]. Effects
+            that the rig has take a gap away in few steps; what is outside the list is nibbled at.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
@@ -93,7 +96,7 @@ class ScreeningSettings:
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     reference_simulations: int = 3
     first_simulations: int = 2
-    max_continued: int = 4
+    max_continued: int = 3
     max_relinearized: int = 2
     max_rounds: int = 3
     simulations_per_round: int = 5
@@ -103,6 +106,7 @@ class ScreeningSettings:
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
+    min_set_share: float = 0.15
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
@@ -223,7 +227,8 @@ class _Screening:
         while by_size[-1] and len(by_size) < settings.max_effects:
             best, smaller = by_size[-1][0], by_size[-2][0]
             gained = best.score - smaller.score
-            if not self.leaves_gap(best) or gained < settings.min_set_gain:
+            worth = settings.min_set_share * (self.best_score() - smaller.score)
+            if not self.leaves_gap(best) or gained < max(settings.min_set_gain, worth):
                 break
             report(f"sets of {len(by_size) + 1} effects")
             by_size.append(
@@ -244,16 +249,17 @@ class _Screening:
             for place, name in enumerate(best.names)
             if frozenset(best.names) - {name} not in known
         ]
-        tried = self.settings.larger_sets
         models = [AugmentedModel(_without(best.model.effects, place)) for place in places]
         self.regressors.dataset.precompile(self.pool, predict, models)
-        found = self.pool.map_outer(
-            lambda place: without_effect(
-                self.regressors, best, place, self.pool, tried, self.settings.refinement
-            ),
-            places,
-        )
-        kept = [each for each in found if each.is_simulated]
+        simulations = self.settings.larger_sets.max_simulations
+
+        def without(place: int) -> Hypothesis:
+            first = self.refine(without_effect(best, place), 1)
+            if first.score < best.score - self.settings.hopeless_deficit:
+                return first
+            return self.refine(first, simulations - 1)
+
+        kept = [each for each in self.pool.map_outer(without, places) if each.is_simulated]
         by_size[-2] = sorted([*by_size[-2], *kept], key=lambda each: -each.score)
 
     def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
@@ -382,6 +388,13 @@ class _Screening:
             if gain < settings.min_round_gain:
                 break
         return here
+
+    def best_score(self) -> float:
+        """Log score of a model that leaves noise alone."""
+        regressors = self.regressors
+        matrices, noise = regressors.gram_matrices, regressors.noise_power
+        count, runs = matrices.sample_count.sum(axis=0), len(matrices.log_zeta)
+        return log_score(matrices.blocks, count, noise, 0.0, runs, settings=regressors.settings)
 
     def leaves_gap(self, best: Hypothesis) -> bool:
         """Tell whether a hypothesis leaves more than the model error in a channel's slow part."""

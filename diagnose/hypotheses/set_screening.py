@@ -20,7 +20,12 @@ from diagnose.hypotheses.hypothesis import (
     lower_bounds,
     top_ranked,
 )
-from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings, refine
+from diagnose.hypotheses.refinement import (
+    DEFAULT_REFINEMENT,
+    RefinementSettings,
+    predicted_score,
+    refine,
+)
 from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict
@@ -49,6 +54,7 @@ class SetScreeningSettings:
         far_from_floor: Another round is made while the best set misses a block by more than this
             many model errors [-]: far from the null linear fits may rank the right set low.
         max_simulations: Simulations of all runs for each set, at most.
+        max_continued: Sets that get more than one: those that lead after it.
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
@@ -61,8 +67,9 @@ class SetScreeningSettings:
     sets_per_round: int = 8
     max_rounds: int = 1
     far_from_floor: float = 5.0
-    max_simulations: int = 4
-    both_starts: int = 3
+    max_simulations: int = 3
+    max_continued: int = 8
+    both_starts: int = 2
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
@@ -72,7 +79,9 @@ DEFAULT_PAIRS = SetScreeningSettings()
 
 # A base of two effects or more is simulated and linearised anew, so linear fits about it are nearer
 # to the truth than those about the reference model: fewer tries are enough.
-DEFAULT_LARGER_SETS = SetScreeningSettings(max_bases=2, sets_per_round=6, both_starts=1)
+DEFAULT_LARGER_SETS = SetScreeningSettings(
+    max_bases=2, sets_per_round=6, max_continued=3, both_starts=1
+)
 
 
 @dataclass(frozen=True)
@@ -135,7 +144,7 @@ def refine_sets(
         first = turn * settings.sets_per_round
         begun = [each.build() for each in firsts[first : first + settings.sets_per_round]]
         regressors.dataset.precompile(pool, predict, [each.model for each in begun])
-        found += pool.map_outer(refined, begun)
+        found += _race(regressors, begun, pool, settings, refinement)
         found.sort(key=lambda each: -each.score)
         if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
             break
@@ -143,28 +152,36 @@ def refine_sets(
     return [*pool.map_outer(better_start, leading), *rest]
 
 
-def without_effect(
+def _race(
     regressors: Regressors,
-    whole: Hypothesis,
-    index: int,
+    starts: Sequence[Hypothesis],
     pool: RunPool,
-    settings: SetScreeningSettings = DEFAULT_PAIRS,
-    refinement: RefinementSettings = DEFAULT_REFINEMENT,
-) -> Hypothesis:
-    """A hypothesis without one of its effects, the others' numbers refined by simulation.
+    settings: SetScreeningSettings,
+    refinement: RefinementSettings,
+) -> list[Hypothesis]:
+    """Refine the starts; only the leading ones get more than one simulation."""
+
+    def refined(count: int):
+        return lambda each: refine(regressors, each, count, pool, refinement)
+
+    if len(starts) <= settings.max_continued:
+        return pool.map_outer(refined(settings.max_simulations), starts)
+    first = pool.map_outer(refined(1), starts)
+    first.sort(key=lambda each: -predicted_score(regressors, each, pool))
+    leading, rest = first[: settings.max_continued], first[settings.max_continued :]
+    return [*pool.map_outer(refined(settings.max_simulations - 1), leading), *rest]
+
+
+def without_effect(whole: Hypothesis, index: int) -> Hypothesis:
+    """A hypothesis without one of its effects, the others' numbers where they were.
 
     Args:
-        regressors: The runs.
         whole: The hypothesis.
         index: Place of the effect.
-        pool: Threads.
-        settings: Numbers of the choice.
-        refinement: Numbers of the refinement.
     """
     kept = [k for k, free in enumerate(whole.model.free) if free.index != index]
-    effects = tuple(e for k, e in enumerate(whole.model.effects) if k != index)
-    start = Hypothesis(
-        AugmentedModel(effects),
+    return Hypothesis(
+        AugmentedModel(tuple(e for k, e in enumerate(whole.model.effects) if k != index)),
         whole.log_zeta,
         whole.coordinates[kept],
         whole.fit,
@@ -173,7 +190,6 @@ def without_effect(
         is_simulated=False,
         proposed_step=(np.zeros_like(whole.log_zeta), np.zeros(len(kept))),
     )
-    return refine(regressors, start, settings.max_simulations, pool, refinement)
 
 
 def _worst_miss(regressors: Regressors, best: Hypothesis) -> float:

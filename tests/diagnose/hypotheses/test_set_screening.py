@@ -124,6 +124,6 @@ def test_an_effect_that_has_no_part_is_taken_out_again(regressors, singles, pool
     assert set(with_third.names) > set(TRUTH)
     assert with_third.score < pair.score + THIRD_GAINS
     place = next(k for k, name in enumerate(with_third.names) if name not in TRUTH)
-    left = without_effect(regressors, with_third, place, pool)
+    left = refine(regressors, without_effect(with_third, place), 3, pool)
     assert set(left.names) == set(TRUTH)
     assert left.score == pytest.approx(pair.score, abs=THIRD_GAINS)

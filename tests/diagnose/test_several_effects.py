@@ -1,0 +1,72 @@
+"""Several effects at once, on runs of a plant that shares no code with the project.
+
+`../shared/blind` holds the runs and their labels. Eight effects are to choose from, so that a set
+takes a minute of computing: those of the label, and those that look most like them.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from diagnose.api import diagnose
+from diagnose.report.budget_text import budget_rows, effect_sentences, one_zeta_sentence
+from diagnose.result import Diagnosis
+
+SEVERAL = (
+    *("speed_ripple", "vertical_coulomb", "travel_gain"),
+    *("speed_gain", "wheel_radius", "vertical_load", "drawbar", "measurement_delay"),
+)
+SWEPT = (
+    *("slip_softening", "rate_hardening", "loosening", "momentum_flux"),
+    *("vertical_coulomb", "grouser_height", "wheel_radius", "torque_gain"),
+)
+# Shares are rounded to double precision.
+ROUNDING = 1e-9
+
+
+def labelled(shared: Path, place: str) -> tuple[list[Path], set[str]]:
+    folder = shared / "blind" / place
+    labels = json.loads((folder.parent / "labels.json").read_text())
+    return sorted(folder.glob("*.h5")), set(labels[folder.name])
+
+
+@pytest.fixture(scope="module")
+def several(shared: Path) -> tuple[Diagnosis, set[str]]:
+    runs, label = labelled(shared, "budget_practice/set_02")
+    return diagnose(runs, SEVERAL), label
+
+
+def test_three_effects_at_once_are_named(several):
+    found, label = several
+    assert set(found.verdict) == label
+    assert all(found.weights[name] > 0.9 for name in label)
+    assert len(found.stepwise) == 3
+    assert [gap.shrinkage > 0.9 for gap in found.gap.values()] == [True, True]
+
+
+def test_the_budget_divides_the_gap_among_them(several):
+    found, label = several
+    for channel, budget in found.budget.items():
+        gap = found.gap[channel]
+        assert (budget.before, budget.after) == pytest.approx((gap.before, gap.after), rel=1e-6)
+        shares = [each.share for each in budget.effects.values()]
+        assert sum(shares) + budget.remainder == pytest.approx(1.0, abs=ROUNDING)
+    # A scale that reads long shows in travel alone.
+    assert found.budget["x"].effects["travel_gain"].share > 0.2
+    assert abs(found.budget["z"].effects["travel_gain"].share) < 0.05
+    rows = budget_rows(found)
+    assert {row[0] for row in rows[1:-2]} == label
+    assert [row[0] for row in rows[-2:]] == ["unexplained", "chance (noise floor)"]
+    assert len(effect_sentences(found)) == len(label)
+
+
+def test_zeta_that_falls_with_slip_is_named_and_hides_nearly_all_of_the_gap(shared):
+    runs, label = labelled(shared, "sweep_practice/set_02")
+    found = diagnose(runs, SWEPT)
+    assert set(found.verdict) == label == {"slip_softening"}
+    bed, own = found.one_zeta_gap["z"], found.gap["z"]
+    assert bed.before > 20 * own.before
+    assert bed.after < 0.1 * bed.before
+    assert found.zeta_shares["slip_softening"].own > 0.9 > found.zeta_shares["slip_softening"].bed
+    assert "With one zeta for the bed" in one_zeta_sentence(found)
