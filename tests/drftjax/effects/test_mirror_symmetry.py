@@ -95,6 +95,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "cohesion": ((), "depth"),
     "momentum_flux": ((), "the square of a speed along a normal"),
     "height_decrease": ((), "behind is where the wheel comes from"),
+    "height_decrease_arc": ((), "the arc lies where the wheel comes from"),
     "surface_profile": (("sine",), "waves stay where they are"),
     "surface_bump": (("centre",), "a bump stays where it is"),
     "surface_slope": (("slope",), "what rises ahead falls behind"),
@@ -119,6 +120,9 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "torque_offset": (("offset",), "a sensor's zero knows no wheel"),
     "torque_friction": ((), "friction opposes any turning"),
     "torque_gain": ((), "a ratio of torques"),
+    "channel_delay": ((), "time"),
+    "travel_delay": ((), "time"),
+    "sinkage_delay": ((), "time"),
     "measurement_delay": ((), "time"),
     "measurement_filter": ((), "time"),
 }
