@@ -333,6 +333,22 @@ class AbstractPlane(AbstractSurface):
         return under + rise * ahead
 
 
+class AbstractIncline(AbstractEffect):
+    """A plane under the whole wheel, in whose frame the sand's stress is worked out.
+
+    Depths are distances from the plane, normals and directions are turned into its frame, and the
+    force is turned back; see `drftjax.physics.surface_frame`. `AbstractPlane` changes depths alone.
+    """
+
+    @abc.abstractmethod
+    def plane(self, axle: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Height of the plane under the axle [m], and its slope along x [-].
+
+        Args:
+            axle: Place of the axle along x [m].
+        """
+
+
 class AbstractLoad(AbstractEffect):
     """A further force on the axle."""
 

@@ -16,6 +16,7 @@ from drftjax.effects import composition
 from drftjax.effects.base import (
     AbstractAdjustment,
     AbstractDrive,
+    AbstractIncline,
     AbstractLoad,
     AbstractPlacement,
     AbstractSensor,
@@ -138,7 +139,7 @@ def differences():
 
 def test_the_catalogue_holds_ours_first_with_names_of_their_own():
     assert list(catalogue())[: len(OURS)] == [each.about.name for each in OURS]
-    assert len(set(KNOWN)) == len(OURS) == 55
+    assert len(set(KNOWN)) == len(OURS) == 57
 
 
 @effects
@@ -214,6 +215,13 @@ def test_at_zero_strength_every_hook_gives_back_what_it_was_given(name):
         height = effect.height(state.position[0], plates.x, memory)
         same(jnp.abs(height), jnp.zeros_like(plates.x))
         seen = True
+    if isinstance(effect, AbstractIncline):
+        frame = composition.surface_frame((effect,), state.position[0])
+        same(frame.plates(plates), plates)
+        same(frame.distance(state.position[1]), state.position[1])
+        same(frame.velocity(pair), pair)
+        same(frame.stress_in_space(plates.x, plates.z), (plates.x, plates.z))
+        seen = True
     if isinstance(effect, AbstractLoad):
         memory = effect.advance(effect.begin(0 * pair), moment)
         same(jnp.abs(effect.load(pair, pair, moment, memory)), jnp.zeros(2))
@@ -262,7 +270,10 @@ def test_derivatives_at_the_null_are_those_of_the_program(name, null, difference
 
 
 # Those with memory or a derivative of their own, of every stage that has any.
-BACKWARD = ("backlash", "loosening", "surface_profile", "cable_spring", "measurement_delay")
+BACKWARD = (
+    *("backlash", "loosening", "surface_profile", "surface_undulation", "cable_spring"),
+    "measurement_delay",
+)
 
 
 def test_reverse_mode_agrees_with_forward(null):
