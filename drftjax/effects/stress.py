@@ -167,7 +167,7 @@ class HeightDecreaseArc(AbstractAdjustment):
     The faster a wheel turns, the shorter the arc is behind, and the more of it counts as behind.
     A law without a height decrease has none to move: there `HeightDecrease` comes first.
 
-    A diagnosis looks for it: a step costs next to nothing more, and above 90 deg/s the sinkage
+    A diagnosis looks for it: a step takes less than a tenth longer, and above 90 deg/s the sinkage
     hangs on the line.
     """
 

@@ -53,8 +53,9 @@ class SurfaceUndulation(AbstractIncline):
     """Height waves along x, with depths, directions and forces in the frame of the surface.
 
     As with `SurfaceProfile`, the wheel is on the plane that touches the wave under its axle; here
-    the sand's force leans with that plane, so that a wheel is driven off a crest. A diagnosis looks
-    for it: its columns cost no more than those of `SurfaceProfile`, and it is what a wavy bed does.
+    the sand's force leans with that plane, so that a wheel is driven off a crest. The plates are
+    turned at every place that a step tries: a step takes a third longer than with `SurfaceProfile`,
+    so a diagnosis looks for it only where it is named.
     """
 
     about: ClassVar = EffectInfo(
@@ -63,6 +64,7 @@ class SurfaceUndulation(AbstractIncline):
         "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length), stress in its frame",
         "the surface is not flat: height waves in x, and the sand's force leans with them",
         form_of="surface_profile",
+        hypothesis=False,
     )
     cosine: Number = strength("m", 0.001, "amplitude in phase with x = 0")
     sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
@@ -112,8 +114,8 @@ class SurfaceSlope(AbstractPlane, MemorylessSurface):
 class SurfaceIncline(AbstractIncline):
     """The surface is inclined, with depths, directions and forces in its frame.
 
-    It moves a wheel as a tilt of gravity does. A diagnosis looks for it: its columns cost no more
-    than those of `SurfaceSlope`, and it is what a tilted bed does.
+    It moves a wheel as a tilt of gravity does. A diagnosis looks for it: a step takes as long as
+    with `SurfaceSlope`, and on a true slope that one has less than half of the change of x.
     """
 
     about: ClassVar = EffectInfo(

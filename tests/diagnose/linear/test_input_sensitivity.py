@@ -16,8 +16,8 @@ from tests.helpers.synthetic_runs import BELIEVED_ZETA, coarse, recorded, setup_
 # A step is differentiated once a node only, and plates cross corners in between: share of a
 # column's largest value.
 LINES_ERR = 0.25
-# A force ripples as plates come and go; its slope by that of the bed does by half of its mean, which
-# so many samples leave a tenth. What two forms differ by ripples less.
+# A force ripples as plates come and go: of what a leaning bed changes in it by half of the mean,
+# of which so many samples leave a tenth. What two forms differ by ripples less.
 RIPPLE, LEAN = 0.1, 0.03
 # Share of the typical strength that a whole run is changed by: longer ones pass corners.
 CHANGE = 1e-3
