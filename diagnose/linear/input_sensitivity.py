@@ -1,14 +1,17 @@
 r"""Derivative of a run's inputs, state and readings by the strengths of one effect, at every node.
 
 An effect acts on some of the inputs of a linearised run (zeta, forces, speed, the surface's plane),
-on a step as a whole (effects on plates), or on the readings. Its equations are differentiated by
-each strength $\theta$ at zero, in forward mode, along the run as simulated without it. That gives
-$\partial u_k/\partial\theta$, $\partial m_k/\partial\theta$ (state at a step's end),
-$\partial f_k/\partial\theta$ (forces) and $\partial y_k/\partial\theta$ (readings) at node k, which
-`propagate` sums up along the linearised run to the response of the readings.
+on a step as a whole (effects on plates), or on the readings. An incline acts by the height of its
+plane, an input, and by its rise, by which a step is differentiated once for all of its shapes. The
+equations are differentiated by each strength $\theta$ at zero, in forward mode, along the run as
+simulated without the effect. That gives $\partial u_k/\partial\theta$,
+$\partial m_k/\partial\theta$ (state at a step's end), $\partial f_k/\partial\theta$ (forces) and
+$\partial y_k/\partial\theta$ (readings) at node k, which `propagate` sums up along the linearised
+run to the response of the readings.
 """
 
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -30,6 +33,7 @@ from drftjax.effects.base import (
     AbstractAdjustment,
     AbstractDrive,
     AbstractEffect,
+    AbstractIncline,
     AbstractLoad,
     AbstractPlacement,
     AbstractPlane,
@@ -38,7 +42,9 @@ from drftjax.effects.base import (
     AbstractStressFactor,
     AbstractSurface,
     AbstractZetaFactor,
+    EffectInfo,
     StepContext,
+    strength,
 )
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.physics.state import Output
@@ -95,11 +101,12 @@ def effect_sensitivity(
     """
     names = strengths(effect)
     at_null = jnp.zeros(len(names))
+    by_rise = _by_rise(trial, linearized, node) if issubclass(effect, AbstractIncline) else None
 
     def of(values: ShapeValues):
         def along(strengths_: Array):
             built = effect(**dict(zip(names, strengths_, strict=True)), **values, **held)
-            return _along(built, trial, linearized, node)
+            return _along(built, trial, linearized, node, by_rise)
 
         return jax.vmap(lambda d: jax.jvp(along, (at_null,), (d,))[1], out_axes=-1)(
             jnp.eye(len(names))
@@ -111,17 +118,43 @@ def effect_sensitivity(
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 2).reshape(*leaf.shape[1:3], -1), found)
 
 
+class _Rise(AbstractIncline):
+    """A surface at the undisturbed height under the axle that rises along x."""
+
+    about: ClassVar = EffectInfo("rise", "terrain", "h = h + rise ahead", "an inclined surface")
+    rise: Float[Array, ""] = strength("-", 0.01, "rise of the surface along x")
+
+    def plane(self, axle: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        return jnp.zeros_like(axle), self.rise
+
+
+def _by_rise(trial: Trial, linearized: LinearizedRun, node: Float[Array, ""]) -> InputSensitivity:
+    """Derivative of a step in each node, and of its forces, by the rise of an incline."""
+
+    def with_rise(rise: Float[Array, ""]) -> InputSensitivity:
+        return _through_a_step(_Rise(rise), trial, linearized, node)
+
+    return jax.jvp(with_rise, (jnp.zeros(()),), (jnp.ones(()),))[1]
+
+
 def _along(
-    effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node: Float[Array, ""]
+    effect: AbstractEffect,
+    trial: Trial,
+    linearized: LinearizedRun,
+    node: Float[Array, ""],
+    by_rise: InputSensitivity | None,
 ) -> InputSensitivity:
-    """Inputs, state and readings of the run with an effect, to be differentiated."""
+    """Inputs, state and readings of the run with an effect, to be differentiated.
+
+    `by_rise` is that of `_by_rise`, for an incline.
+    """
     on_plates = isinstance(effect, AbstractAdjustment | AbstractPlacement | AbstractStressFactor)
     # A plane is an input of the run; any other surface is not.
     if on_plates or (isinstance(effect, AbstractSurface) and not isinstance(effect, AbstractPlane)):
         sensitivity = _through_a_step(effect, trial, linearized, node)
         read = slice(0, 2)  # the step reads forces itself
     else:
-        sensitivity = _through_inputs(effect, trial, linearized, node)
+        sensitivity = _through_inputs(effect, trial, linearized, node, by_rise)
         read = slice(None)
     if isinstance(effect, AbstractSensor):
         readings = sensitivity.readings.at[:, read].set(
@@ -134,10 +167,15 @@ def _along(
 
 
 def _through_inputs(
-    effect: AbstractEffect, trial: Trial, linearized: LinearizedRun, node
+    effect: AbstractEffect,
+    trial: Trial,
+    linearized: LinearizedRun,
+    node,
+    by_rise: InputSensitivity | None,
 ) -> InputSensitivity:
     """The same of an effect that acts on inputs of the linearised run."""
     series: dict[str, Array] = {}
+    motion = jnp.zeros((linearized.middle_time.shape[0], MOTION))
     read = jnp.zeros((linearized.middle_time.shape[0], len(FORCES)))
     if isinstance(effect, AbstractZetaFactor):
         series["zeta"] = _zeta(effect, trial, linearized, node)
@@ -150,7 +188,13 @@ def _through_inputs(
         series["force_x"], series["force_z"] = force[:, 0], force[:, 1]
         if isinstance(effect, AbstractSandLoad):
             read = read.at[:, :2].set(force)
-    return replace(_forced_inputs(linearized, **series), forces=read)
+    if isinstance(effect, AbstractIncline) and by_rise is not None:
+        series["height"], rise = jax.vmap(effect.plane)(linearized.middle_motion[:, 0])
+        motion, read = (
+            motion + rise[:, None] * by_rise.motion,
+            read + rise[:, None] * by_rise.forces,
+        )
+    return replace(_forced_inputs(linearized, **series), motion=motion, forces=read)
 
 
 def _forced_inputs(linearized: LinearizedRun, **series: Float[Array, " nodes"]) -> InputSensitivity:

@@ -41,8 +41,8 @@ class EffectInfo:
         form_of: Name of the effect that this is another form of, under which a diagnosis reports
             it; empty for most.
         hypothesis: False for an effect that set-ups and fits may have, and that a diagnosis looks
-            for only where it is named: it moves most runs as another zeta does, or no blind test
-            has measured yet how well it is told from the others.
+            for only where it is named: it moves most runs as another zeta does, no blind test has
+            measured yet how well it is told from the others, or it takes longer than another form.
         channels: Channels among x, z, fx, fz, torque that it shows in, of which a diagnosis must
             compare one; empty where it moves the wheel, and so shows in any.
     """
@@ -331,6 +331,22 @@ class AbstractPlane(AbstractSurface):
     ) -> Float[Array, " plates"]:
         under, rise = self.plane(axle, memory)
         return under + rise * ahead
+
+
+class AbstractIncline(AbstractEffect):
+    """A plane under the whole wheel, in whose frame the sand's stress is worked out.
+
+    Depths are distances from the plane, normals and directions are turned into its frame, and the
+    force is turned back; see `drftjax.physics.surface_frame`. `AbstractPlane` changes depths alone.
+    """
+
+    @abc.abstractmethod
+    def plane(self, axle: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Height of the plane under the axle [m], and its slope along x [-].
+
+        Args:
+            axle: Place of the axle along x [m].
+        """
 
 
 class AbstractLoad(AbstractEffect):

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from drftjax.effects.base import (
     AbstractDrive,
     AbstractEffect,
+    AbstractIncline,
     AbstractLoad,
     AbstractPlacement,
     AbstractSandLoad,
@@ -23,6 +24,7 @@ from drftjax.effects.base import (
     StepContext,
 )
 from drftjax.physics.stress import PlateMotion
+from drftjax.physics.surface_frame import AbstractSurfaceFrame, InclinedFrame, LevelFrame
 from drftjax.physics.wheel import Plates
 
 if TYPE_CHECKING:
@@ -116,6 +118,15 @@ def move_plates(effects: Effects, plates: Plates, angle: Number) -> Plates:
         if isinstance(effect, AbstractPlacement):
             plates = effect.place(plates, angle)
     return plates
+
+
+def surface_frame(effects: Effects, axle: Number) -> AbstractSurfaceFrame:
+    """Frame of the surface at the axle's place x [m]: heights and slopes of all inclines add up."""
+    planes = [effect.plane(axle) for effect in effects if isinstance(effect, AbstractIncline)]
+    if not planes:
+        return LevelFrame()
+    heights, rises = zip(*planes, strict=True)
+    return InclinedFrame(sum(heights, jnp.zeros_like(axle)), sum(rises, jnp.zeros_like(axle)))
 
 
 def relative_to_surface(

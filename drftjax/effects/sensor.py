@@ -232,13 +232,115 @@ class TorqueGain(MemorylessSensor):
         return dataclasses.replace(output, torque=(1 + self.gain) * output.torque)
 
 
-def _channels(output: "Output") -> Float[Array, "5"]:
-    return jnp.stack([output.x, output.z, output.fx, output.fz, output.torque])
+CHANNELS = ("x", "z", "fx", "fz", "torque")
 
 
-def _with_channels(output: "Output", values: Float[Array, "5"]) -> "Output":
-    x, z, fx, fz, torque = values
-    return dataclasses.replace(output, x=x, z=z, sinkage=-z, fx=fx, fz=fz, torque=torque)
+# Forces and torque come from one sensor's amplifier, and so from one logger.
+LOGGED = ("fx", "fz", "torque")
+
+
+# Longest delay that the kept readings reach back to [s].
+LONGEST_DELAY = (KEPT - 1) * KEPT_EVERY
+
+
+def _channels(output: "Output", names: tuple[str, ...] = CHANNELS) -> Float[Array, " channels"]:
+    return jnp.stack([getattr(output, name) for name in names])
+
+
+def _with_channels(
+    output: "Output", values: Float[Array, " channels"], names: tuple[str, ...] = CHANNELS
+) -> "Output":
+    changed = dict(zip(names, values, strict=True))
+    if "z" in changed:
+        changed["sinkage"] = -changed["z"]
+    return dataclasses.replace(output, **changed)
+
+
+def _begin_late(output: "Output", names: tuple[str, ...]) -> Memory:
+    """Ages [s] and values of the kept readings of some channels, as if at rest before."""
+    value = _channels(output, names)
+    ages = KEPT_EVERY * jnp.arange(KEPT, dtype=value.dtype)
+    return ages, jnp.repeat(value[None], KEPT, axis=0)
+
+
+def _read_late(
+    output: "Output", names: tuple[str, ...], delay: Number, dt: Number, memory: Memory
+) -> tuple["Output", Memory]:
+    """The output with some channels as they were a delay [s] ago, and the kept readings."""
+    # The present first, then what was kept, the latest before the earlier.
+    older = memory[0] + dt
+    ages = jnp.concatenate([jnp.zeros_like(older[:1]), older])
+    values = jnp.concatenate([_channels(output, names)[None], memory[1]])
+    later = jnp.clip(jnp.sum(ages <= delay) - 1, 0, KEPT - 1)
+    share = jnp.minimum((delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
+    value = values[later] + share * (values[later + 1] - values[later])
+    # Never closer, or the kept would not reach back far enough; but for the times' rounding.
+    due = older[0] > KEPT_EVERY - dt / 100
+    kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
+    return _with_channels(output, value, names), kept
+
+
+class ChannelDelay(AbstractSensor):
+    """Forces and torque are late against x and z: a second logger, whose clock is behind.
+
+    What was true is kept as by `MeasurementDelay`. A diagnosis looks for it, and for its forms of
+    x or z alone, wherever that channel is compared: it costs what `MeasurementDelay` costs.
+    """
+
+    about: ClassVar = EffectInfo(
+        "channel_delay",
+        "sensor",
+        "fx, fz, torque read(t) = true(t - delay)",
+        "one channel's clock is late against the others: that of forces and torque, by 1 s at most",
+        channels=LOGGED,
+    )
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
+
+    def begin(self, output: "Output") -> Memory:
+        return _begin_late(output, LOGGED)
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return _read_late(output, LOGGED, self.delay, dt, memory)
+
+
+class TravelDelay(AbstractSensor):
+    """The reading of x is late against the others; otherwise as `ChannelDelay`."""
+
+    about: ClassVar = EffectInfo(
+        "travel_delay",
+        "sensor",
+        "x read(t) = true(t - delay)",
+        "one channel's clock is late against the others: that of x, by 1 s at most",
+        form_of="channel_delay",
+        channels=("x",),
+    )
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
+
+    def begin(self, output: "Output") -> Memory:
+        return _begin_late(output, ("x",))
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return _read_late(output, ("x",), self.delay, dt, memory)
+
+
+class SinkageDelay(AbstractSensor):
+    """The reading of z is late against the others; otherwise as `ChannelDelay`."""
+
+    about: ClassVar = EffectInfo(
+        "sinkage_delay",
+        "sensor",
+        "z read(t) = true(t - delay)",
+        "one channel's clock is late against the others: that of z, by 1 s at most",
+        form_of="channel_delay",
+        channels=("z",),
+    )
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
+
+    def begin(self, output: "Output") -> Memory:
+        return _begin_late(output, ("z",))
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        return _read_late(output, ("z",), self.delay, dt, memory)
 
 
 class MeasurementDelay(AbstractSensor):
@@ -253,25 +355,13 @@ class MeasurementDelay(AbstractSensor):
         "read(t) = true(t - delay)",
         "the readings are late, by 1 s at most",
     )
-    delay: Number = strength("s", 0.1, "how late", least=0.0, most=(KEPT - 1) * KEPT_EVERY)
+    delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
 
     def begin(self, output: "Output") -> Memory:
-        value = _channels(output)
-        ages = KEPT_EVERY * jnp.arange(KEPT, dtype=value.dtype)
-        return ages, jnp.repeat(value[None], KEPT, axis=0)
+        return _begin_late(output, CHANNELS)
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        # The present first, then what was kept, the latest before the earlier.
-        older = memory[0] + dt
-        ages = jnp.concatenate([jnp.zeros_like(older[:1]), older])
-        values = jnp.concatenate([_channels(output)[None], memory[1]])
-        later = jnp.clip(jnp.sum(ages <= self.delay) - 1, 0, KEPT - 1)
-        share = jnp.minimum((self.delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
-        value = values[later] + share * (values[later + 1] - values[later])
-        # Never closer, or the kept would not reach back far enough; but for the times' rounding.
-        due = older[0] > KEPT_EVERY - dt / 100
-        kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
-        return _with_channels(output, value), kept
+        return _read_late(output, CHANNELS, self.delay, dt, memory)
 
 
 class MeasurementFilter(AbstractSensor):
@@ -307,6 +397,9 @@ SENSOR = (
     TorqueOffset,
     TorqueFriction,
     TorqueGain,
+    ChannelDelay,
+    TravelDelay,
+    SinkageDelay,
     MeasurementDelay,
     MeasurementFilter,
 )

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from drftjax.effects import spatial as places
 from drftjax.effects.base import (
+    AbstractIncline,
     AbstractPlane,
     EffectInfo,
     Memory,
@@ -18,6 +19,13 @@ from drftjax.effects.base import (
 )
 
 Number = Float[Array, ""]
+
+
+def _waves(cosine: Number, sine: Number, length: Number, axle: Number) -> tuple[Number, Number]:
+    """Height [m] over that at x = 0, and slope [-], of waves along x at the axle [m]."""
+    turn = 2 * jnp.pi / length
+    across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
+    return cosine * (across - 1) + sine * along, turn * (sine * across - cosine * along)
 
 
 class SurfaceProfile(AbstractPlane, MemorylessSurface):
@@ -38,10 +46,32 @@ class SurfaceProfile(AbstractPlane, MemorylessSurface):
     length: Number = places.wavelength()
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
-        turn = 2 * jnp.pi / self.length
-        across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
-        rise = turn * (self.sine * across - self.cosine * along)
-        return self.cosine * (across - 1) + self.sine * along, rise
+        return _waves(self.cosine, self.sine, self.length, axle)
+
+
+class SurfaceUndulation(AbstractIncline):
+    """Height waves along x, with depths, directions and forces in the frame of the surface.
+
+    As with `SurfaceProfile`, the wheel is on the plane that touches the wave under its axle; here
+    the sand's force leans with that plane, so that a wheel is driven off a crest. The plates are
+    turned at every place that a step tries: a step takes a third longer than with `SurfaceProfile`,
+    so a diagnosis looks for it only where it is named.
+    """
+
+    about: ClassVar = EffectInfo(
+        "surface_undulation",
+        "terrain",
+        "h = cosine (cos(2π x / length) - 1) + sine sin(2π x / length), stress in its frame",
+        "the surface is not flat: height waves in x, and the sand's force leans with them",
+        form_of="surface_profile",
+        hypothesis=False,
+    )
+    cosine: Number = strength("m", 0.001, "amplitude in phase with x = 0")
+    sine: Number = strength("m", 0.001, "amplitude a quarter wave on")
+    length: Number = places.wavelength()
+
+    def plane(self, axle: Number) -> tuple[Number, Number]:
+        return _waves(self.cosine, self.sine, self.length, axle)
 
 
 class SurfaceBump(AbstractPlane, MemorylessSurface):
@@ -78,6 +108,26 @@ class SurfaceSlope(AbstractPlane, MemorylessSurface):
     slope: Number = strength("-", 0.01, "rise of the surface along x")
 
     def plane(self, axle: Number, memory: Memory) -> tuple[Number, Number]:
+        return self.slope * axle, self.slope
+
+
+class SurfaceIncline(AbstractIncline):
+    """The surface is inclined, with depths, directions and forces in its frame.
+
+    It moves a wheel as a tilt of gravity does. A diagnosis looks for it: a step takes as long as
+    with `SurfaceSlope`, and on a true slope that one has less than half of the change of x.
+    """
+
+    about: ClassVar = EffectInfo(
+        "surface_incline",
+        "terrain",
+        "h = slope x, stress in its frame",
+        "the surface is inclined, and the sand's force leans with it",
+        form_of="surface_slope",
+    )
+    slope: Number = strength("-", 0.01, "rise of the surface along x")
+
+    def plane(self, axle: Number) -> tuple[Number, Number]:
         return self.slope * axle, self.slope
 
 
@@ -130,4 +180,12 @@ class SlipSinkage(AbstractPlane):
         return -self.rate * memory, jnp.zeros_like(axle)
 
 
-SURFACE = (SurfaceProfile, SurfaceBump, SurfaceSlope, Excavation, SlipSinkage)
+SURFACE = (
+    SurfaceProfile,
+    SurfaceUndulation,
+    SurfaceBump,
+    SurfaceSlope,
+    SurfaceIncline,
+    Excavation,
+    SlipSinkage,
+)

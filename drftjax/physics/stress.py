@@ -226,15 +226,20 @@ class AbstractBisector(eqx.Module):
     """Line through the axle that halves the contact with the sand."""
 
     @abc.abstractmethod
-    def distance_behind(
-        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    def past(
+        self,
+        motion: PlateMotion,
+        plates: Plates,
+        loss: Float[Array, ""],
+        corners: AbstractCorners,
     ) -> Float[Array, " plates"]:
-        """Distance of each plate behind the line [m], negative ahead of it.
+        """1 for plates behind the line, 0 for plates ahead of it [-], shape (plates,).
 
         Args:
             motion: Of the plates.
             plates: Of the wheel.
             loss: Height [m] that the sand behind the wheel has lost.
+            corners: Onset of a plate's passage.
         """
 
 
@@ -244,10 +249,14 @@ class VerticalBisector(AbstractBisector):
     It is the convention of the reference model, for a wheel that drives forward on level ground.
     """
 
-    def distance_behind(
-        self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
+    def past(
+        self,
+        motion: PlateMotion,
+        plates: Plates,
+        loss: Float[Array, ""],
+        corners: AbstractCorners,
     ) -> Float[Array, " plates"]:
-        return -plates.x
+        return corners.past(-plates.x)
 
 
 class ArcBisector(AbstractBisector):
@@ -261,6 +270,7 @@ class ArcBisector(AbstractBisector):
     def distance_behind(
         self, motion: PlateMotion, plates: Plates, loss: Float[Array, ""]
     ) -> Float[Array, " plates"]:
+        """Distance of each plate behind the line [m], negative ahead; arguments as of `past`."""
         height = -motion.axle_depth
         # A quarter turn from straight down is the farthest that the model covers.
         entry = jnp.arccos(jnp.clip(height, 0, 1))
@@ -269,6 +279,39 @@ class ArcBisector(AbstractBisector):
         half = jax.lax.stop_gradient(entry - leave) / 2
         sense = jnp.where(motion.omega < 0, -1, 1)
         return -(sense * plates.x * jnp.cos(half) + plates.z * jnp.sin(half))
+
+    def past(
+        self,
+        motion: PlateMotion,
+        plates: Plates,
+        loss: Float[Array, ""],
+        corners: AbstractCorners,
+    ) -> Float[Array, " plates"]:
+        return corners.past(self.distance_behind(motion, plates, loss))
+
+
+class WeightedBisector(AbstractBisector):
+    """Part of the height decrease behind one line, and the rest behind another.
+
+    Attributes:
+        first, second: The two lines.
+        share: Part of the height decrease that lies behind the second [-].
+    """
+
+    first: AbstractBisector
+    second: AbstractBisector
+    share: Float[Array, ""]
+
+    def past(
+        self,
+        motion: PlateMotion,
+        plates: Plates,
+        loss: Float[Array, ""],
+        corners: AbstractCorners,
+    ) -> Float[Array, " plates"]:
+        first = self.first.past(motion, plates, loss, corners)
+        second = self.second.past(motion, plates, loss, corners)
+        return first + self.share * (second - first)
 
 
 class AbstractStressLaw(eqx.Module):
@@ -344,8 +387,7 @@ class Dynamic(AbstractStressLaw):
         self, motion: PlateMotion, plates: Plates, zeta: Float[Array, ""]
     ) -> tuple[Float[Array, " plates"], Float[Array, " plates"]]:
         loss = self.height_decrease * motion.height_decrease
-        past = self.corners.past(self.bisector.distance_behind(motion, plates, loss))
-        depth = motion.depth - loss * past
+        depth = motion.depth - loss * self.bisector.past(motion, plates, loss, self.corners)
         stress_x, stress_z = _depth_stress(
             self.coefficients, self.corners, motion, plates, depth, zeta
         )

@@ -39,7 +39,7 @@ class PlateLoad(eqx.Module):
 
     Attributes:
         plates: Plates turned to the wheel angle.
-        motion: Their depth and motion.
+        motion: Their depth and motion, in the frame of the surface.
         stress_x, stress_z: Force of the sand per plate area [Pa], shape (plates,).
     """
 
@@ -149,16 +149,19 @@ class Simulator(eqx.Module):
         radius = self.wheel.radius
         plates = chain.move_plates(self.effects, self.wheel.cut().plates(angle), angle)
         height_decrease = radius * (radius * omega**2 / self.rig.gravity)
-        height = position[1] + radius
+        frame = chain.surface_frame(self.effects, position[0])
+        turned, height = frame.plates(plates), frame.distance(position[1] + radius)
         width = self.integrator.rest_speed(radius, self.rig.gravity, omega)
         lead = self.integrator.lead_speed(radius, omega)
-        motion = plate_motion(plates, height, velocity, omega, height_decrease, width, radius, lead)
-        motion = chain.relative_to_surface(self.effects, memory, motion, position[0], plates.x)
+        motion = plate_motion(
+            turned, height, frame.velocity(velocity), omega, height_decrease, width, radius, lead
+        )
+        motion = chain.relative_to_surface(self.effects, memory, motion, position[0], turned.x)
         # The sand's strength goes with gravity, so that zeta is a number of the sand.
         strength = zeta * (self.rig.gravity / EARTH_GRAVITY)
-        stress_x, stress_z = self.terrain.law.stress(motion, plates, strength)
+        stress = frame.stress_in_space(*self.terrain.law.stress(motion, turned, strength))
         factor = chain.stress_factor(self.effects, motion)
-        return PlateLoad(plates, motion, factor * stress_x, factor * stress_z)
+        return PlateLoad(plates, motion, factor * stress[0], factor * stress[1])
 
     def wrench(
         self,

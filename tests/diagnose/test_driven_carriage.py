@@ -19,6 +19,7 @@ NOISE = 0.05  # of a usual transducer [N], [N m]
 TOLD = 0.05
 FORCES = {"force_offset", "force_gain", "force_crosstalk"}
 TORQUE = {"torque_offset", "torque_friction", "torque_gain"}
+LATE = {"channel_delay"}
 
 
 def runs(*effects: dict, ratios=RATIOS, channels=CHANNELS) -> list[PreparedRun]:
@@ -38,23 +39,26 @@ def names(candidates: list[PreparedRun]) -> set[str]:
 def test_effects_that_carriage_or_channels_cannot_show_are_no_candidates():
     free = [coarse("free", recorded(setup_of((TIME, OMEGA))))]
     own = names(free)
-    assert not own & {"carriage_gain", *FORCES, *TORQUE}
+    assert not own & {"carriage_gain", *FORCES, *TORQUE, *LATE}
     # The scales of travel and sinkage, and what moves the wheel, show everywhere.
     assert {"sinkage_drift", "travel_gain", "cohesion", "speed_gain"} <= own
     read = [coarse("free", recorded(setup_of((TIME, OMEGA)), channels=("x", "z", "torque")))]
-    assert names(read) == own | TORQUE
+    assert names(read) == own | TORQUE | LATE
     for channels, added in (
         (("z", "fx"), FORCES),
         (("z", "torque"), TORQUE),
         (CHANNELS, FORCES | TORQUE),
     ):
-        assert names(runs(ratios=RATIOS[:1], channels=channels)) == own | {"carriage_gain"} | added
+        # The place of a driven carriage is not compared, so that it cannot be read late.
+        expected = own - {"travel_delay"} | {"carriage_gain"} | added | LATE
+        assert names(runs(ratios=RATIOS[:1], channels=channels)) == expected
     with pytest.raises(InputError, match="torque_gain shows in torque, and only x, z are compared"):
         possible_effects(free, [effect_class("torque_gain")])
 
 
-def test_effects_that_no_blind_test_has_measured_are_looked_for_where_they_are_named():
+def test_effects_that_are_no_usual_hypotheses_are_looked_for_where_they_are_named():
     new = ["vertical_compliance", "grouser_shadowing", "slip_sinkage", "heap", "depth_power"]
+    new += ["surface_undulation"]
     free = [coarse("free", recorded(setup_of((TIME, OMEGA))))]
     assert not names(free) & set(new)
     assert [each.about.name for each in possible_effects(free, effects_among(new))] == new
@@ -62,10 +66,14 @@ def test_effects_that_no_blind_test_has_measured_are_looked_for_where_they_are_n
 
 @pytest.mark.parametrize(
     ("effect", "numbers"),
-    [("carriage_gain", {"gain": 0.03}), ("force_gain", {"fx_gain": 0.1, "fz_gain": 0.05})],
+    [
+        ("carriage_gain", {"gain": 0.03}),
+        ("force_gain", {"fx_gain": 0.1, "fz_gain": 0.05}),
+        ("channel_delay", {"delay": 0.08}),
+    ],
 )
-def test_a_fast_carriage_and_forces_that_read_too_much_are_told_apart(effect, numbers):
-    candidates = [*map(effect_class, ("carriage_gain", "force_gain"))]
+def test_what_a_driven_carriage_shows_is_told_apart(effect, numbers):
+    candidates = [*map(effect_class, ("carriage_gain", "force_gain", "channel_delay"))]
     found = diagnose(RigDataset.of(runs({"name": effect, **numbers})), candidates)
     assert found.verdict == (effect,)
     told = {field: each.value for field, each in found.parameters[effect].items()}

@@ -1,4 +1,4 @@
-"""A delay of the readings, whatever the step of the loop."""
+"""A delay of the readings or of one channel, whatever the step of the loop."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from drftjax.common.errors import InputError
 from drftjax.physics.state import Output, State
-from tests.helpers.effect_runs import KNOWN, RIM, rows, simulator
+from tests.helpers.effect_runs import KNOWN, RIM, driven, rows, simulator
 
 # Where only rounding and the step itself lie between.
 CLOSE = 1e-9
+FORCES = ("fx", "fz", "torque")
 
 
 @cache
@@ -56,3 +58,40 @@ def test_at_steps_that_divide_10_ms_a_delay_joins_the_truth_at_each_10_ms(ms, de
         kept = np.arange(0, time - dt / 2, 0.01)
         knots = np.append(kept, time)
         assert late[row] == pytest.approx(np.interp(time - delay, knots, np.sin(knots)), abs=CLOSE)
+
+
+def test_each_channel_is_late_by_its_own_clock_and_no_other():
+    """Against the rows of the run without delays, so many steps of 10 ms before."""
+    dt, steps = 0.01, 200
+    late = {"travel_delay": ("x",), "sinkage_delay": ("z",), "channel_delay": FORCES}
+    count = {"travel_delay": 20, "sinkage_delay": 30, "channel_delay": 7}
+    omega = 2.0 + np.sin(np.arange(1, steps + 1) / 9)
+    delays = tuple(KNOWN[name](delay=dt * count[name]) for name in late)
+
+    @jax.jit
+    def both():
+        sim, start = simulator(RIM), driven(True, 2.0)
+        slow = replace(sim, effects=delays)
+        return [rows(each, start, omega, dt, 1) for each in (sim, slow)]
+
+    truth, read = both()
+    for name, channels in late.items():
+        for channel in channels:
+            true, slow = (np.asarray(getattr(each, channel)) for each in (truth, read))
+            expected = np.concatenate([np.full(count[name], true[0]), true[: -count[name]]])
+            # The reading moves over that time, or lateness would not show.
+            assert np.ptp(true) > 1e3 * CLOSE * np.abs(true).max()
+            np.testing.assert_allclose(slow, expected, rtol=CLOSE, atol=CLOSE)
+    np.testing.assert_allclose(read.sinkage, -np.asarray(read.z), rtol=CLOSE)
+    for channel in ("vx", "vz", "angle", "omega"):
+        np.testing.assert_allclose(getattr(read, channel), getattr(truth, channel), atol=CLOSE)
+
+
+@pytest.mark.parametrize("name", ["travel_delay", "sinkage_delay", "channel_delay"])
+def test_a_late_channel_asks_for_that_channel(name):
+    shown = {"travel_delay": "x", "sinkage_delay": "z", "channel_delay": "torque"}[name]
+    about = KNOWN[name].about
+    about.require_shown((shown,))
+    others = {"x", "z", *FORCES} - set(about.channels)
+    with pytest.raises(InputError, match=f"{name} shows in"):
+        about.require_shown(sorted(others))
