@@ -5,8 +5,8 @@ from rich.table import Table
 
 from diagnose.gap.budget import ChannelBudget
 from diagnose.linear.bed import FreeBed
-from diagnose.report.model_writer import estimate_in_words
 from diagnose.report.remedies import remedy
+from diagnose.report.user_terms import in_user_terms
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import UNKNOWN, percent
 from drftjax.effects.catalogue import reported_name
@@ -75,11 +75,10 @@ def effect_sentences(found: Diagnosis) -> list[str]:
         numbers = found.parameters.get(name)
         if numbers is None:
             continue
-        values = ", ".join(f"{key} = {estimate_in_words(each)}" for key, each in numbers.items())
+        values = in_user_terms(name, numbers, found.dataset.runs[0].setup)
         sure = percent(found.weights.get(name, 0.0))
         sentences.append(
-            f"{name} ({found.meaning(name)}; takes part with {sure}): {values}. "
-            f"To do: {remedy(name)}."
+            f"{name}: {values} (takes part with a probability of {sure}). To do: {remedy(name)}."
         )
     return sentences
 
