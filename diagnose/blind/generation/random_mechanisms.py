@@ -55,7 +55,7 @@ def _log_uniform(random: Random, low: float, high: float) -> float:
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
-def _part(kind: type, **numbers: Any) -> Part:
+def make_part(kind: type, **numbers: Any) -> Part:
     """Effect of these numbers, which its fields convert to arrays."""
     return kind(**numbers)
 
@@ -123,7 +123,7 @@ def _loosening(random: Random) -> RandomForm:
         "decay": _log_uniform(random, 0.5, 6.0),
         "power": float(random.uniform(0.6, 1.6)),
     }
-    return lambda strength: _part(sand.PlantLoosening, loss=strength, **form), 0.1, 0.6, form
+    return lambda strength: make_part(sand.PlantLoosening, loss=strength, **form), 0.1, 0.6, form
 
 
 def _variation(random: Random) -> RandomForm:
@@ -132,7 +132,7 @@ def _variation(random: Random) -> RandomForm:
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda strength: _part(sand.PlantTerrainVariation, excess=sign * strength, curve=table),
+        lambda strength: make_part(sand.PlantTerrainVariation, excess=sign * strength, curve=table),
         0.1,
         0.6,
         form,
@@ -145,7 +145,7 @@ def _profile(random: Random) -> RandomForm:
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda strength: _part(bed.PlantSurfaceProfile, amplitude=sign * strength, curve=table),
+        lambda strength: make_part(bed.PlantSurfaceProfile, amplitude=sign * strength, curve=table),
         0.001,
         0.008,
         form,
@@ -155,7 +155,7 @@ def _profile(random: Random) -> RandomForm:
 def _excavation(random: Random) -> RandomForm:
     power = float(random.choice([random.uniform(-1, -0.3), random.uniform(0.3, 0.8)]))
     form = {"length": _log_uniform(random, 0.05, 0.5), "power": power}
-    return lambda strength: _part(bed.PlantExcavation, rate=strength, **form), 0.05, 0.5, form
+    return lambda strength: make_part(bed.PlantExcavation, rate=strength, **form), 0.05, 0.5, form
 
 
 def _gain(random: Random) -> RandomForm:

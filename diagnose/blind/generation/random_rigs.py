@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,8 @@ def scaled(part: Part, rig: PlantRig) -> Part:
     numbers = {name: getattr(part, name) * factor for name, factor in factors.items()}
     if isinstance(part, machine.PlantGrouserShadowing):
         numbers |= {"radius": rig.radius, "height": rig.grouser_height}
-    return dataclasses.replace(part, **numbers)
+    dataclass_part: Any = part
+    return dataclasses.replace(dataclass_part, **numbers)
 
 
 def mechanism_for(mechanism: Mechanism, rig: PlantRig) -> Mechanism:

@@ -76,7 +76,8 @@ class Logger:
             sinkage_static=float(-channels["z"][at_rest].mean()),
             scaling_factor_initial=settings.believed_zeta,
         )
-        time = np.arange(round(planned.duration / COMMAND_INTERVAL) + 1) * COMMAND_INTERVAL
+        time = np.arange(round(planned.duration / COMMAND_INTERVAL) + 1, dtype=float)
+        time *= COMMAND_INTERVAL
         carriage = planned.carriage_speed(time) if rig.is_driven else None
         return RunLog(
             setup=setup,

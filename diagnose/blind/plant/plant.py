@@ -28,6 +28,7 @@ from drftjax.common.errors import InputError
 from drftjax.effects import composition
 from drftjax.effects.base import AbstractEffect, StepContext
 from drftjax.physics.command import Command
+from drftjax.physics.implicit import NewtonSettings
 from drftjax.physics.integrator import ImplicitEuler
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
@@ -48,6 +49,8 @@ class PlantSettings:
         row_interval: Interval of the rows of a reading [s].
         standing: Width at rest of a wheel that does not turn, over sqrt(r g) [-]; a hundredth of
             the model's, so that a wheel that stands moves by 2 um in 24 s at most.
+        tolerance: Change of velocity at which a step is found, over sqrt(r g) [-]: far below the
+            width, or the forces on a wheel that stands would not balance.
         longest_run: Longest run that the program has room for [s].
         max_steps: Most steps that it has room for, which the shortest steps need.
         rail_length: Length of the rail from the start to where the wheel is to go [m].
@@ -62,6 +65,7 @@ class PlantSettings:
     step_refinement: float = 2.0
     row_interval: float = 0.01
     standing: float = 5e-9
+    tolerance: float = 1e-12
     longest_run: float = 24.0
     max_steps: int = 76800
     rail_length: float = 5.5
@@ -147,7 +151,7 @@ def make_plant(
         rig.wheel(settings.plate_size),
         Terrain(ConstantZeta(zeta)),
         rig.frame(mass_z),
-        ImplicitEuler(standing=settings.standing),
+        ImplicitEuler(NewtonSettings(settings.tolerance), settings.standing),
         effects,
     )
     simulator = eqx.tree_at(

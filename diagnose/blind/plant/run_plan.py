@@ -202,7 +202,7 @@ class SweepSettings:
 
     slips: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)
     fast_slips: tuple[float, ...] = (0.15, 0.45)
-    omega: Range = (0.35, 0.7)
+    omega: Range = (0.3, 0.55)
     fast_ratio: float = 3.0
     rest: float = 0.5
     ramp: float = 1.5

@@ -2,13 +2,19 @@
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from diagnose.blind.generation.effect_size import EffectSizeProbe
 from diagnose.blind.generation.kinds.strengths import drawn_target, sized
-from diagnose.blind.generation.random_mechanisms import GROUSER_KINDS, draw_mechanism, effect_names
+from diagnose.blind.generation.random_mechanisms import (
+    GROUSER_KINDS,
+    draw_mechanism,
+    effect_names,
+    make_part,
+)
 from diagnose.blind.generation.random_rigs import DrawnRig, draw_rig, mechanism_for
 from diagnose.blind.generation.recording import write_set
 from diagnose.blind.generation.settings import GenerationRequest, GenerationSettings
@@ -28,6 +34,21 @@ FOLDERS = ("before", "now")
 def changeable() -> list[str]:
     """Names of what may change between two groups of runs, `zeta` left out."""
     return [name for name in effect_names() if name not in OF_THE_LAW]
+
+
+@dataclass(frozen=True)
+class SandLaw:
+    """Law of the sand of a set, beyond the rig's own coefficients.
+
+    Attributes:
+        depth_exponent: Exponent of the stress by depth [-].
+        resistance: Resistance of the heap ahead at the reference sinkage [N].
+        parts: Parts of the plant that make it so.
+    """
+
+    depth_exponent: float
+    resistance: float
+    parts: tuple[Part, ...]
 
 
 def make_change(
@@ -57,16 +78,16 @@ def make_change(
     drawn, law = _another_law(drawn, random, settings)
     nine = [run.on(drawn.rig) for run in draw_nine_runs(random, settings.random_runs)]
     runs = [nine[index] for index in change.runs]
-    present, fault_labels = _faults(faults, drawn, law, runs, random, settings)
+    present, fault_labels = _faults(faults, drawn, law.parts, runs, random, settings)
     zetas, changed, label = [drawn.zeta, drawn.zeta], [], {}
     if kinds == (ZETA,):
         step = float(random.uniform(*change.zeta_change)) * float(random.choice([-1, 1]))
         zetas[1] *= 1 + step
-        size = {"value": step, "unit": "-", "numbers": [ZETA]}
+        size = {"value": step, "unit": "-", "numbers": ["change"]}
         label = {"size": size, "floors": abs(step) / settings.zeta_scatter}
     elif kinds:
         mechanism = mechanism_for(draw_mechanism(kinds[0], random), drawn.rig)
-        base = (*law, *present)
+        base = (*law.parts, *present)
 
         part, mechanism_label = sized(
             mechanism, drawn_target(request, random, 0.0), *_probe_on(base, drawn, runs, settings)
@@ -78,22 +99,20 @@ def make_change(
         }
     logs = {}
     logger, resolution = drawn.logger(settings), drawn.resolution(settings)
-    groups = plant.groups_of([*law, *present, *changed], plant.COMMON_GROUPS)
+    groups = plant.groups_of([*law.parts, *present, *changed], plant.COMMON_GROUPS)
     for folder, zeta, extra in zip(FOLDERS, zetas, ([], changed), strict=True):
         for letter, run in zip("abcde", runs, strict=True):
             zeta_of_run = zeta * float(np.exp(settings.zeta_scatter * random.standard_normal()))
-            parts = [*law, *present, *extra]
+            parts = [*law.parts, *present, *extra]
             motion = plant.run_plant(parts, run, zeta_of_run, groups, resolution, drawn.rig)
             logs[f"{folder}/run_{letter}"] = logger.record(motion, run, random)
     write_set(request.folder / request.name(number), logs)
-    hardening, heap = law
     return {
         "effects": list(kinds),
         **drawn.document(),
         "law": {
-            "depth_exponent": 1 + float(hardening.power),
-            "heap": float(heap.force),
-            "heap_unit": "N",
+            "depth_exponent": law.depth_exponent,
+            "heap_newton": law.resistance,
         },
         "faults": fault_labels,
         **label,
@@ -102,23 +121,28 @@ def make_change(
 
 def _another_law(
     drawn: DrawnRig, random: np.random.Generator, settings: GenerationSettings
-) -> tuple[DrawnRig, tuple[PlantDepthHardening, PlantHeap]]:
+) -> tuple[DrawnRig, SandLaw]:
     """The rig on sand whose stress follows another law of depth and of angles, and a heap ahead."""
     change = settings.change
     factors = 1 + change.coefficient_spread * random.standard_normal(9)
     rig = dataclasses.replace(drawn.rig, stress_factors=tuple(map(float, factors)))
     # One at about the mean depth of the plates of a wheel at rest, so that zeta stays as it is.
-    hardening = PlantDepthHardening(
-        power=random.uniform(*change.depth_exponent) - 1, reference=0.01 * rig.length_scale
+    exponent = float(random.uniform(*change.depth_exponent))
+    resistance = float(random.uniform(*change.heap)) * rig.mass_z * GRAVITY
+    # One at about the mean depth of the plates of a wheel at rest, so that zeta stays as it is.
+    hardening = make_part(
+        PlantDepthHardening, power=exponent - 1, reference=0.01 * rig.length_scale
     )
-    heap = PlantHeap(
-        force=random.uniform(*change.heap) * rig.mass_z * GRAVITY,
+    heap = make_part(
+        PlantHeap,
+        force=resistance,
         sinkage=0.02 * rig.length_scale,
         power=random.uniform(1.6, 2.4),
         braking=random.uniform(0.5, 6.0),
         lift=random.uniform(0.1, 0.5),
     )
-    return dataclasses.replace(drawn, rig=rig), (hardening, heap)
+    law = SandLaw(exponent, resistance, (hardening, heap))
+    return dataclasses.replace(drawn, rig=rig), law
 
 
 def _faults(

@@ -67,9 +67,7 @@ def make_one_rig(
     ]
     least = settings.several.least_floors if request.kind == SEVERAL else 0.0
     targets = [drawn_target(request, random, least) for _ in mechanisms]
-    parts, label = _with_strengths(mechanisms, targets, nine, drawn, settings)
-    if any(each["floors"] < least for each in label.get("mechanisms", ())):
-        raise InputError(f"an effect of several is smaller than {least:g} noise floors")
+    parts, label = _with_strengths(mechanisms, targets, nine, drawn, settings, least)
     protocol = "practice" if practice else "random"
     if request.protocol == "telling":
         protocol, nine = "telling", tuple(run.on(drawn.rig) for run in RECOMMENDED_RUNS)
@@ -101,10 +99,12 @@ def _with_strengths(
     nine: tuple[PlannedRun, ...],
     drawn: DrawnRig,
     settings: GenerationSettings,
+    least: float,
 ) -> tuple[list[Part], dict]:
     """Mechanisms at the strengths of the wanted sizes [noise floors], and the label's part on them.
 
-    For several mechanisms, the label also has the size of all together.
+    For several mechanisms, the label also has the size of all together. None may be smaller than
+    `least` noise floors.
     """
     if not mechanisms:
         return [], {}
@@ -120,6 +120,8 @@ def _with_strengths(
     parts, labels = [], []
     for mechanism, target in zip(mechanisms, targets, strict=True):
         part, label = sized(mechanism, target, probe_of, held)
+        if label["floors"] < least:
+            raise InputError(f"{mechanism.kind} is smaller than {least:g} noise floors")
         parts.append(part)
         labels.append(label)
     if len(parts) == 1:
