@@ -225,7 +225,8 @@ class GenerationRequest:
                 raise InputError(f"{what} is {given!r}, must be one of {', '.join(known)}")
         if self.kind == SEVERAL and self.wrong != "mixed":
             raise InputError(
-                f"several effects are wrong with these sets; {self.wrong!r} is no choice"
+                f"what is wrong is {self.wrong!r}; sets of the kind several have three or four "
+                "effects, leave it out"
             )
         if self.kind in (CHANGE, SWEEP):
             if self.wrong not in CHANGE_FAULTS:
