@@ -23,11 +23,14 @@ from diagnose.blind.plant.plant import DEFAULT_PLANT, FIT_PLATE_SIZE, Part, Plan
 from diagnose.blind.plant.rig import DEFAULT_RIG, PlantRig
 from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sensors import PlantReading
-from drftjax.recorded.matched_zeta import match_mean_sinkage
+from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 
 CHANNELS = ("x", "z")
 
 Subset = frozenset[str]
+
+# Mean sinkages are met to a few micrometres, a tenth of the noise.
+MATCH = ZetaMatchSettings(min_step=2e-4)
 
 
 def shapley_values(value: Mapping[Subset, float]) -> dict[str, float]:
@@ -128,5 +131,5 @@ def _residual(
 
     # Rise per unit of log zeta, about that of any wheel as deep in the sand [m].
     rise = 0.15 * rig.radius
-    match_mean_sinkage(miss, 0.0, slope=rise)
+    match_mean_sinkage(miss, 0.0, slope=rise, settings=MATCH)
     return np.stack([getattr(model, each) - getattr(real, each) for each in CHANNELS])

@@ -49,8 +49,9 @@ class PlantSettings:
         row_interval: Interval of the rows of a reading [s].
         standing: Width at rest of a wheel that does not turn, over sqrt(r g) [-]; a hundredth of
             the model's, so that a wheel that stands moves by 2 um in 24 s at most.
-        tolerance: Change of velocity at which a step is found, over sqrt(r g) [-]: far below the
-            width, or the forces on a wheel that stands would not balance.
+        tolerance: Change of velocity at which a step is found, over sqrt(r g) [-]: well below the
+            width, or the forces on a wheel that stands would not balance; below a thousandth of it
+            the search chatters where plates begin to lead.
         longest_run: Longest run that the program has room for [s].
         max_steps: Most steps that it has room for, which the shortest steps need.
         rail_length: Length of the rail from the start to where the wheel is to go [m].
@@ -65,7 +66,7 @@ class PlantSettings:
     step_refinement: float = 2.0
     row_interval: float = 0.01
     standing: float = 5e-9
-    tolerance: float = 1e-12
+    tolerance: float = 1e-10
     longest_run: float = 24.0
     max_steps: int = 76800
     rail_length: float = 5.5
