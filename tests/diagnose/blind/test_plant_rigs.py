@@ -77,7 +77,9 @@ def test_similar_rigs_move_alike():
     alike = other.at(one.time / ratio**0.5)
     assert one.z / ratio == pytest.approx(alike.z, rel=SIMILAR)
     assert one.x[-1] / ratio == pytest.approx(alike.x[-1], rel=SIMILAR)
-    assert one.fz.mean() / ratio**3 == pytest.approx(alike.fz.mean(), rel=SIMILAR)
+    # The force of a single row may jump where a plate begins to lead.
+    assert np.median(one.fz) / ratio**3 == pytest.approx(np.median(alike.fz), rel=SIMILAR)
+    assert np.median(one.torque) / ratio**4 == pytest.approx(np.median(alike.torque), rel=SIMILAR)
 
 
 def test_every_effect_of_the_plant_has_a_scale_and_a_strength():
