@@ -221,4 +221,5 @@ class PlantGrouserShadowing(AbstractPlacement):
         return dataclasses.replace(plates, area=plates.area * carries)
 
 
-WHEEL_EFFECTS = (PlantEccentricity, PlantGrouserShadowing)
+WHEEL_EFFECTS = (PlantEccentricity,)
+SHADOW_EFFECTS = (PlantGrouserShadowing,)

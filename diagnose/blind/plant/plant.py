@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from diagnose.blind.plant.bed import STRESS_EFFECTS, SURFACE_EFFECTS
 from diagnose.blind.plant.drive import SPEED_INTERVAL, AbstractPlantDrive, PlantCarriageGain
-from diagnose.blind.plant.machine import RIG_EFFECTS, WHEEL_EFFECTS
+from diagnose.blind.plant.machine import RIG_EFFECTS, SHADOW_EFFECTS, WHEEL_EFFECTS
 from diagnose.blind.plant.rig import DEFAULT_RIG, GRAVITY, PlantRig
 from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sand import SAND_EFFECTS
@@ -81,7 +81,8 @@ DEFAULT_PLANT = PlantSettings()
 GROUPS: dict[str, tuple[type[AbstractEffect], ...]] = {
     "wheel": WHEEL_EFFECTS,
     "sand": SAND_EFFECTS,
-    # A power of the depth or speed of every plate is expensive, so each has a program of its own.
+    # A power for every plate is expensive, so each of these has a program of its own.
+    "shadow": SHADOW_EFFECTS,
     **{f"stress {kind.__name__}": (kind,) for kind in STRESS_EFFECTS},
     "surface": SURFACE_EFFECTS,
     "rig": RIG_EFFECTS,
