@@ -28,7 +28,7 @@ from diagnose.blind.generation.settings import (
     NoiseSettings,
     RigSettings,
 )
-from diagnose.blind.plant.plant import DEFAULT_PLANT, run_plant
+from diagnose.blind.plant.plant import COMMON_GROUPS, DEFAULT_PLANT, run_plant
 from diagnose.blind.plant.run_plan import PlannedRun, draw_fresh_runs, draw_nine_runs
 from drftjax.common.errors import InputError
 from drftjax.effects.catalogue import OURS, reported_name
@@ -70,7 +70,7 @@ def test_plant_without_mechanisms_is_the_simulator_but_for_its_plates():
 
 def test_mechanisms_of_strength_zero_change_nothing():
     bare = run_plant((), SHORT, 0.78, ())
-    held = run_plant((), SHORT, 0.78, ("sand", "rig"))
+    held = run_plant((), SHORT, 0.78, (*COMMON_GROUPS, "shadow"))
     np.testing.assert_allclose(held.z, bare.z, rtol=0, atol=NOTHING)
     np.testing.assert_allclose(held.x, bare.x, rtol=0, atol=NOTHING)
 

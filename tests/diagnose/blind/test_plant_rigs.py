@@ -6,7 +6,7 @@ from math import gamma
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from diagnose.blind.generation.random_mechanisms import effect_names
 from diagnose.blind.generation.random_rigs import SCALES, draw_rig, scaled, strength_of
@@ -22,6 +22,8 @@ from drftjax.effects.base import StepContext
 STANDS = 2e-6
 # Momentum over a run: forces every 10 ms, of steps of a few milliseconds, over ramps of a second.
 IMPULSE = 5e-3
+# A wheel stands half a per cent deeper than it must, on some forty plates, not an integral.
+CARRIED = 0.015
 # Steps differ between two similar rigs, as each has the step of a fit to it [-].
 SIMILAR = 2e-3
 # Two stores advanced by implicit Euler, of first order in the step, and the same by Runge-Kutta.
@@ -41,6 +43,27 @@ def test_a_wheel_that_stands_stays(rig, zeta):
     run = run_plant((), PlannedRun((0.0, 1.0, 24.0), (0.0, 0.0, 0.0), rig.mass_z), zeta, rig=rig)
     assert np.ptp(run.z) < STANDS
     assert np.ptp(run.x) < STANDS
+
+
+def test_a_smooth_wheel_stands_where_the_integral_of_the_law_carries_it():
+    """Rim of any size, coefficients off their usual values, stress by a power of depth."""
+    factors = (1.1, 0.9, 1.2, 0.95, 0.8, 1.0, 1.0, 1.0, 1.0)
+    rig = replace(SMOOTH, stress_factors=factors)
+    zeta, power, reference = 1.4, 0.25, 0.004
+    law = [bed.PlantDepthHardening(power, reference)]
+    plant = make_plant(law, ("stress PlantDepthHardening",), zeta, rig.mass_z, rig=rig)
+    sinkage = standing_start(plant)
+    a00, a10, b11, b01, bm11 = 1e6 * np.array([0.206, 0.169, 0.212, 0.358, 0.055]) * factors[:5]
+
+    def upward(place: float) -> float:
+        """Of the rim at an angle from straight down, on its way straight down [N/rad]."""
+        depth = rig.radius * np.cos(place) - (rig.radius - sinkage)
+        stress = a00 + b01 + (a10 + b11 + bm11) * np.cos(2 * place)
+        return zeta * stress * depth * (depth / reference) ** power * rig.radius * rig.width
+
+    edge = np.arccos(1 - sinkage / rig.radius)
+    carried = quad(upward, -edge, edge)[0]
+    assert carried == pytest.approx(rig.mass_z * GRAVITY, rel=CARRIED)
 
 
 def test_forces_of_the_sand_balance_load_and_drawbar_over_a_run():
