@@ -84,7 +84,7 @@ def strength_of(part: Part) -> float:
     return float(getattr(part, next(iter(SCALES[type(part)]))))
 
 
-def scaled(part: Part, rig: PlantRig) -> Part:
+def part_for(part: Part, rig: PlantRig) -> Part:
     """A part of the default rig in proportion to another one."""
     length, force = rig.length_scale, rig.force_scale
     if isinstance(part, PlantChange):
@@ -103,7 +103,7 @@ def scaled(part: Part, rig: PlantRig) -> Part:
 def mechanism_for(mechanism: Mechanism, rig: PlantRig) -> Mechanism:
     """A mechanism whose parts are in proportion to a rig, at the same strengths."""
     return dataclasses.replace(
-        mechanism, build=lambda strength: scaled(mechanism.build(strength), rig)
+        mechanism, build=lambda strength: part_for(mechanism.build(strength), rig)
     )
 
 

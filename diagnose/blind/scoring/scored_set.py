@@ -138,7 +138,7 @@ class ScoredSet:
         )
 
     @property
-    def offered(self) -> list[bool]:
+    def effects_offered(self) -> list[bool]:
         """For every effect of the set, True if it is named or in the group of one that is."""
         return [name in self._offered for name in self.true]
 

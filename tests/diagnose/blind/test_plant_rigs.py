@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from diagnose.blind.generation.random_mechanisms import effect_names
-from diagnose.blind.generation.random_rigs import SCALES, draw_rig, scaled, strength_of
+from diagnose.blind.generation.random_rigs import SCALES, draw_rig, part_for, strength_of
 from diagnose.blind.generation.settings import DEFAULT_GENERATION, DEFAULT_RIGS
 from diagnose.blind.plant import bed, drive, force_sensors, machine, sand, sensors
 from diagnose.blind.plant.plant import GROUPS, PlantChange, make_plant, run_plant, standing_start
@@ -95,7 +95,7 @@ def test_similar_rigs_move_alike():
     slow = replace(SHORT, time=tuple(each / ratio**0.5 for each in SHORT.time), speed=SHORT.speed)
     slow = replace(slow, speed=tuple(each * ratio**0.5 for each in SHORT.speed))
     part = machine.PlantDrawbar(10.0)
-    one = run_plant([scaled(part, small)], SHORT.on(small), 0.78, rig=small)
+    one = run_plant([part_for(part, small)], SHORT.on(small), 0.78, rig=small)
     other = run_plant([part], slow, 0.78)
     alike = other.at(one.time / ratio**0.5)
     assert one.z / ratio == pytest.approx(alike.z, rel=SIMILAR)
@@ -111,12 +111,12 @@ def test_every_effect_of_the_plant_has_a_scale_and_a_strength():
     for kind in effects:
         part = kind(**{next(iter(SCALES[kind])): 0.5})
         assert strength_of(part) == 0.5
-        assert strength_of(scaled(part, DEFAULT_RIG)) == pytest.approx(0.5)
+        assert strength_of(part_for(part, DEFAULT_RIG)) == pytest.approx(0.5)
     heavy = replace(DEFAULT_RIG, radius=0.3, mass_z=2 * DEFAULT_RIG.mass_z)
-    assert strength_of(scaled(machine.PlantCableSpring(10.0), heavy)) == pytest.approx(10.0)
-    assert strength_of(scaled(sand.PlantBulldozing(10.0), heavy)) == pytest.approx(20.0)
+    assert strength_of(part_for(machine.PlantCableSpring(10.0), heavy)) == pytest.approx(10.0)
+    assert strength_of(part_for(sand.PlantBulldozing(10.0), heavy)) == pytest.approx(20.0)
     longer = PlantChange(lambda s: s.wheel.radius, 0.002, "radius")
-    assert strength_of(scaled(longer, heavy)) == pytest.approx(0.004)
+    assert strength_of(part_for(longer, heavy)) == pytest.approx(0.004)
 
 
 def test_rigs_are_drawn_within_their_ranges_on_sand_that_carries_them():

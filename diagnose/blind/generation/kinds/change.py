@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from diagnose.blind.generation.effect_size import EffectSizeProbe
-from diagnose.blind.generation.kinds.strengths import drawn_target, sized
+from diagnose.blind.generation.kinds.strengths import draw_target, part_of_size
 from diagnose.blind.generation.random_mechanisms import (
     GROUSER_KINDS,
     draw_mechanism,
@@ -89,8 +89,8 @@ def make_change(
         mechanism = mechanism_for(draw_mechanism(kinds[0], random), drawn.rig)
         base = (*law.parts, *present)
 
-        part, mechanism_label = sized(
-            mechanism, drawn_target(request, random, 0.0), *_probe_on(base, drawn, runs, settings)
+        part, mechanism_label = part_of_size(
+            mechanism, draw_target(request, random, 0.0), *_probe_on(base, drawn, runs, settings)
         )
         changed = [part]
         label = {
@@ -160,7 +160,7 @@ def _faults(
     for name in names:
         mechanism = mechanism_for(draw_mechanism(name, random), drawn.rig)
         target = float(np.exp(random.uniform(np.log(low), np.log(high))))
-        part, label = sized(mechanism, target, probe_of, held)
+        part, label = part_of_size(mechanism, target, probe_of, held)
         parts.append(part)
         labels.append(label)
     return parts, labels

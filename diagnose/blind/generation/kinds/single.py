@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from diagnose.blind.generation.effect_size import EffectSizeProbe
-from diagnose.blind.generation.kinds.strengths import drawn_target, sized
+from diagnose.blind.generation.kinds.strengths import draw_target, part_of_size
 from diagnose.blind.generation.random_mechanisms import (
     GROUSER_KINDS,
     UNLISTED,
@@ -66,7 +66,7 @@ def make_one_rig(
         for kind in kinds
     ]
     least = settings.several.least_floors if request.kind == SEVERAL else 0.0
-    targets = [drawn_target(request, random, least) for _ in mechanisms]
+    targets = [draw_target(request, random, least) for _ in mechanisms]
     parts, label = _with_strengths(mechanisms, targets, nine, drawn, settings, least)
     protocol = "practice" if practice else "random"
     if request.protocol == "telling":
@@ -119,7 +119,7 @@ def _with_strengths(
 
     parts, labels = [], []
     for mechanism, target in zip(mechanisms, targets, strict=True):
-        part, label = sized(mechanism, target, probe_of, held)
+        part, label = part_of_size(mechanism, target, probe_of, held)
         if label["floors"] < least:
             raise InputError(f"{mechanism.kind} is smaller than {least:g} noise floors")
         parts.append(part)

@@ -47,7 +47,7 @@ SAME_NUMBERS: dict[str, tuple[str, ...]] = {
 }
 
 
-def drawn_target(request: GenerationRequest, random: np.random.Generator, least: float) -> float:
+def draw_target(request: GenerationRequest, random: np.random.Generator, least: float) -> float:
     """Draw the wanted size of a mechanism, evenly in the logarithm [noise floors].
 
     Args:
@@ -60,7 +60,7 @@ def drawn_target(request: GenerationRequest, random: np.random.Generator, least:
     return float(np.exp(random.uniform(np.log(low), np.log(max(low, request.strongest)))))
 
 
-def sized(
+def part_of_size(
     mechanism: Mechanism,
     target: float,
     probe_of: Callable[[tuple[str, ...]], EffectSizeProbe],

@@ -3,7 +3,7 @@
 import numpy as np
 
 from diagnose.blind.generation.effect_size import EffectSizeProbe
-from diagnose.blind.generation.kinds.strengths import drawn_target, sized
+from diagnose.blind.generation.kinds.strengths import draw_target, part_of_size
 from diagnose.blind.generation.random_mechanisms import GROUSER_KINDS, draw_mechanism
 from diagnose.blind.generation.random_rigs import draw_rig, mechanism_for
 from diagnose.blind.generation.recording import write_set
@@ -51,8 +51,8 @@ def make_sweep(
 
     for kind in kinds:
         mechanism = mechanism_for(draw_mechanism(kind, random), drawn.rig)
-        target = drawn_target(request, random, 0.0)
-        part, mechanism_label = sized(mechanism, target, probe_of, plant.COMMON_GROUPS)
+        target = draw_target(request, random, 0.0)
+        part, mechanism_label = part_of_size(mechanism, target, probe_of, plant.COMMON_GROUPS)
         parts.append(part)
         label = {
             "mechanisms": [mechanism_label],
