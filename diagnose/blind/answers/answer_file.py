@@ -58,7 +58,7 @@ class ShareAnswer(msgspec.Struct):
     share: float
 
 
-class ChannelBudget(msgspec.Struct):
+class ChannelBudgetAnswer(msgspec.Struct):
     """Shares of effects in the gap of one channel.
 
     Attributes:
@@ -77,7 +77,7 @@ class BudgetAnswer(msgspec.Struct):
         channels: Shares by channel.
     """
 
-    channels: dict[str, ChannelBudget] = {}
+    channels: dict[str, ChannelBudgetAnswer] = {}
 
 
 class Answer(msgspec.Struct):

@@ -6,7 +6,7 @@ from rich.console import Console
 from diagnose.blind.answers.answer_file import (
     Answer,
     BudgetAnswer,
-    ChannelBudget,
+    ChannelBudgetAnswer,
     GapAnswer,
     NumberAnswer,
     ShareAnswer,
@@ -21,8 +21,8 @@ def gap(before: float, after: float) -> GapAnswer:
     return GapAnswer(before, after, 0.05, 0.5, None)
 
 
-def shares(floor: float, **effects: float) -> ChannelBudget:
-    return ChannelBudget(floor, {name: ShareAnswer(share) for name, share in effects.items()})
+def shares(floor: float, **effects: float) -> ChannelBudgetAnswer:
+    return ChannelBudgetAnswer(floor, {name: ShareAnswer(share) for name, share in effects.items()})
 
 
 SEVERAL = {
