@@ -88,7 +88,7 @@ DEFAULT_RIGS = RigSettings()
 
 
 @dataclass(frozen=True)
-class SeveralSettings:
+class SeveralSetSettings:
     """Distribution of sets with several effects at once.
 
     Attributes:
@@ -104,7 +104,7 @@ class SeveralSettings:
 
 
 @dataclass(frozen=True)
-class ChangeSettings:
+class ChangeSetSettings:
     """Distribution of sets in which one thing changes.
 
     Attributes:
@@ -175,8 +175,8 @@ class GenerationSettings:
     plant: PlantSettings = DEFAULT_PLANT
     random_runs: RandomRunSettings = DEFAULT_RANDOM_RUNS
     rigs: RigSettings = DEFAULT_RIGS
-    several: SeveralSettings = SeveralSettings()
-    change: ChangeSettings = ChangeSettings()
+    several: SeveralSetSettings = SeveralSetSettings()
+    change: ChangeSetSettings = ChangeSetSettings()
     sweep: SweepSettings = DEFAULT_SWEEP
 
 

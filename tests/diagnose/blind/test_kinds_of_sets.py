@@ -12,10 +12,10 @@ from diagnose.blind.generation.kinds.strengths import SAME_NUMBERS, comparable_s
 from diagnose.blind.generation.random_mechanisms import UNLISTED, effect_names
 from diagnose.blind.generation.settings import (
     DEFAULT_GENERATION,
-    ChangeSettings,
+    ChangeSetSettings,
     GenerationRequest,
     RigSettings,
-    SeveralSettings,
+    SeveralSetSettings,
 )
 from diagnose.blind.generation.true_budget import shapley_values, subsets, true_budget
 from diagnose.blind.plant.machine import PlantEccentricity
@@ -35,8 +35,8 @@ SETTINGS = replace(
     DEFAULT_GENERATION,
     rigs=RigSettings(share=0.0),
     sweep=SweepSettings(slips=(0.0, 0.3), fast_slips=(0.15,), settling=0.5, logged=1.0),
-    several=SeveralSettings(budget_runs=(0,)),
-    change=ChangeSettings(faults=1, probe_runs=(1,)),
+    several=SeveralSetSettings(budget_runs=(0,)),
+    change=ChangeSetSettings(faults=1, probe_runs=(1,)),
 )
 
 
