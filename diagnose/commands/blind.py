@@ -31,6 +31,8 @@ Examples:
   drft blind make out/strong --sets 40 --protocol practice --faintest 10
 
   drft blind make out/pairs --sets 24 --wrong pair --faintest 3
+
+  drft blind make out/sweeps --sets 24 --kind sweep
 """
 
 
@@ -52,9 +54,18 @@ def make(
         str,
         typer.Option(
             help="What is wrong with every set: 'none', 'one', 'pair' or 'unknown' (an effect "
-            "outside the catalogue); 'mixed': some of each."
+            "outside the catalogue); 'mixed': some of each. Changes and sweeps know 'none' "
+            "and 'one'."
         ),
     ] = "mixed",
+    kind: Annotated[
+        str,
+        typer.Option(
+            help="'single': one effect, two or none. 'several': three or four. 'change': five runs "
+            "before and five now, between which one thing changes. 'sweep': a driven carriage at "
+            "slips from 0 to 0.6, with forces and torque."
+        ),
+    ] = "single",
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Make sets of runs of rigs with a hidden fault, or none, and seal their labels."""
@@ -63,9 +74,10 @@ def make(
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.blind.generation.generate import GenerationRequest, make_sets
+    from diagnose.blind.generation.generate import make_sets
+    from diagnose.blind.generation.settings import GenerationRequest
 
-    request = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong)
+    request = GenerationRequest(folder, sets, seed, protocol, faintest, strongest, wrong, kind)
     with progress_line(Console(), "making sets", total=sets) as show:
         for number, _ in enumerate(make_sets(request, jobs), start=1):
             show("making sets", number)

@@ -40,6 +40,46 @@ class FreshAnswer(msgspec.Struct):
     after_mm: float | None
 
 
+class NumberAnswer(msgspec.Struct):
+    """Number of an effect.
+
+    Attributes:
+        value: In `unit`.
+        unit: SI unit, "-" for none.
+    """
+
+    value: float
+    unit: str = ""
+
+
+class ShareAnswer(msgspec.Struct):
+    """Share of an effect in the gap of one channel above the noise floor [-]."""
+
+    share: float
+
+
+class ChannelBudgetAnswer(msgspec.Struct):
+    """Shares of effects in the gap of one channel.
+
+    Attributes:
+        floor: Noise floor [mm].
+        effects: Shares by effect.
+    """
+
+    floor: float
+    effects: dict[str, ShareAnswer] = {}
+
+
+class BudgetAnswer(msgspec.Struct):
+    """Budget of the gap.
+
+    Attributes:
+        channels: Shares by channel.
+    """
+
+    channels: dict[str, ChannelBudgetAnswer] = {}
+
+
 class Answer(msgspec.Struct):
     """Answer to one set.
 
@@ -49,6 +89,8 @@ class Answer(msgspec.Struct):
         groups: For each effect named, all effects that these runs cannot distinguish from it.
         gap: Gap of the runs of the set, by channel.
         fresh: Gap of its fresh runs, by channel.
+        parameters: Numbers of the effects named, by effect and number.
+        budget: Shares of the effects in the gap; None without a budget.
     """
 
     verdict: list[str]
@@ -56,6 +98,8 @@ class Answer(msgspec.Struct):
     groups: list[list[str]] = []
     gap: dict[str, GapAnswer] = {}
     fresh: dict[str, FreshAnswer] = {}
+    parameters: dict[str, dict[str, NumberAnswer]] = {}
+    budget: BudgetAnswer | None = None
 
     def named(self) -> list[str]:
         """Effects named; empty for the verdict "none"."""

@@ -1,16 +1,16 @@
 """Size of a mechanism's effect on the readings, beyond a zeta fitted to every run."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import hypot, inf
 
 import numpy as np
 
 from diagnose.blind.generation.random_mechanisms import Mechanism
 from diagnose.blind.plant import plant
 from diagnose.blind.plant.plant import DEFAULT_PLANT, Part, PlantSettings
+from diagnose.blind.plant.rig import DEFAULT_RIG, GRAVITY, PlantRig
 from diagnose.blind.plant.run_plan import PlannedRun
-from diagnose.blind.plant.sensors import PlantReading
 from drftjax.common.errors import InputError
 
 
@@ -20,10 +20,12 @@ class EffectSizeSettings:
 
     Attributes:
         noise_floor_x, noise_floor_z: RMS that noise and the scatter of zeta leave in a channel [m].
+        noise_floor_force: RMS that noise leaves in a force, over the load [-], and in the torque,
+            over the load times the radius.
         zeta_nudge: Relative step of zeta for the derivative of a run [-].
         step_refinement: Ratio of a fit's time step to the step of the runs compared here [-].
             Differences of runs need no fine steps: these are twice as long as a fit's.
-        max_step: Longest step of these runs, however long a fit's is [s].
+        max_step: Longest step of these runs, however long a fit's is [s]: the plant's own longest.
         attempts: Most strengths that are tried.
         strength_ratio: Least and greatest ratio of one strength tried to the one before [-].
         size_ratio: Least and greatest ratio of the wanted size to one found that ends the search.
@@ -34,9 +36,10 @@ class EffectSizeSettings:
 
     noise_floor_x: float = 8e-5
     noise_floor_z: float = 3e-5
+    noise_floor_force: float = 2e-3
     zeta_nudge: float = 0.01
     step_refinement: float = 0.5
-    max_step: float = 2e-3
+    max_step: float = 5e-3
     attempts: int = 6
     strength_ratio: tuple[float, float] = (0.02, 20.0)
     size_ratio: tuple[float, float] = (0.75, 1.33)
@@ -44,10 +47,13 @@ class EffectSizeSettings:
     strength_reduction: float = 3.0
     min_floors: float = 1e-3
 
-    @property
-    def noise_floors(self) -> dict[str, float]:
-        """Noise floor by channel [m]."""
-        return {"x": self.noise_floor_x, "z": self.noise_floor_z}
+    def noise_floors(self, rig: PlantRig = DEFAULT_RIG) -> dict[str, float]:
+        """Noise floor of each channel that a rig records [m, N, N m]."""
+        floors = {"x": self.noise_floor_x, "z": self.noise_floor_z}
+        if rig.is_driven:
+            force = self.noise_floor_force * rig.mass_z * GRAVITY
+            floors |= {"fx": force, "fz": force, "torque": force * rig.radius}
+        return floors
 
 
 DEFAULT_EFFECT_SIZE = EffectSizeSettings()
@@ -58,9 +64,9 @@ class EffectSize:
     """Root mean squares over the runs of the changes that a mechanism makes, by channel.
 
     Attributes:
-        total: Change at the same zeta [m].
-        beyond_zeta: Part of it that a zeta fitted to each run does not remove [m].
-        noise_floors: Noise floors [m].
+        total: Change at the same zeta [m, N, N m].
+        beyond_zeta: Part of it that zeta does not remove, in the same units.
+        noise_floors: Noise floors, in the same units.
     """
 
     total: dict[str, float]
@@ -74,14 +80,16 @@ class EffectSize:
 
     def document(self) -> dict:
         """Size as a label holds it."""
-        gap = {
-            name: {
-                "whole_mm": 1e3 * self.total[name],
-                "left_mm": 1e3 * self.beyond_zeta[name],
-                "floors": 1e3 * self.beyond_zeta[name] / (1e3 * floor),
+        gap = {}
+        for name, floor in self.noise_floors.items():
+            unit, per_si = {"x": ("mm", 1e3), "z": ("mm", 1e3), "torque": ("Nm", 1.0)}.get(
+                name, ("N", 1.0)
+            )
+            gap[name] = {
+                f"whole_{unit}": per_si * self.total[name],
+                f"left_{unit}": per_si * self.beyond_zeta[name],
+                "floors": self.beyond_zeta[name] / floor,
             }
-            for name, floor in self.noise_floors.items()
-        }
         return {"floors": self.floors, "gap": gap}
 
 
@@ -89,13 +97,20 @@ class EffectSize:
 class EffectSizeProbe:
     """A few runs of the plant without a mechanism, and their derivative by log zeta.
 
+    With a free carriage, a zeta of its own is fitted to every run: it has the mean sinkage. Forces
+    tell more, so runs of a driven carriage share one zeta, and the scatter of zeta from run to run
+    is part of the noise floors.
+
     Attributes:
         runs: Commands and loads.
         zeta: Scaling factor [-].
-        groups: Groups of effects that their program holds, all at strength zero.
+        groups: Groups of effects that their program holds, all at strength zero but for `base`.
         settings: Noise floors and numbers of the search.
         plant_settings: Resolution of the plant.
-        reference: Channels of each run without a mechanism, shape (2, rows) [noise floors].
+        rig: Wheel, masses, carriage and sand.
+        base: Parts of the plant that are there in any case.
+        floors: Noise floor by channel [m, N, N m].
+        reference: Channels of each run without a mechanism, shape (channels, rows), in these units.
         slope: Derivative of `reference` by log zeta.
     """
 
@@ -104,6 +119,9 @@ class EffectSizeProbe:
     groups: tuple[str, ...]
     settings: EffectSizeSettings
     plant_settings: PlantSettings
+    rig: PlantRig
+    base: tuple[Part, ...]
+    floors: Mapping[str, float]
     reference: tuple[np.ndarray, ...] = ()
     slope: tuple[np.ndarray, ...] = ()
 
@@ -115,23 +133,35 @@ class EffectSizeProbe:
         groups: tuple[str, ...],
         settings: EffectSizeSettings = DEFAULT_EFFECT_SIZE,
         plant_settings: PlantSettings = DEFAULT_PLANT,
+        rig: PlantRig = DEFAULT_RIG,
+        base: Sequence[Part] = (),
+        zeta_scatter: float = 0.0,
     ) -> "EffectSizeProbe":
-        """Simulate the runs without a mechanism, at two values of zeta."""
-        bare, nudge = cls(tuple(runs), zeta, groups, settings, plant_settings), settings.zeta_nudge
+        """Simulate the runs without a mechanism, at two values of zeta.
+
+        Args:
+            runs, zeta, groups, settings, plant_settings, rig, base: As the attributes.
+            zeta_scatter: Standard deviation of log zeta between runs, with a driven carriage [-].
+        """
+        floors, nudge = settings.noise_floors(rig), settings.zeta_nudge
+        bare = cls(tuple(runs), zeta, groups, settings, plant_settings, rig, tuple(base), floors)
         reference = tuple(bare._channels((), run, 1.0 * zeta) for run in runs)
         nudged = tuple(bare._channels((), run, (1 + nudge) * zeta) for run in runs)
         slope = tuple((b - a) / nudge for a, b in zip(reference, nudged, strict=True))
-        return replace(bare, reference=reference, slope=slope)
+        if rig.is_driven:
+            spread = _rms(slope, floors)
+            floors = {name: hypot(floors[name], zeta_scatter * spread[name]) for name in floors}
+        return replace(bare, reference=reference, slope=slope, floors=floors)
 
     def _channels(self, parts: Sequence[Part], run: PlannedRun, zeta: float) -> np.ndarray:
-        """Channels of one run, shape (2, rows) [noise floors]."""
-        refinement = max(
-            self.settings.step_refinement, plant.fit_step(run) / self.settings.max_step
-        )
+        """Channels of one run, shape (channels, rows) [m, N, N m]."""
+        longest = plant.fit_step(run, self.zeta, self.rig) / self.settings.max_step
+        refinement = max(self.settings.step_refinement, longest)
         resolution = replace(self.plant_settings, step_refinement=refinement)
-        reading: PlantReading = plant.run_plant(parts, run, zeta, self.groups, resolution)
-        floors = self.settings.noise_floors
-        return np.stack([getattr(reading, name) / floor for name, floor in floors.items()])
+        everything = (*self.base, *parts)
+        reading = plant.run_plant(everything, run, zeta, self.groups, resolution, self.rig)
+        logged = reading.since(run.logged_from)
+        return np.stack([getattr(logged, name) for name in self.floors])
 
     def size(self, parts: Sequence[Part]) -> EffectSize:
         """Size of the effect of mechanisms on these runs.
@@ -139,14 +169,26 @@ class EffectSizeProbe:
         Raises:
             InputError: The plant cannot run with them.
         """
-        total, beyond_zeta = [], []
-        for run, reference, slope in zip(self.runs, self.reference, self.slope, strict=True):
-            change = self._channels(parts, run, self.zeta) - reference
-            log_zeta = float((slope * change).sum() / (slope**2).sum())
-            total.append(change)
-            beyond_zeta.append(change - log_zeta * slope)
-        floors = self.settings.noise_floors
-        return EffectSize(_rms(total, floors), _rms(beyond_zeta, floors), floors)
+        scale = 1 / np.array(list(self.floors.values()))[:, None]
+        slopes = [scale * each for each in self.slope]
+        changes = [
+            scale * (self._channels(parts, run, self.zeta) - reference)
+            for run, reference in zip(self.runs, self.reference, strict=True)
+        ]
+        shifts = [
+            (float((slope * change).sum()), float((slope**2).sum()))
+            for slope, change in zip(slopes, changes, strict=True)
+        ]
+        if self.rig.is_driven:
+            shifts = [tuple(map(sum, zip(*shifts, strict=True)))] * len(shifts)
+        left = [
+            change - along / square * slope
+            for change, slope, (along, square) in zip(changes, slopes, shifts, strict=True)
+        ]
+        total, beyond_zeta = (
+            _rms([each / scale for each in values], self.floors) for values in (changes, left)
+        )
+        return EffectSize(total, beyond_zeta, dict(self.floors))
 
     def find_strength(self, mechanism: Mechanism, target: float) -> tuple[float, EffectSize]:
         """Search the strength at which a mechanism has a wanted size, within what a rig may have.
@@ -173,7 +215,7 @@ class EffectSizeProbe:
             except InputError:
                 strength /= settings.strength_reduction
                 continue
-            distance = abs(np.log(size.floors / target))
+            distance = abs(np.log(max(size.floors, settings.min_floors) / target))
             if best is None or distance < nearest:
                 best, nearest = (strength, size), distance
             ratio = target / max(size.floors, settings.min_floors)
@@ -189,11 +231,11 @@ class EffectSizeProbe:
         return best
 
 
-def _rms(changes: list[np.ndarray], floors: dict[str, float]) -> dict[str, float]:
-    """RMS of changes in noise floors, by channel [m]."""
+def _rms(changes: Sequence[np.ndarray], floors: Mapping[str, float]) -> dict[str, float]:
+    """RMS of changes by channel, in their units."""
 
     def rms(row: int) -> float:
         joined = np.concatenate([each[row] for each in changes])
         return float(np.sqrt(np.mean(joined**2)))
 
-    return {name: rms(row) * floor for row, (name, floor) in enumerate(floors.items())}
+    return {name: rms(row) for row, name in enumerate(floors)}

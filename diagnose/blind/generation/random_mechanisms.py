@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnose.blind.plant import bed, drive, machine, sand, sensors, unlisted
+from diagnose.blind.plant import bed, drive, force_sensors, machine, sand, sensors, unlisted
 from diagnose.blind.plant.plant import Part, PlantChange
 from diagnose.blind.plant.random_profiles import RandomCurve, draw_profile, draw_variation
 
@@ -55,7 +55,7 @@ def _log_uniform(random: Random, low: float, high: float) -> float:
     return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
 
-def _part(kind: type, **numbers: Any) -> Part:
+def make_part(kind: type, **numbers: Any) -> Part:
     """Effect of these numbers, which its fields convert to arrays."""
     return kind(**numbers)
 
@@ -84,13 +84,27 @@ def _effect(kind: type, quantity: str, typical: float, most: float, signed: bool
     return recipe
 
 
-def _change(where: Callable[[Any], Any], typical: float, lowest: float, highest: float) -> Recipe:
-    """Recipe for a change of a number of the simulator, between `lowest` and `highest`."""
+def _change(
+    where: Callable[[Any], Any],
+    typical: float,
+    lowest: float,
+    highest: float,
+    size: str = "",
+) -> Recipe:
+    """Recipe for a change of a number of the simulator, between `lowest` and `highest`.
+
+    Both are those of the default rig, and in proportion to the `size` named on others.
+    """
 
     def recipe(random: Random) -> RandomForm:
         sign = _sign(random)
         most = highest if sign > 0 else -lowest
-        return lambda strength: PlantChange(where, sign * strength), typical, most, {"sign": sign}
+        return (
+            lambda strength: PlantChange(where, sign * strength, size),
+            typical,
+            most,
+            {"sign": sign},
+        )
 
     return recipe
 
@@ -109,7 +123,7 @@ def _loosening(random: Random) -> RandomForm:
         "decay": _log_uniform(random, 0.5, 6.0),
         "power": float(random.uniform(0.6, 1.6)),
     }
-    return lambda strength: _part(sand.PlantLoosening, loss=strength, **form), 0.1, 0.6, form
+    return lambda strength: make_part(sand.PlantLoosening, loss=strength, **form), 0.1, 0.6, form
 
 
 def _variation(random: Random) -> RandomForm:
@@ -118,7 +132,7 @@ def _variation(random: Random) -> RandomForm:
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda strength: _part(sand.PlantTerrainVariation, excess=sign * strength, curve=table),
+        lambda strength: make_part(sand.PlantTerrainVariation, excess=sign * strength, curve=table),
         0.1,
         0.6,
         form,
@@ -131,7 +145,7 @@ def _profile(random: Random) -> RandomForm:
     form = {"curve": curve, "sign": sign}
     table = RandomCurve(values)
     return (
-        lambda strength: _part(bed.PlantSurfaceProfile, amplitude=sign * strength, curve=table),
+        lambda strength: make_part(bed.PlantSurfaceProfile, amplitude=sign * strength, curve=table),
         0.001,
         0.008,
         form,
@@ -141,7 +155,7 @@ def _profile(random: Random) -> RandomForm:
 def _excavation(random: Random) -> RandomForm:
     power = float(random.choice([random.uniform(-1, -0.3), random.uniform(0.3, 0.8)]))
     form = {"length": _log_uniform(random, 0.05, 0.5), "power": power}
-    return lambda strength: _part(bed.PlantExcavation, rate=strength, **form), 0.05, 0.5, form
+    return lambda strength: make_part(bed.PlantExcavation, rate=strength, **form), 0.05, 0.5, form
 
 
 def _gain(random: Random) -> RandomForm:
@@ -188,6 +202,11 @@ def _delay(random: Random) -> RandomForm:
     return sensors.PlantMeasurementDelay, 0.1, 0.6, {}
 
 
+def _channel_delay(random: Random) -> RandomForm:
+    form = {"channel": str(random.choice(["x", "z"])), "drift": float(random.uniform(-0.1, 0.1))}
+    return lambda strength: sensors.PlantChannelDelay(strength, **form), 0.1, 0.6, form
+
+
 def _filter(random: Random) -> RandomForm:
     form = str(random.choice(["mean", "second order"]))
     return lambda strength: sensors.PlantMeasurementFilter(strength, form), 0.1, 0.6, {"form": form}
@@ -231,6 +250,19 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
             bed.PlantCohesion, "depth", 0.001, 0.008, False, onset=_between(0.001, 0.005)
         ),
         "excavation": _excavation,
+        "slip_sinkage": _effect(
+            bed.PlantSlipSinkage, "rate", 0.1, 0.8, False, length=_between_log(0.06, 0.25)
+        ),
+        "heap": _effect(
+            sand.PlantHeap,
+            "force",
+            3.0,
+            40.0,
+            False,
+            power=_between(1.6, 2.4),
+            braking=_between(0.5, 6.0),
+            lift=_between(0.1, 0.5),
+        ),
         "bulldozing": _effect(
             sand.PlantBulldozing, "force", 3.0, 30.0, False, length=_between_log(0.1, 0.8)
         ),
@@ -238,8 +270,13 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
         "height_decrease": _change(lambda s: s.terrain.law.height_decrease, 0.8, -1.0, 2.0),
     },
     "wheel": {
-        "wheel_radius": _change(lambda s: s.wheel.radius, 0.002, -0.012, 0.012),
-        "grouser_height": _change(lambda s: s.wheel.grouser_height, 0.002, -0.017, 0.006),
+        "wheel_radius": _change(lambda s: s.wheel.radius, 0.002, -0.012, 0.012, "radius"),
+        "grouser_height": _change(
+            lambda s: s.wheel.grouser_height, 0.002, -0.017, 0.006, "grouser_height"
+        ),
+        "grouser_shadowing": _effect(
+            machine.PlantGrouserShadowing, "share", 0.2, 1.0, False, power=_between(1.5, 4.0)
+        ),
         "eccentricity": _effect(
             machine.PlantEccentricity, "offset", 0.001, 0.006, False, phase=_phase
         ),
@@ -293,8 +330,74 @@ CATALOGUE: dict[str, dict[str, Recipe]] = {
         "travel_gain": _sensor(sensors.PlantTravelGain, 0.01, 0.15, "bend", -0.1, 0.1),
         "measurement_delay": _delay,
         "measurement_filter": _filter,
+        "channel_delay": _channel_delay,
     },
 }
+
+
+# Recipes of the effects that only a rig with a driven carriage and force sensors shows.
+DRIVEN_CATALOGUE: dict[str, dict[str, Recipe]] = {
+    "rig": {
+        "vertical_compliance": _effect(
+            force_sensors.PlantVerticalCompliance,
+            "compliance",
+            1e-5,
+            3e-5,
+            False,
+            power=_between(0.7, 1.2),
+        ),
+    },
+    "drive": {
+        "carriage_gain": _effect(
+            drive.PlantCarriageGain, "gain", 0.03, 0.15, bend=_between(-0.2, 0.2)
+        ),
+    },
+    "sensor": {
+        "force_offset": _effect(
+            force_sensors.PlantForceOffset, "offset", 3.0, 30.0, False, direction=_phase
+        ),
+        "force_gain": _effect(
+            force_sensors.PlantForceGain, "gain", 0.03, 0.2, fx_share=_between(0.5, 1.5)
+        ),
+        "force_crosstalk": _effect(force_sensors.PlantForceCrosstalk, "angle", 0.02, 0.15),
+        "torque_offset": _effect(force_sensors.PlantTorqueOffset, "offset", 0.3, 3.0),
+        "torque_friction": _effect(
+            force_sensors.PlantTorqueFriction, "friction", 0.3, 3.0, False, share=_between(0.1, 0.5)
+        ),
+        "torque_gain": _effect(
+            force_sensors.PlantTorqueGain, "gain", 0.03, 0.2, bend=_between(0.0, 0.3)
+        ),
+    },
+}
+
+# Effects that steady runs of a driven carriage do not show: they act on a free carriage, in ramps,
+# or on clocks.
+HIDDEN_IN_SWEEPS = frozenset(
+    {
+        "horizontal_coulomb",
+        "horizontal_viscous",
+        "drawbar",
+        "cable_spring",
+        "speed_lag",
+        "backlash",
+        "imbalance",
+        "measurement_delay",
+        "measurement_filter",
+        "channel_delay",
+    }
+)
+
+# Mechanisms that only a wheel with grousers has.
+GROUSER_KINDS = frozenset({"grouser_height", "grouser_shadowing", "damaged_grouser"})
+
+
+def effect_names(is_driven: bool = False) -> list[str]:
+    """Names of the effects that runs with a free or a driven carriage show."""
+    free = [name for names in CATALOGUE.values() for name in names]
+    if not is_driven:
+        return free
+    driven = [name for names in DRIVEN_CATALOGUE.values() for name in names]
+    return [name for name in free if name not in HIDDEN_IN_SWEEPS] + driven
 
 
 # Recipes of the mechanisms that no answer can name, by the plant's own name.
@@ -347,14 +450,16 @@ UNLISTED: dict[str, Recipe] = {
 
 
 def stage_of(name: str) -> str:
-    """Stage of the simulation in which an effect of the catalogue acts."""
-    return next(stage for stage, names in CATALOGUE.items() if name in names)
+    """Stage of the simulation in which an effect of either catalogue acts."""
+    both = (*CATALOGUE.items(), *DRIVEN_CATALOGUE.items())
+    return next(stage for stage, names in both if name in names)
 
 
 def draw_mechanism(name: str, random: Random) -> Mechanism:
-    """Draw the form of an effect of the catalogue."""
+    """Draw the form of an effect of either catalogue."""
     stage = stage_of(name)
-    return Mechanism(name, name, stage, *CATALOGUE[stage][name](random))
+    recipes = CATALOGUE[stage] | DRIVEN_CATALOGUE.get(stage, {})
+    return Mechanism(name, name, stage, *recipes[name](random))
 
 
 def draw_unlisted(kind: str, random: Random) -> Mechanism:

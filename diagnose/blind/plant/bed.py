@@ -46,16 +46,18 @@ class PlantRateHardening(AbstractStressFactor):
 
 
 class PlantDepthHardening(AbstractStressFactor):
-    r"""Stress factor $(d / 20\,\mathrm{mm})^p$ of depth d: stress by a power $1 + p$ of depth.
+    r"""Stress factor $(d / d_0)^p$ of depth d: stress by a power $1 + p$ of depth.
 
     Attributes:
         power: Exponent p [-].
+        reference: Depth $d_0$ at which the factor is one [m].
     """
 
     power: Number = number()
+    reference: Number = number(0.02)
 
     def factor(self, motion: PlateMotion) -> Each:
-        return (jnp.maximum(motion.depth, MIN_DEPTH) / 0.02) ** self.power
+        return (jnp.maximum(motion.depth, MIN_DEPTH) / self.reference) ** self.power
 
 
 class PlantRigidFloor(AbstractStressFactor):
@@ -150,4 +152,33 @@ class PlantExcavation(AbstractSurface):
         return jnp.full_like(ahead, -1) * self.rate * self.length * dug
 
 
-SURFACE_EFFECTS = (PlantSurfaceProfile, PlantSurfaceSlope, PlantExcavation)
+class PlantSlipSinkage(AbstractSurface):
+    r"""Surface lowered by slip through two stores of loose sand, the second fed by the first.
+
+    Slip fills the first store, travel carries it over to the second and that one away, each over
+    half the length l: $\dot q_1 = |s| - 2 |v_x| q_1 / l$, $\dot q_2 = 2 |v_x| (q_1 - q_2) / l$. The
+    surface lies lower by $r (q_1 + q_2)$: at an even slip ratio i by $r\,l\,i / (1 - i)$.
+
+    Attributes:
+        rate: Depth per slip distance r [-].
+        length: Travel l that leads to fresh sand [m].
+    """
+
+    rate: Number = number()
+    length: Number = number(0.12)
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.rate), jnp.zeros_like(self.rate)
+
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
+        first, second = memory
+        carried = moment.dt * 2 * jnp.abs(moment.velocity[0]) / self.length
+        first = (first + moment.dt * jnp.abs(moment.rim_slip())) / (1 + carried)
+        return first, (second + carried * first) / (1 + carried)
+
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        first, second = memory
+        return jnp.full_like(ahead, -1) * self.rate * (first + second)
+
+
+SURFACE_EFFECTS = (PlantSurfaceProfile, PlantSurfaceSlope, PlantExcavation, PlantSlipSinkage)

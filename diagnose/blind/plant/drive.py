@@ -128,3 +128,20 @@ class PlantBacklash(AbstractPlantDrive):
             # Position of the drive within its play when it turns back.
             position = sense * min(sense * position + angle[-1], self.play)
         return speeds
+
+
+@dataclass(frozen=True)
+class PlantCarriageGain:
+    """Speed ratio of a driven carriage with a relative error that changes with speed.
+
+    Attributes:
+        gain: Relative error at standstill [-].
+        bend: Relative growth of the error at 0.2 m/s [-].
+    """
+
+    gain: float
+    bend: float = 0.0
+
+    def follow(self, commanded: np.ndarray) -> np.ndarray:
+        """Speed of the carriage for a commanded one, shape (times,) [m/s]."""
+        return commanded * (1 + self.gain * (1 + self.bend * np.abs(commanded) / 0.2))

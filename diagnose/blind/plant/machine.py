@@ -194,4 +194,32 @@ class PlantEccentricity(AbstractPlacement):
         return dataclasses.replace(plates, x=plates.x + x, z=plates.z + z)
 
 
+class PlantGrouserShadowing(AbstractPlacement):
+    r"""Sand between grousers moves along: the inner part of their faces carries little.
+
+    At the share u of a grouser's height, faces carry $1 - e^{-(u/s)^p}$. Rim and tips carry as
+    before.
+
+    Attributes:
+        share: Inner share s of the height that carries little [-].
+        power: Exponent p: steepness of the boundary [-].
+        radius, height: Rim radius and grouser height [m].
+    """
+
+    share: Number = number()
+    power: Number = number(2.0)
+    radius: Number = number(0.150)
+    height: Number = number(0.018)
+
+    def place(self, plates: Plates, angle: Number) -> Plates:
+        distance = jnp.hypot(plates.x, plates.z)
+        outward = (plates.x * plates.normal_x + plates.z * plates.normal_z) / distance
+        up = jnp.maximum((distance - self.radius) / self.height, 1e-3)
+        shaded = jnp.exp(-((up / jnp.maximum(self.share, 1e-6)) ** self.power))
+        # Faces stand along the radius; rim and tips across it.
+        carries = jnp.where(jnp.abs(outward) < 0.5, 1 - shaded, 1)
+        return dataclasses.replace(plates, area=plates.area * carries)
+
+
 WHEEL_EFFECTS = (PlantEccentricity,)
+SHADOW_EFFECTS = (PlantGrouserShadowing,)

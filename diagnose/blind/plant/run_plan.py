@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnose.blind.plant.rig import DEFAULT_RIG, PlantRig
 from diagnose.next_runs.recommended_runs import RECOMMENDED_RUNS as RIG_RUNS
 
 RUN_LETTERS = "abcdefghi"
-STANDARD_MASS = 18.837  # [kg]
-WHEEL_RADIUS = 0.150  # [m]
+STANDARD_MASS = DEFAULT_RIG.mass_z  # [kg]
+WHEEL_RADIUS = DEFAULT_RIG.radius  # [m]
 
 Range = tuple[float, float]
 
@@ -21,11 +22,15 @@ class PlannedRun:
         time: Times of the knots, in whole hundredths, from zero [s].
         speed: Wheel speed at the knots, negative backward [deg/s].
         mass: Vertical mass, as the experimenter believes it [kg].
+        carriage: Carriage speed at the knots [m/s], where it is driven; none otherwise.
+        logged_from: Time from which on the run is logged [s].
     """
 
     time: tuple[float, ...]
     speed: tuple[float, ...]
     mass: float = STANDARD_MASS
+    carriage: tuple[float, ...] = ()
+    logged_from: float = 0.0
 
     @classmethod
     def held(
@@ -62,6 +67,14 @@ class PlannedRun:
     def omega(self, time: np.ndarray) -> np.ndarray:
         """Commanded speed at these times [s], of the same shape [rad/s]."""
         return np.interp(time, self.time, np.radians(self.speed))
+
+    def carriage_speed(self, time: np.ndarray) -> np.ndarray:
+        """Commanded carriage speed at these times [s], of the same shape [m/s]."""
+        return np.interp(time, self.time, self.carriage) if self.carriage else np.zeros_like(time)
+
+    def on(self, rig: PlantRig) -> "PlannedRun":
+        """The same run with the load in proportion to that of another rig."""
+        return replace(self, mass=round(self.mass * rig.force_scale, 3))
 
 
 @dataclass(frozen=True)
@@ -170,3 +183,58 @@ def draw_fresh_runs(
         _draw_run(random, speeds, settings.ramp, settings) for speeds in settings.fresh_speeds
     )
     return slow, fast, loaded
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """Runs of a sweep over slip with a driven carriage.
+
+    Attributes:
+        slips: Slip ratios of the runs that are made twice [-].
+        fast_slips: Slip ratios of the faster runs [-].
+        omega: Least and greatest angular velocity of the default rig [rad/s]; other rigs' goes with
+            the root of gravity over their radius.
+        fast_ratio: Angular velocity of the faster runs over that of the others [-].
+        rest, ramp: Durations of the rest and of the ramp before a run is steady [s].
+        settling: Time after the ramp before the run is logged [s].
+        logged: Time logged [s].
+    """
+
+    slips: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)
+    fast_slips: tuple[float, ...] = (0.15, 0.45)
+    omega: Range = (0.3, 0.55)
+    fast_ratio: float = 3.0
+    rest: float = 0.5
+    ramp: float = 1.5
+    settling: float = 2.0
+    logged: float = 6.0
+
+
+DEFAULT_SWEEP = SweepSettings()
+
+
+def draw_sweep(
+    random: np.random.Generator, rig: PlantRig, settings: SweepSettings = DEFAULT_SWEEP
+) -> dict[str, PlannedRun]:
+    """Draw the runs of a sweep, by name: each slip twice, and the faster ones."""
+    omega = float(random.uniform(*settings.omega)) / rig.length_scale**0.5
+
+    def run(omega: float, slip: float) -> PlannedRun:
+        speed, carriage = float(np.degrees(omega)), (1 - slip) * rig.radius * omega
+        start = settings.rest + settings.ramp
+        logged_from = start + settings.settling
+        return PlannedRun(
+            time=(0.0, settings.rest, start, logged_from + settings.logged),
+            speed=(0.0, 0.0, speed, speed),
+            mass=rig.mass_z,
+            carriage=(0.0, 0.0, carriage, carriage),
+            logged_from=logged_from,
+        )
+
+    runs = {
+        f"slip{round(100 * slip):02d}{letter}": run(omega, slip)
+        for slip in settings.slips
+        for letter in "ab"
+    }
+    fast = settings.fast_ratio * omega
+    return runs | {f"fast{round(100 * slip):02d}": run(fast, slip) for slip in settings.fast_slips}

@@ -10,6 +10,7 @@ from drftjax.effects.base import (
     AbstractSandLoad,
     AbstractZetaFactor,
     Memory,
+    MemorylessLoad,
     MemorylessZetaFactor,
     StepContext,
     along_x,
@@ -23,6 +24,10 @@ Pair = Float[Array, "2"]
 
 # Least factor on zeta: no mechanism weakens sand beyond it [-].
 MIN_ZETA_FACTOR = 0.15
+
+
+# Sinkage below which a heap grows no smaller [m]: a power of zero has no derivative.
+MIN_SINKAGE = 1e-5
 
 
 # Angle turned back after which the wheel has left the pile ahead of it [rad].
@@ -133,4 +138,40 @@ class PlantBulldozing(AbstractSandLoad):
         return along_x(resistance)
 
 
-SAND_EFFECTS = (PlantLoosening, PlantSlipSoftening, PlantTerrainVariation, PlantBulldozing)
+class PlantHeap(MemorylessLoad, AbstractSandLoad):
+    r"""Heap ahead of a deep or braked wheel: $-f (H/h)^p (1 + b\,\beta^2)$ along the way.
+
+    $\beta = \max(0, 1 - r\omega / v_x)$ is the braked slip, one at most. A share of the resistance
+    bears the wheel.
+
+    Attributes:
+        force: Resistance f of a rolling wheel at the reference sinkage [N].
+        sinkage: Reference sinkage h [m].
+        power: Exponent p [-].
+        braking: Growth b of the resistance from a rolling to a locked wheel [-].
+        lift: Upward force over the resistance [-].
+    """
+
+    force: Number = number()
+    sinkage: Number = number(0.02)
+    power: Number = number(2.0)
+    braking: Number = number(2.0)
+    lift: Number = number(0.3)
+
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
+        speed = velocity[0]
+        # A heap builds up over a millimetre a second, so that a standing wheel has none.
+        way = speed / jnp.sqrt(speed**2 + 1e-6)
+        braked = jnp.clip(1 - moment.radius * moment.omega * speed / (speed**2 + 1e-6), 0, 1)
+        depth = jnp.maximum(-position[1], MIN_SINKAGE) / self.sinkage
+        force = self.force * depth**self.power * (1 + self.braking * braked**2)
+        return jnp.stack([-force * way, self.lift * force * way**2])
+
+
+SAND_EFFECTS = (
+    PlantLoosening,
+    PlantSlipSoftening,
+    PlantTerrainVariation,
+    PlantBulldozing,
+    PlantHeap,
+)

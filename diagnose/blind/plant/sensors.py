@@ -1,31 +1,42 @@
 """Sensors of the plant: position readings with gain, drift, delay, filter and crosstalk."""
 
 import abc
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 
 @dataclass(frozen=True)
 class PlantReading:
-    """Position and speed of the wheel in evenly spaced rows.
+    """Motion of the wheel and forces of the sand in evenly spaced rows.
 
     Attributes:
         time: Time from the start of the run, shape (rows,) [s].
         x, z: Position of the axle, shape (rows,) [m].
         omega: Angular velocity of the wheel, shape (rows,) [rad/s].
+        fx, fz: Force of the sand on the wheel, shape (rows,) [N].
+        torque: Drive torque against the sand, shape (rows,) [N m].
     """
 
     time: np.ndarray
     x: np.ndarray
     z: np.ndarray
     omega: np.ndarray
+    fx: np.ndarray
+    fz: np.ndarray
+    torque: np.ndarray
 
     def at(self, time: np.ndarray) -> "PlantReading":
         """Reading interpolated linearly to other times [s], shape (times,), constant beyond."""
+        names = [each.name for each in fields(self) if each.name != "time"]
         return PlantReading(
-            time, *(np.interp(time, self.time, each) for each in (self.x, self.z, self.omega))
+            time=time, **{name: np.interp(time, self.time, getattr(self, name)) for name in names}
         )
+
+    def since(self, time: float) -> "PlantReading":
+        """Rows of the reading from a time [s] on."""
+        kept = self.time >= time - 1e-9
+        return PlantReading(*(getattr(self, each.name)[kept] for each in fields(self)))
 
 
 class AbstractPlantSensor(abc.ABC):
@@ -86,12 +97,32 @@ class PlantTravelGain(AbstractPlantSensor):
 
 @dataclass(frozen=True)
 class PlantMeasurementDelay(AbstractPlantSensor):
-    """Constant delay of both readings by `delay` [s]."""
+    """Constant delay of all readings by `delay` [s]."""
 
     delay: float
 
     def read(self, true: PlantReading) -> PlantReading:
         return replace(true.at(true.time - self.delay), time=true.time, omega=true.omega)
+
+
+@dataclass(frozen=True)
+class PlantChannelDelay(AbstractPlantSensor):
+    """One channel late against the others, as on a second logger with a rate of its own.
+
+    Attributes:
+        delay: Delay at the start [s].
+        channel: Name of the channel.
+        drift: Relative growth of the delay over a minute [-].
+    """
+
+    delay: float
+    channel: str = "x"
+    drift: float = 0.0
+
+    def read(self, true: PlantReading) -> PlantReading:
+        late = true.time - self.delay * (1 + self.drift * true.time / 60)
+        values = np.interp(late, true.time, getattr(true, self.channel))
+        return replace(true, **{self.channel: values})
 
 
 @dataclass(frozen=True)

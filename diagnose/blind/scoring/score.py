@@ -3,147 +3,27 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from diagnose.blind.answers.answer_file import Answer, FreshAnswer, GapAnswer, read_answers
 from diagnose.blind.generation.sealed_labels import open_labels
 from diagnose.blind.scoring.proportion import Proportion
+from diagnose.blind.scoring.scored_set import (
+    CHANGE,
+    DEFAULT_SCORING,
+    FAINT,
+    NONE,
+    PAIR,
+    SEVERAL,
+    SINGLE,
+    SWEEP,
+    UNKNOWN,
+    ScoredSet,
+    ScoreSettings,
+    scored_sets,
+)
 from diagnose.gap.gap import is_reducible, share_removed
 from drftjax.common.errors import InputError
-
-NONE, UNKNOWN = "none", "unknown"
-SINGLE, PAIR = "single", "pair"
-PLAIN, FAINT = "plain", "faint"
-
-
-@dataclass(frozen=True)
-class ScoreSettings:
-    """Thresholds of the scores.
-
-    Attributes:
-        faint_floors: Size below which a set is faint [noise floors]; of a pair, the weaker effect
-            counts.
-        confident_weight: Weight above which an answer is confident [-].
-        calibration_bins: Number of equal bins of weights from zero to one.
-        shrinkage_tolerance: Greatest difference of a realised shrinkage from the promised one that
-            is kept [-].
-    """
-
-    faint_floors: float = 3.0
-    confident_weight: float = 0.8
-    calibration_bins: int = 10
-    shrinkage_tolerance: float = 0.10
-
-
-DEFAULT_SCORING = ScoreSettings()
-
-
-@dataclass(frozen=True)
-class ScoredSet:
-    """Label of a set beside its answer.
-
-    Attributes:
-        name: Name of the set.
-        true: Effects that it has; "unknown" for a mechanism outside the catalogue.
-        floors: Size of the weakest effect [noise floors]; None if the label does not say.
-        answer: Answer to the set.
-        settings: Thresholds of the scores.
-    """
-
-    name: str
-    true: tuple[str, ...]
-    floors: float | None
-    answer: Answer
-    settings: ScoreSettings = DEFAULT_SCORING
-
-    @property
-    def kind(self) -> str:
-        """Single, pair, unknown or none; plain or faint where the size is known."""
-        if not self.true:
-            return NONE
-        kind = UNKNOWN if UNKNOWN in self.true else SINGLE if len(self.true) == 1 else PAIR
-        if self.floors is None:
-            return kind
-        return f"{kind}, {PLAIN if self.floors >= self.settings.faint_floors else FAINT}"
-
-    @property
-    def is_faint(self) -> bool:
-        """True if the runs hardly show the effects."""
-        return self.kind.endswith(FAINT)
-
-    @property
-    def right_names(self) -> frozenset[str]:
-        """Names that are right for this set."""
-        return frozenset(self.true or (NONE,))
-
-    @property
-    def first(self) -> str:
-        """First name of the answer."""
-        return next(iter(self.answer.named()), NONE)
-
-    def is_right(self, hypothesis: str) -> bool:
-        """True if every name of a hypothesis, joined by +, is right for this set."""
-        return all(each.strip() in self.right_names for each in hypothesis.split("+"))
-
-    @property
-    def first_is_right(self) -> bool:
-        """True if the first name is right; with one effect, it must be the only name."""
-        alone = len(self.true) != 1 or len(self.answer.verdict) == 1
-        return alone and self.first in self.right_names
-
-    @property
-    def all_named(self) -> bool:
-        """True if the answer names every effect of the set and nothing else."""
-        return frozenset(self.answer.named() or (NONE,)) == self.right_names
-
-    @property
-    def in_group(self) -> bool:
-        """True if every effect of the set is named, or in the group of one that is."""
-        return self.right_names <= self._offered
-
-    @property
-    def group_size(self) -> int:
-        """Number of effects offered: those named and all in their groups.
-
-        For a pair, those offered for the first.
-        """
-        if len(self.true) == 1:
-            return len(self._offered)
-        groups = (each for each in self.answer.groups if self.first in each)
-        return max(1, len(set(next(groups, ()))))
-
-    @property
-    def _offered(self) -> frozenset[str]:
-        return frozenset({self.first, *self.answer.named()}.union(*self.answer.groups))
-
-    @property
-    def confidently_wrong(self) -> bool:
-        """True if an effect that the rig does not have has a confident weight."""
-        return any(
-            weight > self.settings.confident_weight
-            and name not in (NONE, UNKNOWN)
-            and not self.is_right(name)
-            for name, weight in self.answer.weights.items()
-        )
-
-
-def scored_sets(
-    labels: Mapping[str, dict],
-    answers: Mapping[str, Answer],
-    settings: ScoreSettings = DEFAULT_SCORING,
-) -> list[ScoredSet]:
-    """Labels beside their answers, for every set that has both."""
-    return [
-        ScoredSet(name, tuple(label["effects"]), _floors(label), answers[name], settings)
-        for name, label in sorted(labels.items())
-        if name in answers
-    ]
-
-
-def _floors(label: dict) -> float | None:
-    single = [each["floors"] for each in label.get("mechanisms", ())]
-    return min(single) if single else label.get("floors")
 
 
 def _proportion(sets: Iterable[ScoredSet], is_hit: Callable[[ScoredSet], bool]) -> dict:
@@ -151,14 +31,21 @@ def _proportion(sets: Iterable[ScoredSet], is_hit: Callable[[ScoredSet], bool]) 
     return Proportion(sum(hits), len(hits)).document()
 
 
-def _interval_coverage(covered: Iterable[bool | None]) -> dict:
-    """Proportion of intervals that hold the realised value, without those not given."""
-    given = [each for each in covered if each is not None]
+def _of_given(cases: Iterable[bool | None]) -> dict:
+    """Proportion of cases, without those not given."""
+    given = [each for each in cases if each is not None]
     return Proportion(sum(given), len(given)).document()
 
 
-def _order(kind: str) -> tuple[int, bool]:
-    return (SINGLE, PAIR, UNKNOWN, NONE).index(kind.split(",")[0]), kind.endswith(FAINT)
+def _together(cases: Iterable[Iterable[bool]]) -> dict:
+    """Proportion of the cases of all sets together."""
+    every = [case for each in cases for case in each]
+    return Proportion(sum(every), len(every)).document()
+
+
+def _order(kind: str) -> tuple[int, bool, bool]:
+    kinds = SINGLE, PAIR, UNKNOWN, NONE, SEVERAL, CHANGE, SWEEP
+    return kinds.index(kind.split(",")[0]), kind.endswith(NONE), kind.endswith(FAINT)
 
 
 def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
@@ -173,7 +60,7 @@ def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
             "mean_group_size": sum(each.group_size for each in these) / len(these),
             "confidently_wrong": _proportion(these, lambda each: each.confidently_wrong),
         }
-        if kind == NONE:
+        if kind.endswith(NONE):
             row["false_alarms"] = _proportion(these, lambda each: bool(each.answer.named()))
         elif kind.startswith(UNKNOWN):
             row["recognised"] = _proportion(these, lambda each: each.first == UNKNOWN)
@@ -185,6 +72,12 @@ def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
             row["at_least_one"] = _proportion(
                 these, lambda each: bool(each.right_names & set(each.answer.named()))
             )
+        if kind == SEVERAL:
+            row["effects_offered"] = _together(each.effects_offered for each in these)
+            row["worse_channels"] = _together(each.worse_channels for each in these)
+            row["budget_shares"] = _together(each.budget_shares for each in these)
+        if kind.startswith(CHANGE):
+            row["size"] = _of_given(each.size_is_right for each in these)
         table[kind] = row
     return table
 
@@ -239,7 +132,7 @@ def shrinkage(sets: list[ScoredSet], settings: ScoreSettings = DEFAULT_SCORING) 
     return {
         channel: {
             "kept": Proportion(sum(row["kept"] for row in rows), len(rows)).document(),
-            "in_interval": _interval_coverage(row["in_interval"] for row in rows),
+            "in_interval": _of_given(row["in_interval"] for row in rows),
             "untried": untried[channel],
             "sets": rows,
         }

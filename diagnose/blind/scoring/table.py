@@ -37,6 +37,10 @@ def _kinds(score: dict) -> Table:
         "missed": "called none",
         "false_alarms": "false alarms",
         "confidently_wrong": "sure of a wrong effect",
+        "effects_offered": "effects named or in a group",
+        "worse_channels": "channels made worse",
+        "budget_shares": "shares within 10 points",
+        "size": "size within 20 %",
     }
     for kind, row in score["kinds"].items():
         shown = [(words[name], _text(row[name])) for name in words if name in row]
