@@ -21,8 +21,8 @@ the fit alone would reward what bends to every run.
 `unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
 $\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
 Alone, it asks of listed effects that they explain nearly all of a gap to be believed. Beside some
-it is a remainder; but as an effect may take a part of what something unknown does, each effect is
-then less credible by `log_prior_beside_unknown`.
+it is a remainder, which makes a set more credible by `max_remainder_gain` at most: an effect that
+takes a part of what something unknown does is not there for that.
 
 The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
 --seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
@@ -61,7 +61,8 @@ class WeightSettings:
         log_prior_none: $\ln \pi$ of the reference model, over a single effect's [-].
         log_prior_unknown: $\ln \pi$ of `unknown`, over a single effect's [-].
         log_prior_further: $\ln \pi$ of each effect beyond the first [-].
-        log_prior_beside_unknown: $\ln \pi$ of each effect beside `unknown` [-].
+        max_remainder_gain: Log weight that a remainder adds to a set of effects, at most [-]: the
+            remainder is then 95 % certain.
     """
 
     slow_worth: float = 0.05
@@ -75,7 +76,7 @@ class WeightSettings:
     log_prior_none: float = 0.5
     log_prior_unknown: float = 1.0
     log_prior_further: float = -4.0
-    log_prior_beside_unknown: float = -6.0
+    max_remainder_gain: float = 3.0
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
@@ -172,9 +173,10 @@ def log_weights(
     count = [len(each.names) for each in scored]
     alone = [both(each) + settings.log_prior(k) for each, k in zip(scored, count, strict=True)]
     own = settings.log_prior_unknown - settings.parameter_cost * settings.unknown_parameters
-    beside = [
-        both(each, taken) + own + k * settings.log_prior_beside_unknown
-        for each, k in zip(scored, count, strict=True)
+    beside = [both(each, taken) + own for each in scored[:1]]
+    beside += [
+        min(both(each, taken) + own + settings.log_prior(k), of + settings.max_remainder_gain)
+        for each, k, of in zip(scored[1:], count[1:], alone[1:], strict=True)
     ]
     return np.array(alone), np.array(beside)
 

@@ -79,7 +79,6 @@ class DepthPower(AbstractStressFactor):
         "σ = σ (d / 20 mm)^excess, from 0.1 mm of depth on",
         "stress is a power of depth, of the exponent 1 + excess",
         form_of="depth_hardening",
-        hypothesis=False,
     )
     excess: Number = strength("-", 0.1, "exponent of depth less 1", least=-0.9)
 

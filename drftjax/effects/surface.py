@@ -163,7 +163,6 @@ class SlipSinkage(AbstractPlane):
         "terrain",
         "h = -rate s, ds/dt = |r ω - v_x| - s |v_x| / length",
         "slip carries sand away: the surface goes down with slip, and recovers with travel",
-        hypothesis=False,
     )
     rate: Number = strength("-", 0.1, "depth dug per slip distance", least=0.0)
     length: Number = shape("m", 0.12, (0.06, 0.12, 0.25), "travel that leads to fresh sand")

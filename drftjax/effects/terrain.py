@@ -86,7 +86,6 @@ class SlipRatioSoftening(MemorylessZetaFactor):
         "ζ = ζ (1 - loss i), i = |r ω - v_x| / max(|r ω|, |v_x|)",
         "zeta is lower the larger the slip ratio, at any speed",
         form_of="slip_softening",
-        hypothesis=False,
     )
     loss: Number = strength("-", 0.1, "share of zeta lost on the spot", least=0.0, most=1.0)
 
@@ -184,7 +183,6 @@ class Heap(MemorylessLoad, AbstractSandLoad):
         "F_x = -resistance q d, F_z = lift q d², q = (H / 20 mm)² (1 + braking b), "
         "d = tanh(v_x / 1 mm/s)",
         "a heap ahead of a braked or deep wheel: resistance and lift with sinkage squared",
-        hypothesis=False,
     )
     resistance: Number = strength("N", 2.0, "force against the way at 20 mm of sinkage", least=0.0)
     lift: Number = strength("N", 1.0, "force upward at 20 mm of sinkage", least=0.0)
