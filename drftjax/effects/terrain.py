@@ -38,6 +38,10 @@ CREEP = 1e-3
 HEAPED_SINKAGE = 0.02
 
 
+# Sinkage [m] at which hardening by sinkage changes nothing, and below which its factor is held.
+REFERENCE_SINKAGE, LEAST_SINKAGE = 0.02, 1e-3
+
+
 class Loosening(AbstractZetaFactor):
     """zeta falls with the wheel's accumulated turning, towards a floor."""
 
@@ -93,6 +97,23 @@ class SlipRatioSoftening(MemorylessZetaFactor):
         rim, speed = jnp.abs(moment.radius * moment.omega), jnp.abs(moment.velocity[0])
         slip = jnp.abs(moment.rim_slip()) / jnp.maximum(jnp.maximum(rim, speed), CREEP)
         return 1 - self.loss * slip
+
+
+class SinkageHardening(MemorylessZetaFactor):
+    """zeta grows with the wheel's sinkage, alike under all of its plates."""
+
+    about: ClassVar = EffectInfo(
+        "sinkage_hardening",
+        "terrain",
+        "ζ = ζ (H / 20 mm)^excess, from 1 mm of sinkage on",
+        "stress is not linear in depth: zeta grows with the wheel's sinkage",
+        form_of="depth_hardening",
+    )
+    excess: Number = strength("-", 0.1, "exponent of sinkage less that of stress by depth")
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        sinkage = jnp.maximum(-moment.position[1], LEAST_SINKAGE) / REFERENCE_SINKAGE
+        return jnp.exp(self.excess * jnp.log(sinkage))
 
 
 class TerrainVariation(MemorylessZetaFactor):
@@ -201,6 +222,7 @@ TERRAIN = (
     Loosening,
     SlipSoftening,
     SlipRatioSoftening,
+    SinkageHardening,
     TerrainVariation,
     TerrainWave,
     Bulldozing,

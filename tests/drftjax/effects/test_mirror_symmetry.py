@@ -84,6 +84,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "loosening": ((), "turning counts either way"),
     "slip_softening": ((), "slip counts either way"),
     "slip_ratio_softening": ((), "slip counts either way"),
+    "sinkage_hardening": ((), "depth"),
     "terrain_variation": (("centre",), "a patch stays where it is"),
     "terrain_wave": (("sine",), "waves stay where they are"),
     "bulldozing": ((), "sand piles up on the side that the wheel goes to"),

@@ -250,6 +250,17 @@ def test_stress_as_a_power_of_depth_is_a_straight_line_in_logarithms_and_as_befo
     np.testing.assert_allclose(line, [excess, 0.0], rtol=0, atol=CLOSE)
 
 
+def test_hardening_by_sinkage_is_a_straight_line_in_logarithms_and_as_before_at_20_mm():
+    effect, now = KNOWN["sinkage_hardening"](excess=0.7), moment(0.1, 1.0, DT)
+    sinkages = np.array([0.005, 0.01, 0.02, 0.04])
+    at = [replace(now, position=jnp.array([0.0, -each])) for each in sinkages]
+    factors = [float(effect.factor(each, ())) for each in at]
+    np.testing.assert_allclose(factors, (sinkages / 0.02) ** 0.7, rtol=CLOSE)
+    # A wheel above the sand has some strength left, and no infinity.
+    above = replace(now, position=jnp.array([0.0, 0.01]))
+    assert float(effect.factor(above, ())) == pytest.approx(0.05**0.7, rel=CLOSE)
+
+
 def test_slip_sinkage_lowers_a_wheel_by_what_its_slip_digs():
     output = ran(False, slip_sinkage={"rate": 0.05, "length": 0.1})
     slip = last_turn(plain(False).slip)
