@@ -1,0 +1,167 @@
+r"""Differences between runs of one condition, which hold nothing that all of them share.
+
+The recording of run i of condition c is taken as
+
+$$y_i(t) = m_i(t; \theta, \zeta_i) - p_c(t) + \text{noise},$$
+
+with the model m, and a path $p_c$ that all runs of the condition share: whatever the model is wrong
+by there, in sand, rig and instruments. Nothing is believed of it. Its flat prior leaves of the
+residuals $r_i = m_i - y_i$ their deviations from the condition's mean,
+$r_i - \bar r_c$, and so of every derivative. With one run before and one now that is half their
+difference.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.change.conditions import MatchedCondition
+from diagnose.dataset import RigDataset
+from diagnose.linear.linear_fit import Block, block_names
+from diagnose.linear.residual_blocks import SlowFastSplit
+from diagnose.run_pool import RunPool
+
+
+@dataclass(frozen=True, eq=False)
+class SharedClock:
+    """Times at which all runs of a condition are compared.
+
+    Attributes:
+        condition: The runs.
+        time: Samples of the shortest run where all were recorded [s], shape (samples,).
+        split: Maps from these samples to blocks.
+    """
+
+    condition: MatchedCondition
+    time: np.ndarray
+    split: SlowFastSplit
+
+    @classmethod
+    def of(cls, dataset: RigDataset, condition: MatchedCondition) -> "SharedClock":
+        """The clock of a condition."""
+        times = [dataset.time(run) for run in condition.runs]
+        shortest = min(times, key=len)
+        begin, end = max(each[0] for each in times), min(each[-1] for each in times)
+        time = shortest[(shortest >= begin) & (shortest <= end)]
+        return cls(condition, time, SlowFastSplit.of(time))
+
+    def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """A run's values, shape (samples, columns), linearly between its own samples."""
+        if len(time) == len(self.time) and np.array_equal(time, self.time):
+            return values
+        return np.stack([np.interp(self.time, time, each) for each in values.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceGram:
+    """Products of all columns' deviations from the means of their conditions, by block.
+
+    Attributes:
+        blocks: (channel, kind) of each block.
+        gram: Of (coefficients..., own log zeta of each run, residual), shape (blocks, n, n), in the
+            blocks' units squared.
+        count: Values in each block, less those that the means take, shape (blocks,).
+    """
+
+    blocks: tuple[Block, ...]
+    gram: np.ndarray
+    count: np.ndarray
+
+    def mean_square(self, gram: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """Mean square of a sum of columns in each block, shape (blocks,).
+
+        Args:
+            gram: Of these columns, as by `of_columns`.
+            factors: Share of each, shape (n,).
+        """
+        total = np.einsum("i,bij,j->b", factors, gram, factors, optimize=True)
+        return np.maximum(total, 0) / np.maximum(self.count, 1)
+
+    def of_columns(self, columns: Sequence[int], runs: int) -> np.ndarray:
+        """Gram matrices of some coefficients, all log zetas and the residual."""
+        last = self.gram.shape[-1]
+        take = np.r_[np.asarray(columns, int), np.arange(last - 1 - runs, last)]
+        return self.gram[:, take[:, None], take]
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """The runs of all matched conditions.
+
+    Attributes:
+        dataset: The runs, those before and those now; each is of one condition.
+        clocks: One for each condition.
+        is_now: For each run, True where it was made now, shape (runs,).
+    """
+
+    dataset: RigDataset
+    clocks: tuple[SharedClock, ...]
+    is_now: np.ndarray
+
+    @classmethod
+    def of(cls, dataset: RigDataset, conditions: Sequence[MatchedCondition]) -> "Differences":
+        """Differences of a dataset whose runs are those of the conditions."""
+        is_now = np.zeros(len(dataset.runs), bool)
+        is_now[[run for each in conditions for run in each.now]] = True
+        clocks = tuple(SharedClock.of(dataset, each) for each in conditions)
+        return cls(dataset, clocks, is_now)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Runs less conditions: differences that are independent."""
+        return len(self.is_now) - len(self.clocks)
+
+    def mean_by_condition(self, values: np.ndarray) -> np.ndarray:
+        """Mean over each run's condition, shape (runs,)."""
+        found = np.array(values, float)
+        for clock in self.clocks:
+            found[list(clock.condition.runs)] = values[list(clock.condition.runs)].mean()
+        return found
+
+    def gram(
+        self,
+        columns: Sequence[np.ndarray],
+        by_zeta: Sequence[np.ndarray],
+        residual: Sequence[np.ndarray],
+        pool: RunPool,
+    ) -> DifferenceGram:
+        """Gram matrices of columns that act as they are given, in each run.
+
+        Args:
+            columns: By run, derivatives by the coefficients, shape (channels, samples, columns).
+            by_zeta: By run, derivative by its own log zeta, shape (channels, samples).
+            residual: By run, simulated minus recorded, shape (channels, samples).
+            pool: Threads.
+        """
+        runs, width = len(residual), columns[0].shape[-1]
+
+        def of(clock: SharedClock) -> tuple[np.ndarray, np.ndarray]:
+            members = clock.condition.runs
+            grams, counts = [], []
+            for place, channel in enumerate(self.dataset.channels):
+                parts: dict[str, list[np.ndarray]] = {}
+                for run in members:
+                    own = np.zeros((len(self.dataset.time(run)), width + runs + 1))
+                    own[:, :width] = columns[run][place]
+                    own[:, width + run] = by_zeta[run][place]
+                    own[:, -1] = residual[run][place]
+                    at = clock.at(self.dataset.time(run), own)
+                    for kind, values in clock.split.split(channel, at).items():
+                        parts.setdefault(kind, []).append(values)
+                for each in parts.values():
+                    stacked = np.array(each)
+                    recorded = np.isfinite(stacked[:, :, -1]).all()
+                    deviation = (stacked - stacked.mean(axis=0)).reshape(-1, width + runs + 1)
+                    deviation = deviation if recorded else np.zeros_like(deviation)
+                    grams.append(deviation.T @ deviation)
+                    free = stacked.shape[1] * (len(members) - 1)
+                    counts.append(free if recorded else 0)
+            return np.array(grams), np.array(counts)
+
+        found = pool.map(of, self.clocks)
+        return DifferenceGram(
+            block_names(self.dataset.channels),
+            np.sum([gram for gram, _ in found], axis=0),
+            np.sum([count for _, count in found], axis=0),
+        )
