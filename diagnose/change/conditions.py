@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnose.rig_runs import describe_rig, without_repeated_readings
 from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.recorded.repeats import DEFAULT_TOLERANCES, RepeatTolerances, group_by_condition
@@ -57,3 +58,33 @@ def matched_conditions(
             "same masses and loads in their set-ups"
         )
     return found
+
+
+def require_one_rig_on_both_sides(
+    before: Sequence[PreparedRun], now: Sequence[PreparedRun]
+) -> tuple[list[PreparedRun], list[PreparedRun]]:
+    """The runs of both sides, named after their side.
+
+    Args:
+        before, now: The runs, those of each side of one rig.
+
+    Raises:
+        InputError: where the rigs differ, or a run of now is a copy of one before.
+    """
+    earlier, later = (describe_rig(side[0].setup) for side in (before, now))
+    if earlier != later:
+        raise InputError(
+            f"now has {later} ({now[0].name}), and before {earlier} ({before[0].name}); a change "
+            "is sought in one rig, by the set-ups of its runs"
+        )
+    sides = tuple(
+        [replace(each, name=f"{each.name} ({word})") for each in side]
+        for word, side in (("before", before), ("now", now))
+    )
+    copies = without_repeated_readings([*sides[0], *sides[1]]).skipped
+    if copies:
+        raise InputError(
+            f"{next(iter(copies.values()))}; give runs that were made now, and others that were "
+            "made before"
+        )
+    return sides[0], sides[1]

@@ -125,6 +125,12 @@ class ChangeProblem:
         """By run, derivative by its log zeta, shape (channels, samples)."""
         return [each[:, :, 0] for each in self.regressors.columns]
 
+    def residual_at_common_zeta(self) -> list[np.ndarray]:
+        """By run, residual of the reference model at its condition's zeta, by a linear response."""
+        away = self.common - self.regressors.log_zeta
+        parts = zip(self.regressors.residual, self.by_zeta, away, strict=True)
+        return [residual + slope * change for residual, slope, change in parts]
+
     def deviation(self, here: ChangeHypothesis) -> np.ndarray:
         """Log zeta of each run beyond its condition's and beyond a common change [-]."""
         return here.log_zeta - self.common - here.common_zeta * self.differences.is_now

@@ -10,7 +10,9 @@ from diagnose.change.difference_fit import (
     DifferenceFit,
     score_differences,
 )
+from diagnose.change.differences import DifferenceGram
 from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem, Side, least_strengths
+from diagnose.linear.linear_fit import Block
 from diagnose.linear.regressors import ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict
 from diagnose.run_pool import RunPool
@@ -54,11 +56,15 @@ class ChangeScreening:
         none: No change, each run with its own zeta within the bed's scatter.
         zeta: The sand's strength changed.
         effects: One for each effect, best first; the leading ones simulated.
+        blocks: (channel, kind) of each block of the differences.
+        count: Values in each, shape (blocks,).
     """
 
     none: ChangeHypothesis
     zeta: ChangeHypothesis
     effects: tuple[ChangeHypothesis, ...]
+    blocks: tuple[Block, ...]
+    count: np.ndarray
 
     @property
     def all(self) -> tuple[ChangeHypothesis, ...]:
@@ -78,7 +84,8 @@ def screen_change(
         pool: Threads.
         settings: Numbers of the screening.
     """
-    none, zeta, effects = _linear_fits(problem, pool, settings)
+    matrices = _linear_responses(problem, pool)
+    none, zeta, effects = _linear_fits(problem, matrices, settings)
     least = none.score + settings.min_gain
     leading = [
         each
@@ -93,7 +100,7 @@ def screen_change(
     )
     others = effects[len(leading) :]
     ranked = sorted((*refined, *others), key=lambda each: -_ranking(each, settings))
-    return ChangeScreening(none, zeta, tuple(ranked))
+    return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, matrices.count)
 
 
 def refine_change(
@@ -140,17 +147,21 @@ def refine_change(
     return start if best is None else best
 
 
-def _linear_fits(
-    problem: ChangeProblem, pool: RunPool, settings: ChangeScreeningSettings
-) -> tuple[ChangeHypothesis, ChangeHypothesis, list[ChangeHypothesis]]:
-    """No change, a change of zeta, and every effect's best form, best effect first."""
+def _linear_responses(problem: ChangeProblem, pool: RunPool) -> DifferenceGram:
+    """Gram matrices of every effect in the runs of now, a common change of log zeta last."""
     reference, is_now = problem.regressors, problem.differences.is_now
-    # The last column is a common change of log zeta.
     columns = [
         np.concatenate([each[:, :, 1:], each[:, :, :1]], axis=2) * float(now)
         for each, now in zip(reference.columns, is_now, strict=True)
     ]
-    matrices = problem.differences.gram(columns, problem.by_zeta, reference.residual, pool)
+    return problem.differences.gram(columns, problem.by_zeta, reference.residual, pool)
+
+
+def _linear_fits(
+    problem: ChangeProblem, matrices: DifferenceGram, settings: ChangeScreeningSettings
+) -> tuple[ChangeHypothesis, ChangeHypothesis, list[ChangeHypothesis]]:
+    """No change, a change of zeta, and every effect's best form, best effect first."""
+    reference = problem.regressors
     deviation = reference.log_zeta - problem.common
     share = problem.settings.linear_error
 
@@ -159,7 +170,7 @@ def _linear_fits(
 
     nothing = fit((), CoefficientPrior.free(np.zeros(0)))
     width = np.array([problem.settings.zeta_prior])
-    sand = fit((columns[0].shape[-1] - 1,), CoefficientPrior.free(width))
+    sand = fit((reference.columns[0].shape[-1] - 1,), CoefficientPrior.free(width))
     best: dict[str, tuple[float, ShapeVariant, Side, DifferenceFit]] = {}
     for variant in reference.variants:
         for side, bounded in _priors(variant, problem.settings.strength_prior):
