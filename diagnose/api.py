@@ -339,19 +339,21 @@ def compare_gathered(
         InputError: where the rigs differ, no command was run on both sides, or the rig can have
             none of the effects.
     """
-    sides = require_one_rig_on_both_sides(before.runs, now.runs)
+    earlier, later = require_one_rig_on_both_sides(before.runs, now.runs)
     notes = [*before.skipped.values(), *now.skipped.values()]
-    possible = possible_effects([*sides[0], *sides[1]], effects)
-    _require_null(sides[1], possible)
+    possible = possible_effects([*earlier, *later], effects)
+    _require_null(later, possible)
     while True:
         try:
-            found = compare_runs(*sides, possible, report, settings)
+            tried = len(earlier), len(later)
+            found = compare_runs(earlier, later, possible, report, settings)
             break
         except RunError as problem:
-            kept = tuple([each for each in side if each.name != problem.run] for side in sides)
-            if kept == sides or not all(kept):
+            earlier, later = (
+                [each for each in side if each.name != problem.run] for side in (earlier, later)
+            )
+            if not (earlier and later) or tried == (len(earlier), len(later)):
                 raise
-            sides = kept
             notes.append(str(problem))
             tell(f"left out: {problem}")
     return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])

@@ -113,7 +113,7 @@ def _orders(
         return
     draw = np.random.default_rng(settings.seed)
     for _ in range(settings.max_orders - 1):
-        yield [draw.permutation(len(f))[:n] for f, n in zip(features, sides, strict=True)]
+        yield [draw.permutation(len(f))[:n].tolist() for f, n in zip(features, sides, strict=True)]
 
 
 def _features(

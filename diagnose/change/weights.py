@@ -11,6 +11,7 @@ no sand follows the law that the responses are simulated with. `unknown` is take
 $\rho$ (in amplitude) of that.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -116,7 +117,7 @@ def _log_weights(
     def evidence(power: np.ndarray) -> float:
         return -0.5 * float((worth * np.log(power + allowed)).sum())
 
-    per_effect = settings.log_prior_effects - np.log(max(len(found.effects), 1))
+    per_effect = settings.log_prior_effects - math.log(max(len(found.effects), 1))
     prior = {NONE: 0.0, ZETA: settings.log_prior_zeta}
     logs = [
         evidence(each.fit.mean_square + each.fit.response_error)
