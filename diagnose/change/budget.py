@@ -53,6 +53,9 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     left = chosen.residual
     steady = [r - z * d for r, z, d in zip(left, chosen.by_zeta, deviation, strict=True)]
     scattered = [r + z * d for r, z, d in zip(without, problem.by_zeta, deviation, strict=True)]
+    if not len(chosen.coordinates):
+        # No change acts: all is zeta's scatter, what is left, and noise.
+        steady, scattered = without, left
     powers = [_powers(differences, each) for each in (without, steady, scattered, left)]
     found = []
     for place, channel in enumerate(differences.dataset.channels):

@@ -22,6 +22,11 @@ from diagnose.change.screening import (
     screen_change,
 )
 from diagnose.change.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
+from diagnose.change.shared_law import (
+    DEFAULT_SHARED_LAW,
+    SharedLawSettings,
+    follow_shared_law,
+)
 from diagnose.change.weights import (
     DEFAULT_CHANGE_WEIGHTS,
     ChangeWeightSettings,
@@ -34,7 +39,6 @@ from diagnose.dataset import (
     InitialZetaSettings,
     RigDataset,
     match_initial_zeta,
-    without_step_errors,
 )
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
@@ -54,7 +58,8 @@ class ChangeErrorSettings:
     Attributes:
         slow_worth: Independent statements in one bin of a slow part [-].
         fast_worth: Independent statements in one sample of a fast part [-].
-        law_share: Share of a strength that may be wrong as the sand follows another law [-].
+        law_share: Share of a strength, or of a change of zeta, that may be wrong as the sand
+            follows another law [-].
     """
 
     slow_worth: float = 1.0
@@ -71,6 +76,7 @@ class ChangeSettings:
 
     Attributes:
         dataset: Preparation of the recorded runs.
+        law: Base that the responses are about.
         initial_zeta: Search for the zeta where each run is linearised.
         fit: Fits of differences.
         screening: Choice and refinement of explanations.
@@ -81,6 +87,7 @@ class ChangeSettings:
     """
 
     dataset: DatasetSettings = DEFAULT_DATASET
+    law: SharedLawSettings = DEFAULT_SHARED_LAW
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     fit: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT
     screening: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING
@@ -153,15 +160,17 @@ def _problem(
     settings: ChangeSettings,
 ) -> ChangeProblem:
     """The runs, linearised at a zeta each."""
-    report("baseline: zeta of each run")
-    dataset = RigDataset.of(runs, settings.dataset)
-    dataset = without_step_errors(dataset, pool, settings.initial_zeta)
+    report("the law that the runs before follow")
+    earlier = [run for each in conditions for run in each.before]
+    dataset, law = follow_shared_law(
+        RigDataset.of(runs, settings.dataset), sorted(earlier), pool, settings.law
+    )
     log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
     dataset = dataset.with_fewer_plates()
     report(f"linearising {len(runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool)
     regressors = Regressors.of(dataset, linearized, effects, pool)
-    return ChangeProblem.of(Differences.of(dataset, conditions), regressors, settings.fit)
+    return ChangeProblem.of(Differences.of(dataset, conditions), regressors, law, settings.fit)
 
 
 def _parameters(
@@ -174,7 +183,8 @@ def _parameters(
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))[: len(prior.width)]
     if chosen.zeta_changes:
         change = float(np.expm1(chosen.common_zeta))
-        return {ZETA: {"change": ParameterEstimate(change, (1 + change) * float(spread[0]), "-")}}
+        error = float(np.hypot((1 + change) * spread[0], settings.error.law_share * change))
+        return {ZETA: {"change": ParameterEstimate(change, error, "-")}}
     sign = 1.0 if chosen.side == "now" else -1.0
     found: dict[str, dict[str, ParameterEstimate]] = {}
     for free, at, error in zip(chosen.model.free, chosen.coordinates, spread, strict=True):

@@ -13,6 +13,7 @@ from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import NONE
+from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, reported_name, strengths
 
 # Name of the sand's own strength in a verdict.
@@ -100,12 +101,14 @@ class ChangeProblem:
     Attributes:
         differences: The runs.
         regressors: Responses of all runs, as if every effect acted in each.
+        law: Effects that the reference model has here, as the runs before follow them.
         common: Log zeta of each run's condition over its set-up's [-], shape (runs,).
         settings: Numbers of the fits.
     """
 
     differences: Differences
     regressors: Regressors
+    law: tuple[AbstractEffect, ...]
     common: np.ndarray
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT
 
@@ -114,11 +117,12 @@ class ChangeProblem:
         cls,
         differences: Differences,
         regressors: Regressors,
+        law: tuple[AbstractEffect, ...] = (),
         settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
     ) -> "ChangeProblem":
         """The problem at the zetas of the regressors."""
         common = differences.mean_by_condition(regressors.log_zeta)
-        return cls(differences, regressors, common, settings)
+        return cls(differences, regressors, law, common, settings)
 
     @property
     def by_zeta(self) -> list[np.ndarray]:

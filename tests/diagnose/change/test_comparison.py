@@ -125,18 +125,15 @@ def test_sand_of_another_strength_is_zeta(before):
     assert found.verdict == ("zeta",)
     change = found.parameters["zeta"]["change"]
     assert change.value == pytest.approx(CHANGE_OF_ZETA, abs=ZETA_SIZE)
-    assert "zeta by -1" in found.summary()
+    assert "the sand's own strength changed" in found.summary()
 
 
 def test_the_command_writes_what_changed(folder, tmp_path):
-    told = CliRunner().invoke(
-        app,
-        [str(folder / "now"), "--against", str(folder / "before"), "-o", str(tmp_path / "out")]
-        + ["--effects", ",".join(EFFECTS)],
-        catch_exceptions=False,
-    )
+    given = f"{folder / 'now'} --against {folder / 'before'} -o {tmp_path / 'out'}"
+    names = f"--effects {','.join(EFFECTS)}"
+    told = CliRunner().invoke(app, f"{given} {names}", catch_exceptions=False)
     assert told.exit_code == 0
-    assert told.output.startswith("Changed since before: surface_slope")
+    assert "Changed since before: surface_slope" in told.output
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert document["schema"] == "drft-diagnosis"
     assert document["verdict"] == ["surface_slope"]

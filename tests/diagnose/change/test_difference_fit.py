@@ -99,7 +99,9 @@ def test_a_fit_is_where_a_general_optimiser_of_its_score_ends():
         total = 0.0
         for block, kind in enumerate(("slow", "fast")):
             parts = [
-                np.array([clock.split.split("z", left[r][:, None])[kind] for r in clock.condition.runs])
+                np.array(
+                    [clock.split.split("z", left[r][:, None])[kind] for r in clock.condition.runs]
+                )
                 for clock in differences.clocks
             ]
             square = sum(((each - each.mean(axis=0)) ** 2).sum() for each in parts)
