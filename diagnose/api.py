@@ -344,8 +344,8 @@ def compare_gathered(
     possible = possible_effects([*earlier, *later], effects)
     _require_null(later, possible)
     while True:
+        tried = len(earlier), len(later)
         try:
-            tried = len(earlier), len(later)
             found = compare_runs(earlier, later, possible, report, settings)
             break
         except RunError as problem:

@@ -170,7 +170,9 @@ def _problem(
     report(f"linearising {len(runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool)
     regressors = Regressors.of(dataset, linearized, effects, pool)
-    return ChangeProblem.of(Differences.of(dataset, conditions), regressors, law, settings.fit)
+    return ChangeProblem.of(
+        Differences.of(dataset, conditions), regressors, law, pool, settings.fit
+    )
 
 
 def _parameters(

@@ -7,11 +7,11 @@ $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
   - \tfrac12 (\nu_0 + \nu) \ln\Big(1 + \frac{\sum_i \zeta_i^2}{\nu_0 \sigma_0^2}\Big),$$
 
 with $w_b$ the independent statements in a value, $e_b$ the part of the responses that may be wrong
-and $\sigma_b$ the error below which nothing is asked of a model. The last term is the log zetas'
-Student t: their variance, of which a scaled inverse chi-square is believed ($\nu_0$ runs of scatter
-$\sigma_0$), is integrated out. $\zeta_i$ counts from a value that the condition's runs share, so
-$\nu$ is the runs less the conditions. The fit maximises the score, with Gaussian priors on
-$\theta$, by iteratively reweighted least squares.
+and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the log
+zetas' Student t: their variance, of which a scaled inverse chi-square is believed ($\nu_0$ runs of
+scatter $\sigma_0$), is integrated out. $\zeta_i$ counts from a value that the condition's runs
+share, so $\nu$ is the runs less the conditions. The fit maximises the score, with Gaussian
+priors on $\theta$, by iteratively reweighted least squares.
 """
 
 from collections.abc import Sequence
@@ -90,7 +90,7 @@ def fit_differences(
     runs, width = len(deviation), len(columns)
     gram = matrices.of_columns(columns, runs)
     worth = matrices.count * settings.worth(matrices.blocks)
-    floor = settings.model_errors(matrices.blocks) ** 2
+    floor = matrices.floor(settings)
     mean_square = matrices.mean_square(gram, np.r_[np.zeros(width + runs), 1.0])
     response_error = np.zeros(len(mean_square))
     own = deviation
@@ -144,7 +144,7 @@ def _scored(
 ) -> DifferenceFit:
     """A fit with its score."""
     worth = matrices.count * settings.worth(matrices.blocks)
-    floor = settings.model_errors(matrices.blocks) ** 2
+    floor = matrices.floor(settings)
     zeta_score = settings.zeta.score(deviation, degrees_of_freedom)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
@@ -175,7 +175,7 @@ def information(
         settings: For the model errors.
     """
     by_block = np.array([worth[kind] for _, kind in matrices.blocks])
-    weight = by_block / (fit.mean_square + settings.model_errors(matrices.blocks) ** 2)
+    weight = by_block / (fit.mean_square + matrices.floor(settings))
     found = np.einsum("b,bij->ij", weight, matrices.gram[:, :-1, :-1])
     width = len(prior.width)
     runs = len(found) - width

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.change.conditions import MatchedCondition
+from diagnose.change.settings import DifferenceFitSettings
 from diagnose.dataset import RigDataset
 from diagnose.linear.linear_fit import Block, block_names
 from diagnose.linear.residual_blocks import SlowFastSplit
@@ -62,11 +63,14 @@ class DifferenceGram:
         gram: Of (coefficients..., own log zeta of each run, residual), shape (blocks, n, n), in the
             blocks' units squared.
         count: Values in each block, less those that the means take, shape (blocks,).
+        chance: Mean square in each block that repeats on one side differ by beyond noise and zeta,
+            shape (blocks,): nothing is asked of a model there.
     """
 
     blocks: tuple[Block, ...]
     gram: np.ndarray
     count: np.ndarray
+    chance: np.ndarray
 
     def mean_square(self, gram: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """Mean square of a sum of columns in each block, shape (blocks,).
@@ -77,6 +81,10 @@ class DifferenceGram:
         """
         total = np.einsum("i,bij,j->b", factors, gram, factors, optimize=True)
         return np.maximum(total, 0) / np.maximum(self.count, 1)
+
+    def floor(self, settings: DifferenceFitSettings) -> np.ndarray:
+        """Mean square in each block below which nothing is asked of a model, shape (blocks,)."""
+        return settings.model_errors(self.blocks) ** 2 + self.chance
 
     def of_columns(self, columns: Sequence[int], runs: int) -> np.ndarray:
         """Gram matrices of some coefficients, all log zetas and the residual."""
@@ -93,11 +101,13 @@ class Differences:
         dataset: The runs, those before and those now; each is of one condition.
         clocks: One for each condition.
         is_now: For each run, True where it was made now, shape (runs,).
+        chance: See `DifferenceGram`; zero until it is known.
     """
 
     dataset: RigDataset
     clocks: tuple[SharedClock, ...]
     is_now: np.ndarray
+    chance: float | np.ndarray = 0.0
 
     @classmethod
     def of(cls, dataset: RigDataset, conditions: Sequence[MatchedCondition]) -> "Differences":
@@ -107,10 +117,17 @@ class Differences:
         clocks = tuple(SharedClock.of(dataset, each) for each in conditions)
         return cls(dataset, clocks, is_now)
 
+    def within_sides(self) -> "Differences":
+        """Repeats of one side alone: a group for each side of a condition with two runs or more."""
+        sides = [s for clock in self.clocks for s in (clock.condition.before, clock.condition.now)]
+        groups = [MatchedCondition(each, ()) for each in sides if len(each) > 1]
+        clocks = tuple(SharedClock.of(self.dataset, each) for each in groups)
+        return Differences(self.dataset, clocks, self.is_now)
+
     @property
     def degrees_of_freedom(self) -> int:
-        """Runs less conditions: differences that are independent."""
-        return len(self.is_now) - len(self.clocks)
+        """Runs less groups of them: differences that are independent."""
+        return sum(len(clock.condition.runs) - 1 for clock in self.clocks)
 
     def mean_by_condition(self, values: np.ndarray) -> np.ndarray:
         """Mean over each run's condition, shape (runs,)."""
@@ -160,8 +177,10 @@ class Differences:
             return np.array(grams), np.array(counts)
 
         found = pool.map(of, self.clocks)
+        blocks = block_names(self.dataset.channels)
         return DifferenceGram(
-            block_names(self.dataset.channels),
+            blocks,
             np.sum([gram for gram, _ in found], axis=0),
             np.sum([count for _, count in found], axis=0),
+            np.zeros(len(blocks)) + self.chance,
         )

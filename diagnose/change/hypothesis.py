@@ -117,10 +117,13 @@ class ChangeProblem:
         cls,
         differences: Differences,
         regressors: Regressors,
-        law: tuple[AbstractEffect, ...] = (),
+        law: tuple[AbstractEffect, ...],
+        pool: RunPool,
         settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
     ) -> "ChangeProblem":
-        """The problem at the zetas of the regressors."""
+        """The problem at the zetas of the regressors, with what repeats differ by."""
+        chance = chance_power(differences, regressors, pool, settings)
+        differences = replace(differences, chance=chance)
         common = differences.mean_by_condition(regressors.log_zeta)
         return cls(differences, regressors, law, common, settings)
 
@@ -220,6 +223,44 @@ class ChangeProblem:
             fit=fit,
             proposed=(fit.coefficients, moved),
         )
+
+
+def chance_power(
+    differences: Differences,
+    regressors: Regressors,
+    pool: RunPool,
+    settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+) -> np.ndarray:
+    """Mean square that repeats on one side differ by beyond noise and zeta, shape (blocks,).
+
+    Grains that lie otherwise, and whatever else no zeta makes up for. Zero without repeats.
+
+    Args:
+        differences: The runs.
+        regressors: Responses of all runs, and their residuals.
+        pool: Threads.
+        settings: Numbers of the fit of zeta.
+    """
+    sides = differences.within_sides()
+    if not sides.clocks:
+        return np.zeros(len(regressors.noise_power))
+    nothing = [each[:, :, :0] for each in regressors.columns]
+    by_zeta = [each[:, :, 0] for each in regressors.columns]
+    matrices = sides.gram(nothing, by_zeta, regressors.residual, pool)
+    deviation = regressors.log_zeta - sides.mean_by_condition(regressors.log_zeta)
+    members = [run for clock in sides.clocks for run in clock.condition.runs]
+    deviation[np.setdiff1d(np.arange(len(deviation)), members)] = 0.0
+    fit = fit_differences(
+        matrices,
+        (),
+        deviation,
+        sides.degrees_of_freedom,
+        CoefficientPrior.free(np.zeros(0)),
+        0.0,
+        settings,
+    )
+    floor = settings.model_errors(matrices.blocks) ** 2
+    return np.maximum(fit.mean_square - regressors.noise_power - floor, 0)
 
 
 def _columns(

@@ -109,7 +109,7 @@ def _log_weights(
     """Log weight of every explanation, and of unknown last."""
     fits = problem.settings
     worth = found.count * fits.worth(found.blocks)
-    floor = fits.model_errors(found.blocks) ** 2
+    floor = fits.model_errors(found.blocks) ** 2 + problem.differences.chance
     none = found.none.fit
     beyond = np.maximum(none.mean_square - problem.regressors.noise_power - floor, 0)
     allowed = floor + settings.law_error_share**2 * beyond
