@@ -44,6 +44,7 @@ from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.result import ParameterEstimate
 from diagnose.run_pool import RunPool
+from drftjax.common.errors import RunError
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, reported_name
 from drftjax.recorded.prepared_run import PreparedRun
@@ -170,9 +171,28 @@ def _problem(
     report(f"linearising {len(runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool)
     regressors = Regressors.of(dataset, linearized, effects, pool)
+    _require_derivatives(regressors)
     return ChangeProblem.of(
         Differences.of(dataset, conditions), regressors, law, pool, settings.fit
     )
+
+
+def _require_derivatives(regressors: Regressors) -> None:
+    """Refuse a run whose wheel falls at first: no linear response of it holds.
+
+    Raises:
+        RunError: names the run.
+    """
+    dataset = regressors.dataset
+    z = dataset.channels.index("z")
+    for run, columns in zip(dataset.runs, regressors.columns, strict=True):
+        # A wheel cannot sink by its own radius for a small part of zeta.
+        if not np.abs(columns[z, :, 0]).max(initial=0.0) < run.setup.wheel.radius:
+            raise RunError(
+                run.name,
+                "its wheel falls at the start of a simulation, so that no derivative holds; a "
+                "run is to begin with a wheel that stands",
+            )
 
 
 def _parameters(

@@ -28,7 +28,8 @@ class ChangeScreeningSettings:
         hopeless_deficit: Nor is one that is this far behind the best linear fit [-].
         simulations: Simulations of all runs with each, at most.
         min_step_share: A step that gains nothing is halved down to this share [-].
-        min_score_gain: Refinement ends where a simulation gains less [-].
+        min_score_gain: Refinement ends where a simulation gains less [-]: a bin counts for a tenth
+            of a statement, so that little of the score is much of an error.
         zeta_unit: One unit of log zeta in Broyden's update [-]; a strength's is its typical size.
         shape_unit: One unit of the logarithm of a shape there [-].
         parameter_cost: Log score that each number costs in the ranking [-].
@@ -39,7 +40,7 @@ class ChangeScreeningSettings:
     hopeless_deficit: float = 40.0
     simulations: int = 7
     min_step_share: float = 0.1
-    min_score_gain: float = 0.2
+    min_score_gain: float = 0.02
     zeta_unit: float = 0.02
     shape_unit: float = 0.3
     parameter_cost: float = 1.0

@@ -45,11 +45,10 @@ def runs(now: bool, effects: tuple[dict, ...] = (), log_zeta: float = 0.0) -> di
     """One side's runs."""
     found = {}
     for number, profile in enumerate(PROFILES):
-        scatter = SCATTER[now][number]
-        setup = setup_of(profile, 0.75)
+        # A wheel stands deeper in weaker sand.
+        setup = setup_of(profile, 0.75 * float(np.exp(SCATTER[now][number] + log_zeta)))
         setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
         setup.effects = [*SHARED, *effects]
-        setup.terrain.zeta = 0.75 * float(np.exp(scatter + log_zeta))
         found[f"run_{number}"] = recorded(setup, seed=10 * now + number, rate=50.0)
     return found
 
