@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from diagnose.change.comparison import DEFAULT_CHANGE_SETTINGS, ChangeSettings, compare_runs
-from diagnose.change.conditions import require_one_rig_on_both_sides
+from diagnose.change.differences.conditions import require_one_rig_on_both_sides
 from diagnose.change.result import ChangeDiagnosis
 from diagnose.dataset import RigDataset
 from diagnose.evaluation.evaluate import evaluate_model

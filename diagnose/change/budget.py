@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.change.differences import Differences, SharedClock
+from diagnose.change.differences.gram import Differences, SharedClock
 from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem
 
 

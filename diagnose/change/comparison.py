@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.change.budget import difference_budget
-from diagnose.change.conditions import MatchedCondition, matched_conditions
-from diagnose.change.difference_fit import information
-from diagnose.change.differences import Differences
+from diagnose.change.differences.conditions import MatchedCondition, matched_conditions
+from diagnose.change.differences.fit import information
+from diagnose.change.differences.gram import Differences
+from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.change.hypothesis import ZETA, ChangeHypothesis, ChangeProblem
 from diagnose.change.relabelling import (
     DEFAULT_RELABELLING,
@@ -21,7 +22,6 @@ from diagnose.change.screening import (
     ChangeScreeningSettings,
     screen_change,
 )
-from diagnose.change.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.change.shared_law import (
     DEFAULT_SHARED_LAW,
     SharedLawSettings,

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from diagnose.change.budget import mean_of
-from diagnose.change.differences import SharedClock
+from diagnose.change.differences.gram import SharedClock
 from diagnose.change.result import ChangeDiagnosis
 from drftjax.recorded.observation import SHOWN
 

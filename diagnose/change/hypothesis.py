@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from diagnose.change.difference_fit import CoefficientPrior, DifferenceFit, fit_differences
-from diagnose.change.differences import DifferenceGram, Differences
-from diagnose.change.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
+from diagnose.change.differences.fit import CoefficientPrior, DifferenceFit, fit_differences
+from diagnose.change.differences.gram import DifferenceGram, Differences
+from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
@@ -64,7 +64,7 @@ class ChangeHypothesis:
 
     @property
     def score(self) -> float:
-        """Log score; see `diagnose.change.difference_fit`."""
+        """Log score; see `diagnose.change.differences.fit`."""
         return self.fit.score
 
     @property

@@ -12,7 +12,7 @@ from math import comb, prod
 
 import numpy as np
 
-from diagnose.change.differences import Differences, SharedClock
+from diagnose.change.differences.gram import Differences, SharedClock
 
 # Relative difference below which two values of the statistic are the same: roundings.
 ROUNDING = 1e-9

@@ -30,7 +30,7 @@ def in_words(found: ChangeDiagnosis) -> list[Table | str]:
 
 
 def first_sentence(found: ChangeDiagnosis) -> str:
-    """Whether something changed, what, and by how much."""
+    """The verdict with its size: nothing, something unknown, or a change by its name."""
     name = found.verdict[0]
     weight = percent(found.weights.get(name, 0.0))
     if name == NONE:

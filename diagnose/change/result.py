@@ -71,7 +71,7 @@ class ChangeDiagnosis:
         return (own.get(name) or effect_class(name)).about.meaning
 
     def summary(self, width: int = 110) -> str:
-        """What changed, in words, as text of `width` columns."""
+        """The change in words, as text of `width` columns."""
         from diagnose.change.report import in_words
 
         return summary_text(in_words(self), width)

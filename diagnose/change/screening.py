@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.change.difference_fit import (
+from diagnose.change.differences.fit import (
     CoefficientPrior,
     DifferenceFit,
     score_differences,
 )
-from diagnose.change.differences import DifferenceGram
+from diagnose.change.differences.gram import DifferenceGram
 from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem, Side, least_strengths
 from diagnose.linear.linear_fit import Block
 from diagnose.linear.regressors import ShapeVariant

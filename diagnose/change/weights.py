@@ -5,10 +5,10 @@ The log weight of an explanation h with $k_h$ numbers is
 $$\ln W_h = -\tfrac12 \sum_b w_b N_b \ln(s_{hb} + a_b) + Z_h - \kappa k_h + \ln \pi_h,$$
 
 with the mean square $s_{hb}$ that it leaves of the differences (with what its response may be wrong
-by), the score $Z_h$ of its log zetas (`diagnose.change.difference_fit`), and $a_b$ that is not held
-against it: a model's own error, and a share $\epsilon^2$ of what no change leaves beyond noise, as
-no sand follows the law that the responses are simulated with. `unknown` is taken to leave a share
-$\rho$ (in amplitude) of that.
+by), the score $Z_h$ of its log zetas (`diagnose.change.differences.fit`), and $a_b$ that is not
+held against it: a model's own error, what repeats on one side differ by, and a share $\epsilon^2$
+of what no change leaves beyond noise, as no sand follows the law that the responses are simulated
+with. `unknown` is taken to leave a share $\rho$ (in amplitude) of that.
 """
 
 import math

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagnose.change.conditions import MatchedCondition
-from diagnose.change.differences import Differences
+from diagnose.change.differences.conditions import MatchedCondition
+from diagnose.change.differences.gram import Differences
 from diagnose.change.relabelling import RelabellingSettings, relabelling_test
 
 TIME = np.arange(0, 4, 0.1)

@@ -1,7 +1,8 @@
 r"""Fit of effects to differences, with each run's own zeta.
 
 With $x = (\theta, \zeta_1 \ldots \zeta_R, 1)$ the sum of squares of block b is $x^T G_b x$
-(`diagnose.change.differences`), and $s_b$ that by $N_b$, its degrees of freedom. The log score is
+(`diagnose.change.differences.gram`), and $s_b$ that by $N_b$, its degrees of freedom. The log score
+is
 
 $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
   - \tfrac12 (\nu_0 + \nu) \ln\Big(1 + \frac{\sum_i \zeta_i^2}{\nu_0 \sigma_0^2}\Big),$$
@@ -19,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.change.differences import DifferenceGram
-from diagnose.change.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
+from diagnose.change.differences.gram import DifferenceGram
+from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.change.conditions import MatchedCondition
-from diagnose.change.settings import DifferenceFitSettings
+from diagnose.change.differences.conditions import MatchedCondition
+from diagnose.change.differences.settings import DifferenceFitSettings
 from diagnose.dataset import RigDataset
 from diagnose.linear.linear_fit import Block, block_names
 from diagnose.linear.residual_blocks import SlowFastSplit

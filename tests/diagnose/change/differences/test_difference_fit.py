@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from diagnose.change.conditions import MatchedCondition
-from diagnose.change.difference_fit import CoefficientPrior, fit_differences
-from diagnose.change.differences import DifferenceGram, Differences
-from diagnose.change.settings import DifferenceFitSettings, ZetaScatterSettings
+from diagnose.change.differences.conditions import MatchedCondition
+from diagnose.change.differences.fit import CoefficientPrior, fit_differences
+from diagnose.change.differences.gram import DifferenceGram, Differences
+from diagnose.change.differences.settings import DifferenceFitSettings, ZetaScatterSettings
 
 # Sums of a few hundred numbers, in another order.
 ROUNDING = 1e-10
