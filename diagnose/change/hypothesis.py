@@ -124,7 +124,9 @@ class ChangeProblem:
         """The problem at the zetas of the regressors, with what repeats differ by."""
         chance = chance_power(differences, regressors, pool, settings)
         differences = replace(differences, chance=chance)
-        common = differences.mean_by_condition(regressors.log_zeta)
+        # The set-ups of before and now may believe in other zetas.
+        believed = regressors.log_reference_zeta
+        common = differences.mean_by_condition(regressors.log_zeta + believed) - believed
         return cls(differences, regressors, law, common, settings)
 
     @property
@@ -247,7 +249,8 @@ def chance_power(
     nothing = [each[:, :, :0] for each in regressors.columns]
     by_zeta = [each[:, :, 0] for each in regressors.columns]
     matrices = sides.gram(nothing, by_zeta, regressors.residual, pool)
-    deviation = regressors.log_zeta - sides.mean_by_condition(regressors.log_zeta)
+    log_zeta = regressors.log_zeta + regressors.log_reference_zeta
+    deviation = log_zeta - sides.mean_by_condition(log_zeta)
     members = [run for clock in sides.clocks for run in clock.condition.runs]
     deviation[np.setdiff1d(np.arange(len(deviation)), members)] = 0.0
     fit = fit_differences(

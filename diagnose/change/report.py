@@ -21,6 +21,11 @@ from drftjax.recorded.observation import SHOWN
 # Smaller weights are left out of the list of weights [-].
 MIN_WEIGHT = 0.01
 
+# Without a change, an unexplained share of so many times the noise's is told [-]: five times its
+# RMS. Noise counts for 2 % at least: a fiftieth of a difference is left by any law.
+MIN_UNEXPLAINED = 25.0
+MIN_NOISE_SHARE = 0.02
+
 BUDGET_COLUMNS = ("difference", "RMS", "the change", "zeta's scatter", "unexplained", "noise")
 
 
@@ -33,6 +38,11 @@ def first_sentence(found: ChangeDiagnosis) -> str:
     """The verdict with its size: nothing, something unknown, or a change by its name."""
     name = found.verdict[0]
     weight = percent(found.weights.get(name, 0.0))
+    if name == NONE and (left := _unexplained(found)):
+        return (
+            f"Now differs from before by {left} that zeta's scatter does not explain, but these "
+            f"runs are too few to tell it from chance (weight of no change {weight})."
+        )
     if name == NONE:
         return (
             f"Nothing changed that these runs can show (weight {weight}): now differs from before "
@@ -45,6 +55,19 @@ def first_sentence(found: ChangeDiagnosis) -> str:
         )
     size = size_in_words(found)
     return f"Changed since before: {name} ({found.meaning(name)}): {size}, with weight {weight}."
+
+
+def _unexplained(found: ChangeDiagnosis) -> str:
+    """RMS of what no change leaves in the channels where it is large, in words; empty for none."""
+    large = [
+        (each.channel, each.rms * max(each.remainder, 0.0) ** 0.5)
+        for each in found.budget
+        if each.remainder > MIN_UNEXPLAINED * max(each.noise, MIN_NOISE_SHARE)
+    ]
+    return " and ".join(
+        f"{scale * rms:.2g} {unit} of {channel}"
+        for channel, rms, unit, scale in ((c, rms, *SHOWN[c]) for c, rms in large)
+    )
 
 
 def size_in_words(found: ChangeDiagnosis) -> str:

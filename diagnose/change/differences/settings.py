@@ -47,8 +47,8 @@ class DifferenceFitSettings:
         zeta: Scatter of zeta between runs.
         strength_prior: Width of the prior on a strength [typical sizes].
         shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
-        zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over,
-            dried or replaced.
+        zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over
+            or dried changes by a tenth, another sand may be of half the strength.
         linear_error: Share of a response that may be wrong for being linear, and for the sand's
             law being another [-].
         simulated_error: Share that may be wrong for the law alone, where a simulation gives the
@@ -61,7 +61,7 @@ class DifferenceFitSettings:
     zeta: ZetaScatterSettings = DEFAULT_ZETA_SCATTER
     strength_prior: float = 5.0
     shape_prior: float = 0.7
-    zeta_prior: float = 0.1
+    zeta_prior: float = 0.5
     linear_error: float = 0.15
     simulated_error: float = 0.05
     iterations: int = 10
