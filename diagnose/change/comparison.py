@@ -1,7 +1,7 @@
 """The steps of a comparison: match conditions, linearise, screen, weigh, measure."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -160,21 +160,42 @@ def _problem(
     report: Report,
     settings: ChangeSettings,
 ) -> ChangeProblem:
-    """The runs, linearised at a zeta each."""
+    """The runs, linearised at a zeta each about a base that follows those before.
+
+    Where a run's wheel falls at first in that base, about the reference model as it is.
+    """
+    try:
+        return _problem_about(settings.law, runs, conditions, effects, pool, report, settings)
+    except _FallsAtFirst:
+        plain = replace(settings.law, rounds=0)
+        return _problem_about(plain, runs, conditions, effects, pool, report, settings)
+
+
+def _problem_about(
+    law_settings: SharedLawSettings,
+    runs: Sequence[PreparedRun],
+    conditions: Sequence[MatchedCondition],
+    effects: Sequence[type[AbstractEffect]],
+    pool: RunPool,
+    report: Report,
+    settings: ChangeSettings,
+) -> ChangeProblem:
     report("the law that the runs before follow")
-    earlier = [run for each in conditions for run in each.before]
-    dataset, law = follow_shared_law(
-        RigDataset.of(runs, settings.dataset), sorted(earlier), pool, settings.law
-    )
+    before = sorted(run for each in conditions for run in each.before)
+    whole = RigDataset.of(runs, settings.dataset)
+    dataset, law = follow_shared_law(whole, before, pool, law_settings)
     log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
     dataset = dataset.with_fewer_plates()
     report(f"linearising {len(runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool)
     regressors = Regressors.of(dataset, linearized, effects, pool)
     _require_derivatives(regressors)
-    return ChangeProblem.of(
-        Differences.of(dataset, conditions), regressors, law, pool, settings.fit
-    )
+    differences = Differences.of(dataset, conditions)
+    return ChangeProblem.of(differences, regressors, law, pool, settings.fit)
+
+
+class _FallsAtFirst(RunError):
+    """A run whose wheel falls at the start of its simulation."""
 
 
 def _require_derivatives(regressors: Regressors) -> None:
@@ -188,7 +209,7 @@ def _require_derivatives(regressors: Regressors) -> None:
     for run, columns in zip(dataset.runs, regressors.columns, strict=True):
         # A wheel cannot sink by its own radius for a small part of zeta.
         if not np.abs(columns[z, :, 0]).max(initial=0.0) < run.setup.wheel.radius:
-            raise RunError(
+            raise _FallsAtFirst(
                 run.name,
                 "its wheel falls at the start of a simulation, so that no derivative holds; a "
                 "run is to begin with a wheel that stands",

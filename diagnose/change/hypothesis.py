@@ -123,7 +123,8 @@ class ChangeProblem:
     ) -> "ChangeProblem":
         """The problem at the zetas of the regressors, with what repeats differ by."""
         chance = chance_power(differences, regressors, pool, settings)
-        differences = replace(differences, chance=chance)
+        has_repeats = bool(differences.within_sides().clocks)
+        differences = replace(differences, chance=chance, has_repeats=has_repeats)
         # The set-ups of before and now may believe in other zetas.
         believed = regressors.log_reference_zeta
         common = differences.mean_by_condition(regressors.log_zeta + believed) - believed

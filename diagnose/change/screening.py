@@ -58,14 +58,14 @@ class ChangeScreening:
         zeta: The sand's strength changed.
         effects: One for each effect, best first; the leading ones simulated.
         blocks: (channel, kind) of each block of the differences.
-        count: Values in each, shape (blocks,).
+        worth: Independent statements in each [-], shape (blocks,).
     """
 
     none: ChangeHypothesis
     zeta: ChangeHypothesis
     effects: tuple[ChangeHypothesis, ...]
     blocks: tuple[Block, ...]
-    count: np.ndarray
+    worth: np.ndarray
 
     @property
     def all(self) -> tuple[ChangeHypothesis, ...]:
@@ -101,7 +101,8 @@ def screen_change(
     )
     others = effects[len(leading) :]
     ranked = sorted((*refined, *others), key=lambda each: -_ranking(each, settings))
-    return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, matrices.count)
+    worth = matrices.worth(problem.settings)
+    return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, worth)
 
 
 def refine_change(

@@ -108,14 +108,13 @@ def _log_weights(
 ) -> np.ndarray:
     """Log weight of every explanation, and of unknown last."""
     fits = problem.settings
-    worth = found.count * fits.worth(found.blocks)
     floor = fits.model_errors(found.blocks) ** 2 + problem.differences.chance
     none = found.none.fit
     beyond = np.maximum(none.mean_square - problem.regressors.noise_power - floor, 0)
     allowed = floor + settings.law_error_share**2 * beyond
 
     def evidence(power: np.ndarray) -> float:
-        return -0.5 * float((worth * np.log(power + allowed)).sum())
+        return -0.5 * float((found.worth * np.log(power + allowed)).sum())
 
     per_effect = settings.log_prior_effects - math.log(max(len(found.effects), 1))
     prior = {NONE: 0.0, ZETA: settings.log_prior_zeta}

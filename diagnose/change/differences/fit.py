@@ -90,7 +90,7 @@ def fit_differences(
     """
     runs, width = len(deviation), len(columns)
     gram = matrices.of_columns(columns, runs)
-    worth = matrices.count * settings.worth(matrices.blocks)
+    worth = matrices.worth(settings)
     floor = matrices.floor(settings)
     mean_square = matrices.mean_square(gram, np.r_[np.zeros(width + runs), 1.0])
     response_error = np.zeros(len(mean_square))
@@ -144,7 +144,7 @@ def _scored(
     settings: DifferenceFitSettings,
 ) -> DifferenceFit:
     """A fit with its score."""
-    worth = matrices.count * settings.worth(matrices.blocks)
+    worth = matrices.worth(settings)
     floor = matrices.floor(settings)
     zeta_score = settings.zeta.score(deviation, degrees_of_freedom)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())

@@ -65,12 +65,14 @@ class DifferenceGram:
         count: Values in each block, less those that the means take, shape (blocks,).
         chance: Mean square in each block that repeats on one side differ by beyond noise and zeta,
             shape (blocks,): nothing is asked of a model there.
+        least_worth: Independent statements in each block at least, shape (blocks,).
     """
 
     blocks: tuple[Block, ...]
     gram: np.ndarray
     count: np.ndarray
     chance: np.ndarray
+    least_worth: np.ndarray
 
     def mean_square(self, gram: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """Mean square of a sum of columns in each block, shape (blocks,).
@@ -81,6 +83,10 @@ class DifferenceGram:
         """
         total = np.einsum("i,bij,j->b", factors, gram, factors, optimize=True)
         return np.maximum(total, 0) / np.maximum(self.count, 1)
+
+    def worth(self, settings: DifferenceFitSettings) -> np.ndarray:
+        """Independent statements in each block [-], shape (blocks,)."""
+        return np.maximum(self.count * settings.worth(self.blocks), self.least_worth)
 
     def floor(self, settings: DifferenceFitSettings) -> np.ndarray:
         """Mean square in each block below which nothing is asked of a model, shape (blocks,)."""
@@ -102,12 +108,15 @@ class Differences:
         clocks: One for each condition.
         is_now: For each run, True where it was made now, shape (runs,).
         chance: See `DifferenceGram`; zero until it is known.
+        has_repeats: Repeats have told the chance. A short run then says one thing in each channel's
+            slow part at least.
     """
 
     dataset: RigDataset
     clocks: tuple[SharedClock, ...]
     is_now: np.ndarray
     chance: float | np.ndarray = 0.0
+    has_repeats: bool = False
 
     @classmethod
     def of(cls, dataset: RigDataset, conditions: Sequence[MatchedCondition]) -> "Differences":
@@ -155,7 +164,7 @@ class Differences:
 
         def of(clock: SharedClock) -> tuple[np.ndarray, np.ndarray]:
             members = clock.condition.runs
-            grams, counts = [], []
+            grams, counts, statements = [], [], []
             for place, channel in enumerate(self.dataset.channels):
                 parts: dict[str, list[np.ndarray]] = {}
                 for run in members:
@@ -166,7 +175,7 @@ class Differences:
                     at = clock.at(self.dataset.time(run), own)
                     for kind, values in clock.split.split(channel, at).items():
                         parts.setdefault(kind, []).append(values)
-                for each in parts.values():
+                for kind, each in parts.items():
                     stacked = np.array(each)
                     recorded = np.isfinite(stacked[:, :, -1]).all()
                     deviation = (stacked - stacked.mean(axis=0)).reshape(-1, width + runs + 1)
@@ -174,13 +183,17 @@ class Differences:
                     grams.append(deviation.T @ deviation)
                     free = stacked.shape[1] * (len(members) - 1)
                     counts.append(free if recorded else 0)
-            return np.array(grams), np.array(counts)
+                    told = recorded and self.has_repeats and kind == "slow"
+                    statements.append(len(members) - 1 if told else 0)
+            return np.array(grams), np.array([counts, statements])
 
         found = pool.map(of, self.clocks)
         blocks = block_names(self.dataset.channels)
+        count, least_worth = np.sum([counts for _, counts in found], axis=0)
         return DifferenceGram(
             blocks,
             np.sum([gram for gram, _ in found], axis=0),
-            np.sum([count for _, count in found], axis=0),
+            count,
             np.zeros(len(blocks)) + self.chance,
+            least_worth,
         )
