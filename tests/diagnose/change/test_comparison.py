@@ -149,17 +149,21 @@ def test_the_command_writes_what_changed(folder, tmp_path):
     assert not (tmp_path / "out" / "model.toml").exists()
 
 
-def test_a_set_with_now_and_before_is_answered_by_its_change(folder, monkeypatch):
-    monkeypatch.setattr(
-        "diagnose.blind.answers.answer_set.diagnose",
-        lambda given, against: drftjax.diagnose(given, EFFECTS, against=against),
-    )
+def test_a_set_with_now_and_before_is_answered_by_its_change(folder, sloped, monkeypatch):
+    sides = []
+
+    def compared(given, against):
+        sides.extend((given, against))
+        return sloped
+
+    monkeypatch.setattr("diagnose.blind.answers.answer_set.diagnose", compared)
     sets = runs_of(folder.parent)
     assert list(sets) == ["set_1"]
     assert len(sets["set_1"]) == 2 * len(PROFILES)
     assert folder_of(sets["set_1"]) == folder
     answer = msgspec.convert(answer_set(sets["set_1"]), Answer)
     assert answer.verdict == ["surface_slope"]
+    assert [{each.parent.name for each in side} for side in sides] == [{"now"}, {"before"}]
 
 
 def test_runs_of_other_commands_are_refused(before):
