@@ -42,10 +42,6 @@ def diagnose(
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
     ],
-    against: Annotated[
-        Path | None,
-        typer.Option(help="Runs of the same rig before: find what changed.", show_default=False),
-    ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the result's files.")
     ] = None,
@@ -54,6 +50,10 @@ def diagnose(
         typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the verdict alone.")] = False,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="Runs of the same rig before: find what changed.", show_default=False),
+    ] = None,
 ) -> None:
     """Find which effect makes runs of a rig differ from the model, where, and by how much."""
     from rich.console import Console
