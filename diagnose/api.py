@@ -3,10 +3,14 @@
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar, overload
 
 import jax
 import numpy as np
 
+from diagnose.change.comparison import DEFAULT_CHANGE_SETTINGS, ChangeSettings, compare_runs
+from diagnose.change.differences.conditions import require_one_rig_on_both_sides
+from diagnose.change.result import ChangeDiagnosis
 from diagnose.dataset import RigDataset
 from diagnose.evaluation.evaluate import evaluate_model
 from diagnose.evaluation.model_reader import read_model_file
@@ -24,22 +28,53 @@ from drftjax.recorded.gather import GatheredRuns
 from drftjax.recorded.prepared_run import PreparedRun, Run, as_prepared, named_runs
 from drftjax.results.provenance import library_provenance
 
+Kind = TypeVar("Kind")
+
 # An effect with strengths of zero changes a run by no more than this [m, N, N m]: the roundings of
 # another program.
 NULL_EFFECT_TOLERANCE = 1e-6
 
 
+Runs = Run | Sequence[Run] | Mapping[str, Run]
+
+
+@overload
 def diagnose(
-    runs: Run | Sequence[Run] | Mapping[str, Run],
+    runs: Runs,
     effects: Sequence[str | type[AbstractEffect]] | None = None,
     *,
+    against: None = None,
     progress: Report | None = None,
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
-) -> Diagnosis:
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(
+    runs: Runs,
+    effects: Sequence[str | type[AbstractEffect]] | None = None,
+    *,
+    against: Runs,
+    progress: Report | None = None,
+    settings: ChangeSettings = DEFAULT_CHANGE_SETTINGS,
+) -> ChangeDiagnosis: ...
+
+
+def diagnose(
+    runs: Runs,
+    effects: Sequence[str | type[AbstractEffect]] | None = None,
+    *,
+    against: Runs | None = None,
+    progress: Report | None = None,
+    settings: DiagnosisSettings | ChangeSettings | None = None,
+) -> Diagnosis | ChangeDiagnosis:
     """Find which effect makes runs of one rig differ from the model, as `drft diagnose` does.
 
         found = drftjax.diagnose("data/blind/demo")
         print(found.summary())
+
+    With `against`, find what changed since runs of the same rig and commands were made, whatever
+    both share.
 
     Computes in double precision whatever the program around it uses.
 
@@ -47,23 +82,59 @@ def diagnose(
         runs: Files and folders of run logs, or run logs, one, several, or several by name. A run
             that cannot be used is left out, and the result's notes say why.
         effects: Names or classes: only these are considered; the whole catalogue otherwise.
+        against: Runs of the same rig before, given as `runs` are.
         progress: Called with what is done next.
-        settings: Numbers by which the diagnosis decides.
+        settings: Numbers by which the diagnosis decides; of the kind that goes with `against`.
 
     Raises:
-        InputError: where no run can be used, or an effect is not known.
+        InputError: where no run can be used, or an effect is not known; with `against`, where the
+            rigs differ or no command was run on both sides.
     """
     chosen = effects_among(effects)
+    report = progress or (lambda stage: None)
     with jax.enable_x64(True):
+        if against is not None:
+            return _diagnose_change(runs, against, chosen, report, settings)
+        settings = _settings_of(DiagnosisSettings, settings, DEFAULT_SETTINGS)
         gathered = gather_inputs(runs)
-        report = progress or (lambda stage: None)
         made = library_provenance(runs, settings.localization.seed)
         found = diagnose_gathered(gathered, chosen, report, settings=settings)
         return dataclasses.replace(found, provenance=made)
 
 
+def _diagnose_change(
+    runs: Runs,
+    against: Runs,
+    effects: Sequence[type[AbstractEffect]],
+    report: Report,
+    settings: DiagnosisSettings | ChangeSettings | None,
+) -> ChangeDiagnosis:
+    settings = _settings_of(ChangeSettings, settings, DEFAULT_CHANGE_SETTINGS)
+    before = gather_inputs(against)
+    now = gather_inputs(runs, before.runs[0].setup.start.origin)
+    found = compare_gathered(before, now, effects, report, settings=settings)
+    made = library_provenance(runs, settings.relabelling.seed)
+    return dataclasses.replace(found, provenance=made)
+
+
+def _settings_of(kind: type[Kind], given: object, default: Kind) -> Kind:
+    """The settings given, or the default.
+
+    Raises:
+        InputError: where they are of another kind.
+    """
+    if given is None:
+        return default
+    if not isinstance(given, kind):
+        raise InputError(
+            f"settings is a {type(given).__name__}; it must be a {kind.__name__} "
+            f"{'with' if kind is ChangeSettings else 'without'} against"
+        )
+    return given
+
+
 def evaluate(
-    runs: Run | Sequence[Run] | Mapping[str, Run],
+    runs: Runs,
     model: Diagnosis | str | Path | Sequence[AbstractEffect],
 ) -> Evaluation:
     """Compare a model with effects with runs that it was not fitted to, as `drft evaluate` does.
@@ -135,9 +206,7 @@ def effects_among(
     return tuple(dict.fromkeys(classes))
 
 
-def gather_inputs(
-    runs: Run | Sequence[Run] | Mapping[str, Run], origin: float | None = None
-) -> GatheredRuns:
+def gather_inputs(runs: Runs, origin: float | None = None) -> GatheredRuns:
     """Runs of one wheel, from files, folders or run logs.
 
     Args:
@@ -243,6 +312,47 @@ def diagnose_gathered(
         except RunError as problem:
             kept = [each for each in kept if each.name != problem.run]
             if not kept:
+                raise
+            notes.append(str(problem))
+            tell(f"left out: {problem}")
+    return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])
+
+
+def compare_gathered(
+    before: GatheredRuns,
+    now: GatheredRuns,
+    effects: Sequence[type[AbstractEffect]],
+    report: Report,
+    tell: Callable[[str], None] = lambda _: None,
+    settings: ChangeSettings = DEFAULT_CHANGE_SETTINGS,
+) -> ChangeDiagnosis:
+    """Find what changed between runs that the reference model can follow; leave out the others.
+
+    Args:
+        before, now: Runs of one rig, and why others are not among them.
+        effects: Effects to choose from, as for `diagnose_gathered`.
+        report: Called with what is done next.
+        tell: Called with a sentence for every run that is left out here.
+        settings: Numbers by which it decides.
+
+    Raises:
+        InputError: where the rigs differ, no command was run on both sides, or the rig can have
+            none of the effects.
+    """
+    earlier, later = require_one_rig_on_both_sides(before.runs, now.runs)
+    notes = [*before.skipped.values(), *now.skipped.values()]
+    possible = possible_effects([*earlier, *later], effects)
+    _require_null(later, possible)
+    while True:
+        tried = len(earlier), len(later)
+        try:
+            found = compare_runs(earlier, later, possible, report, settings)
+            break
+        except RunError as problem:
+            earlier, later = (
+                [each for each in side if each.name != problem.run] for side in (earlier, later)
+            )
+            if not (earlier and later) or tried == (len(earlier), len(later)):
                 raise
             notes.append(str(problem))
             tell(f"left out: {problem}")

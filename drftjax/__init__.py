@@ -16,6 +16,7 @@ __version__ = "0.1.0"
 uncover("identify")
 
 _HOMES = {
+    "ChangeDiagnosis": "diagnose.change.result",
     "Command": "drftjax.physics.command",
     "ConstantZeta": "drftjax.physics.terrain",
     "Diagnosis": "diagnose.result",

@@ -2,6 +2,7 @@
 
 from diagnose.api import diagnose as diagnose
 from diagnose.api import evaluate as evaluate
+from diagnose.change.result import ChangeDiagnosis as ChangeDiagnosis
 from diagnose.evaluation.result import Evaluation as Evaluation
 from diagnose.result import Diagnosis as Diagnosis
 from drftjax.common.errors import InputError as InputError

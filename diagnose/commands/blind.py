@@ -180,6 +180,7 @@ def _answer_on_cluster(
     where = parse_address(address)
     require_extra()
     quiet_dask()
+    from diagnose.blind.answers.answer import folder_of
     from diagnose.blind.answers.answer_on_cluster import (
         ANSWER_STORE,
         AnswerOptions,
@@ -192,7 +193,7 @@ def _answer_on_cluster(
     files: dict[str, SetFiles] = {}
     for name, runs in sets.items():
         try:
-            files[name] = SetFiles.at(runs[0].parent)
+            files[name] = SetFiles.at(folder_of(runs))
         except InputError as problem:
             failures[name] = str(problem)
     options = {"software": AnswerOptions().software}

@@ -1,12 +1,18 @@
 """`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from drftjax.commands.options import remove_empty_folders
 from drftjax.common.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    # From effects, a report of stages and a teller of runs left out: result, words, writer.
+    Steps = Callable[..., tuple[Any, list[Any], Callable[[Any, Path], list[Path]]]]
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -18,9 +24,15 @@ Examples:
 
   drft diagnose runs/ --effects loosening,vertical_spring,bulldozing
 
+  drft diagnose now/ --against before/ -o out/change
+
+With --against, runs of one rig and the same commands are compared: what changed since, whatever
+both share.
+
 The folder given by -o holds diagnosis.json, model.toml (the model with what was found) and
 report.html (one page, to open in a browser). `drft evaluate --model out/diagnosis/model.toml
-OTHER_RUNS` holds the model against runs that it was not found on.
+OTHER_RUNS` holds the model against runs that it was not found on. With --against there is no
+model.toml.
 """
 
 
@@ -45,33 +57,22 @@ def diagnose(
         ),
     ] = "prepared",
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the verdict alone.")] = False,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="Runs of the same rig before: find what changed.", show_default=False),
+    ] = None,
 ) -> None:
     """Find which effect makes runs of a rig differ from the model, where, and by how much."""
-    from dataclasses import replace
-
     from rich.console import Console
 
     from drftjax.common.jax_config import configure_jax
 
     configure_jax()
-    from diagnose.api import diagnose_gathered, effects_among
-    from diagnose.linear.bed import BEDS
-    from diagnose.report.budget_text import budget_table
-    from diagnose.report.model_writer import MODEL_FILE_MARK
-    from diagnose.report.text import gap_table, paragraphs, verdict, write
-    from diagnose.rig_runs import gather_runs
-    from diagnose.settings import DEFAULT_SETTINGS
+    from diagnose.api import effects_among
     from drftjax.commands.progress import progress_line
-    from drftjax.common.output_files import require_places
     from drftjax.common.text import replace_unprintable
-    from drftjax.results.provenance import command_provenance
-    from drftjax.setups.generated_files import require_own_setup
 
-    chosen, settings = effects_among(_names(effects)), DEFAULT_SETTINGS.with_bed(BEDS[bed])
-    if output is not None:
-        require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
-        require_own_setup(output / "model.toml", MODEL_FILE_MARK)
-    made = command_provenance("diagnose", runs, DEFAULT_SETTINGS.localization.seed)
+    chosen = effects_among(_names(effects))
     console = Console()
 
     def say(text: str, style: str | None = None) -> None:
@@ -80,22 +81,74 @@ def diagnose(
             replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
         )
 
+    steps = _diagnosed(runs, output, bed) if against is None else _compared(runs, against, output)
     with progress_line(console, "reading runs", quiet=quiet) as show:
-        gathered = gather_runs(runs, lambda left_out: say(left_out, "yellow"))
-        found = diagnose_gathered(
-            gathered, chosen, show, lambda left_out: say(left_out, "yellow"), settings
-        )
+        found, words, write = steps(chosen, show, lambda left_out: say(left_out, "yellow"))
 
-    say(verdict(found), "bold")
+    first, *others = words
+    say(first, "bold")
     if not quiet:
-        console.print(budget_table(found))
-        console.print(gap_table(found))
-        for paragraph in paragraphs(found):
-            say(paragraph)
+        for each in others:
+            if isinstance(each, str):
+                say(each)
+            else:
+                console.print(each)
     if output is not None:
-        written = write(replace(found, provenance=made), output)
+        written = write(found, output)
         if not quiet:
             say(f"written: {', '.join(str(each) for each in written)}")
+
+
+def _diagnosed(runs: list[Path], output: Path | None, bed: str) -> "Steps":
+    """Steps of a diagnosis, once its result's files are known to have a place."""
+    from dataclasses import replace
+
+    from diagnose.api import diagnose_gathered
+    from diagnose.linear.bed import BEDS
+    from diagnose.report.model_writer import MODEL_FILE_MARK
+    from diagnose.report.text import in_words, write
+    from diagnose.rig_runs import gather_runs
+    from diagnose.settings import DEFAULT_SETTINGS
+    from drftjax.common.output_files import require_places
+    from drftjax.results.provenance import command_provenance
+    from drftjax.setups.generated_files import require_own_setup
+
+    if output is not None:
+        require_places(output / name for name in ("diagnosis.json", "report.html", "model.toml"))
+        require_own_setup(output / "model.toml", MODEL_FILE_MARK)
+    made = command_provenance("diagnose", runs, DEFAULT_SETTINGS.localization.seed)
+
+    def steps(effects, report, tell):
+        settings = DEFAULT_SETTINGS.with_bed(BEDS[bed])
+        found = diagnose_gathered(gather_runs(runs, tell), effects, report, tell, settings)
+        return replace(found, provenance=made), in_words(found), write
+
+    return steps
+
+
+def _compared(runs: list[Path], against: Path, output: Path | None) -> "Steps":
+    """Steps of a comparison with the runs before, likewise."""
+    from dataclasses import replace
+
+    from diagnose.api import compare_gathered
+    from diagnose.change.comparison import DEFAULT_CHANGE_SETTINGS
+    from diagnose.change.report import in_words, write
+    from diagnose.rig_runs import gather_runs
+    from drftjax.common.output_files import require_places
+    from drftjax.results.provenance import command_provenance
+
+    if output is not None:
+        require_places(output / name for name in ("diagnosis.json", "report.html"))
+    seed = DEFAULT_CHANGE_SETTINGS.relabelling.seed
+    made = command_provenance("diagnose", [*runs, against], seed)
+
+    def steps(effects, report, tell):
+        before = gather_runs([against], tell)
+        now = gather_runs(runs, tell, before.runs[0].setup.start.origin)
+        found = compare_gathered(before, now, effects, report, tell)
+        return replace(found, provenance=made), in_words(found), write
+
+    return steps
 
 
 def _names(given: str | None) -> list[str] | None:

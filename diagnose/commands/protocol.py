@@ -31,6 +31,9 @@ Examples:
       --profile out/protocol/8_fast_light.toml -o runs/fast_light.h5
 
 Record them with the carriage free, then: drft diagnose runs/
+
+Record all nine while the rig is healthy, and all again later (two are of one command, which tells
+how much the sand scatters), then: drft diagnose now/ --against before/
 """
 
 

@@ -57,7 +57,7 @@ RESULT_COMMANDS: Final[Mapping[str, ResultCommand]] = MappingProxyType(
         "fit": ResultCommand(("drft-fit",), ("runs", "parameters", "model")),
         "crosscheck": ResultCommand(("drft-crosscheck",), ("runs",)),
         "design": ResultCommand(("drft-design", "drft-screening"), ("setup", "like")),
-        "diagnose": ResultCommand(("drft-diagnosis",), ("runs",), file="diagnosis.json"),
+        "diagnose": ResultCommand(("drft-diagnosis",), ("runs", "against"), file="diagnosis.json"),
         "evaluate": ResultCommand(("drft-evaluation",), ("runs", "model")),
     }
 )

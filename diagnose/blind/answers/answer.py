@@ -4,7 +4,7 @@ Imports no JAX itself: `configure` sets it up first, in each process.
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -22,8 +22,14 @@ SETS_PER_PROCESS = 4
 UNFINISHED = "."
 
 
+# Folders of a set of kind change: the runs of now, and those of the same rig before.
+NOW, BEFORE = "now", "before"
+
+
 def runs_of(folder: Path) -> dict[str, list[Path]]:
     """Run logs of every set in a folder, by its name; fresh runs, in a folder deeper, are excluded.
+
+    Of a set of kind change, the runs in its folders `now` and `before`.
 
     Raises:
         InputError: There are no sets.
@@ -31,7 +37,7 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder of sets")
     sets = {
-        each.name: sorted(each.glob("*.h5"))
+        each.name: runs_of_set(each)
         for each in sorted(folder.iterdir())
         if each.is_dir() and not each.name.startswith(UNFINISHED)
     }
@@ -39,6 +45,18 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
     if not sets:
         raise InputError(f"{folder} holds no sets; a set is a folder of run logs")
     return sets
+
+
+def runs_of_set(folder: Path) -> list[Path]:
+    """Run logs of one set; of one of kind change, those of now first."""
+    sides = [sorted((folder / side).glob("*.h5")) for side in (NOW, BEFORE)]
+    return [*sides[0], *sides[1]] if all(sides) else sorted(folder.glob("*.h5"))
+
+
+def folder_of(runs: Sequence[Path]) -> Path:
+    """Folder of the set that these runs are of."""
+    parent = runs[0].parent
+    return parent.parent if {each.parent.name for each in runs} == {NOW, BEFORE} else parent
 
 
 def answer_one(runs: list[Path]) -> dict | str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from diagnose.blind.answers.answer import answer_one
+from diagnose.blind.answers.answer import answer_one, runs_of_set
 from drftjax import __version__
 from drftjax.cluster.connection import ClusterSettings
 from drftjax.cluster.pieces import Piece, digest_of, file_bytes, require_size, unchanged
@@ -74,7 +74,7 @@ class SetFiles:
 
 
 def _contents(folder: Path) -> bytes:
-    files = sorted([*folder.glob("*.h5"), *folder.glob("fresh/*.h5")])
+    files = sorted([*runs_of_set(folder), *folder.glob("fresh/*.h5")])
     packed = {each.relative_to(folder).as_posix(): file_bytes(each) for each in files}
     require_size(sum(map(len, packed.values())), folder)
     return msgspec.msgpack.encode(packed)
@@ -158,7 +158,7 @@ def _answer(data: bytes) -> AnswerReply:
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(content)
         try:
-            found = answer_one(sorted(Path(folder).glob("*.h5")))
+            found = answer_one(runs_of_set(Path(folder)))
         except Exception as problem:
             # One set among many must not take the others with it, whatever it meets.
             found = f"its diagnosis broke off: {type(problem).__name__}: {problem}"

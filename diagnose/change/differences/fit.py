@@ -1,0 +1,207 @@
+r"""Fit of effects to differences, with each run's own zeta.
+
+With $x = (\theta, \zeta_1 \ldots \zeta_R, 1)$ the sum of squares of block b is $x^T G_b x$
+(`diagnose.change.differences.gram`), and $s_b$ that by $N_b$, its degrees of freedom. The log score
+is
+
+$$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
+  - \tfrac12 (\nu_0 + \nu) \ln\Big(1 + \frac{\sum_i \zeta_i^2}{\nu_0 \sigma_0^2}\Big),$$
+
+with $w_b$ the independent statements in a value, $e_b$ the part of the responses that may be wrong
+and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the log
+zetas' Student t: their variance, of which a scaled inverse chi-square is believed ($\nu_0$ runs of
+scatter $\sigma_0$), is integrated out. $\zeta_i$ counts from a value that the condition's runs
+share, so $\nu$ is the runs less the conditions. The fit maximises the score, with Gaussian
+priors on $\theta$, by iteratively reweighted least squares.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.change.differences.gram import DifferenceGram
+from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientPrior:
+    """Gaussian prior and bounds of the coefficients, from where they are.
+
+    Attributes:
+        width: Width of each, shape (columns,).
+        offset: Value of each over its prior's centre, shape (columns,).
+        least, most: Bounds of each change, shape (columns,).
+    """
+
+    width: np.ndarray
+    offset: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+
+    @classmethod
+    def free(cls, width: np.ndarray) -> "CoefficientPrior":
+        """About where they are, without bounds."""
+        return cls(width, 0 * width, 0 * width - np.inf, 0 * width + np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceFit:
+    """Coefficients, log zetas, and what they leave.
+
+    Attributes:
+        score: Log score.
+        coefficients: Changes of the coefficients, shape (columns,).
+        zeta_change: Change of each run's log zeta [-], shape (runs,).
+        mean_square: $s_b$, shape (blocks,), in the blocks' units squared.
+        response_error: $e_b$, likewise.
+        zeta_score: The part of the score that zeta's scatter has.
+        scatter: Scatter of log zeta between runs, as the fit finds it [-].
+    """
+
+    score: float
+    coefficients: np.ndarray
+    zeta_change: np.ndarray
+    mean_square: np.ndarray
+    response_error: np.ndarray
+    zeta_score: float
+    scatter: float
+
+
+def fit_differences(
+    matrices: DifferenceGram,
+    columns: Sequence[int],
+    deviation: np.ndarray,
+    degrees_of_freedom: int,
+    prior: CoefficientPrior,
+    error_share: float,
+    settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+) -> DifferenceFit:
+    """Maximise the log score over some columns' coefficients and each run's log zeta.
+
+    Args:
+        matrices: Gram matrices.
+        columns: Numbers of the columns that act.
+        deviation: Log zeta of each run over its condition's, before the fit [-], shape (runs,).
+        degrees_of_freedom: Runs less conditions.
+        prior: Of the coefficients.
+        error_share: Share of the columns' response that may be wrong [-].
+        settings: Numbers of the fit.
+    """
+    runs, width = len(deviation), len(columns)
+    gram = matrices.of_columns(columns, runs)
+    worth = matrices.worth(settings)
+    floor = matrices.floor(settings)
+    mean_square = matrices.mean_square(gram, np.r_[np.zeros(width + runs), 1.0])
+    response_error = np.zeros(len(mean_square))
+    own = deviation
+    change = np.zeros(width + runs)
+    for _ in range(settings.iterations):
+        weight = worth / np.maximum(matrices.count, 1) / (mean_square + response_error + floor)
+        variance = settings.zeta.variance(own, degrees_of_freedom)
+        change = _solve(np.einsum("b,bij->ij", weight, gram), variance, deviation, prior)
+        mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
+        alone = np.r_[change[:width], np.zeros(runs + 1)]
+        response_error = error_share**2 * matrices.mean_square(gram, alone)
+        own = deviation + change[width:]
+    return _scored(
+        matrices, change[:width], change[width:], own, degrees_of_freedom, mean_square,
+        response_error, settings,
+    )  # fmt: skip
+
+
+def score_differences(
+    matrices: DifferenceGram,
+    deviation: np.ndarray,
+    degrees_of_freedom: int,
+    settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+) -> DifferenceFit:
+    """Score of residuals as they are: a fit that changes nothing.
+
+    Args:
+        matrices: Gram matrices, of any columns.
+        deviation: Log zeta of each run over its condition's [-], shape (runs,).
+        degrees_of_freedom: Runs less conditions.
+        settings: Numbers of the score.
+    """
+    still = np.zeros(matrices.gram.shape[-1])
+    still[-1] = 1.0
+    mean_square = matrices.mean_square(matrices.gram, still)
+    return _scored(
+        matrices, np.zeros(0), np.zeros(len(deviation)), deviation, degrees_of_freedom, mean_square,
+        np.zeros(len(mean_square)), settings,
+    )  # fmt: skip
+
+
+def _scored(
+    matrices: DifferenceGram,
+    coefficients: np.ndarray,
+    zeta_change: np.ndarray,
+    deviation: np.ndarray,
+    degrees_of_freedom: int,
+    mean_square: np.ndarray,
+    response_error: np.ndarray,
+    settings: DifferenceFitSettings,
+) -> DifferenceFit:
+    """A fit with its score."""
+    worth = matrices.worth(settings)
+    floor = matrices.floor(settings)
+    zeta_score = settings.zeta.score(deviation, degrees_of_freedom)
+    evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
+    return DifferenceFit(
+        evidence + zeta_score,
+        coefficients,
+        zeta_change,
+        mean_square,
+        response_error,
+        zeta_score,
+        float(np.sqrt(settings.zeta.variance(deviation, degrees_of_freedom))),
+    )
+
+
+def information(
+    matrices: DifferenceGram,
+    fit: DifferenceFit,
+    prior: CoefficientPrior,
+    worth: dict[str, float],
+    settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+) -> np.ndarray:
+    """Precision of (coefficients, log zetas), all columns acting, shape (n, n).
+
+    Args:
+        matrices: Gram matrices about the fit.
+        fit: What is left there.
+        prior: Of the coefficients.
+        worth: Independent statements in one value of each kind of block [-].
+        settings: For the model errors.
+    """
+    by_block = np.array([worth[kind] for _, kind in matrices.blocks])
+    weight = by_block / (fit.mean_square + matrices.floor(settings))
+    found = np.einsum("b,bij->ij", weight, matrices.gram[:, :-1, :-1])
+    width = len(prior.width)
+    runs = len(found) - width
+    return found + np.diag(np.r_[1 / prior.width**2, np.full(runs, 1 / fit.scatter**2)])
+
+
+def _solve(
+    normal: np.ndarray, variance: float, deviation: np.ndarray, prior: CoefficientPrior
+) -> np.ndarray:
+    """Changes of coefficients and log zetas for these weights, within bounds."""
+    width = len(prior.width)
+    matrix, right = normal[:-1, :-1].copy(), -normal[:-1, -1].copy()
+    precision = np.r_[1 / prior.width**2, np.full(len(deviation), 1 / variance)]
+    matrix[np.diag_indices_from(matrix)] += precision
+    right -= precision * np.r_[prior.offset, deviation]
+    size = np.sqrt(np.diag(matrix))
+    # A slight ridge keeps columns apart that all but coincide.
+    scaled = matrix / np.outer(size, size) + 1e-10 * np.eye(len(right))
+    found = np.linalg.solve(scaled, right / size) / size
+    bounded = np.clip(found[:width], prior.least, prior.most)
+    held = np.flatnonzero(bounded != found[:width])
+    if held.size:
+        free = np.setdiff1d(np.arange(len(right)), held)
+        found[held] = bounded[held]
+        rest = (right - matrix[:, held] @ bounded[held])[free]
+        inner = scaled[np.ix_(free, free)]
+        found[free] = np.linalg.solve(inner, rest / size[free]) / size[free]
+    return found

@@ -1,0 +1,79 @@
+"""Numbers by which a change is found, in one object."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, Block
+
+
+@dataclass(frozen=True)
+class ZetaScatterSettings:
+    """Belief of the scatter of log zeta between runs of one bed, before the runs are seen.
+
+    A scaled inverse chi-square: the runs' own scatter joins it.
+
+    Attributes:
+        scatter: Centre of the belief [-]: sand that is prepared alike scatters by about 1 %.
+        worth: Runs that the belief counts as [-]: few, as beds differ.
+    """
+
+    scatter: float = 0.012
+    worth: float = 4.0
+
+    def variance(self, deviation: np.ndarray, degrees_of_freedom: int) -> float:
+        """Variance of log zeta, of the belief and the runs' deviations from their conditions."""
+        believed = self.worth * self.scatter**2
+        return (believed + float(deviation @ deviation)) / (self.worth + degrees_of_freedom)
+
+    def score(self, deviation: np.ndarray, degrees_of_freedom: int) -> float:
+        """Log density of the deviations, their variance integrated out, up to a constant."""
+        squares = float(deviation @ deviation) / (self.worth * self.scatter**2)
+        return -0.5 * (self.worth + degrees_of_freedom) * float(np.log1p(squares))
+
+
+DEFAULT_ZETA_SCATTER = ZetaScatterSettings()
+
+
+@dataclass(frozen=True)
+class DifferenceFitSettings:
+    """Numbers by which effects are fitted to differences.
+
+    Attributes:
+        slow_worth: Independent statements in one bin of a slow part [-]. Far fewer than one: what
+            a formula leaves of a true effect changes slowly, too.
+        fast_worth: Independent statements in one sample of a fast part [-], likewise.
+        zeta: Scatter of zeta between runs.
+        strength_prior: Width of the prior on a strength [typical sizes].
+        shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
+        zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over
+            or dried changes by a tenth, another sand may be of half the strength.
+        linear_error: Share of a response that may be wrong for being linear, and for the sand's
+            law being another [-].
+        simulated_error: Share that may be wrong for the law alone, where a simulation gives the
+            response [-].
+        iterations: Reweightings of a fit.
+    """
+
+    slow_worth: float = 0.1
+    fast_worth: float = 0.01
+    zeta: ZetaScatterSettings = DEFAULT_ZETA_SCATTER
+    strength_prior: float = 5.0
+    shape_prior: float = 0.7
+    zeta_prior: float = 0.5
+    linear_error: float = 0.15
+    simulated_error: float = 0.05
+    iterations: int = 10
+
+    def model_errors(self, blocks: Sequence[Block]) -> np.ndarray:
+        """Error in these blocks below which nothing is asked of a model, shape (blocks,)."""
+        return DEFAULT_LINEAR_FIT.model_errors(blocks)
+
+    def worth(self, blocks: Sequence[Block]) -> np.ndarray:
+        """Independent statements in one value of these blocks [-], shape (blocks,)."""
+        worth = {"slow": self.slow_worth, "fast": self.fast_worth}
+        return np.array([worth[kind] for _, kind in blocks])
+
+
+DEFAULT_DIFFERENCE_FIT = DifferenceFitSettings()

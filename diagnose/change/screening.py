@@ -1,0 +1,277 @@
+"""Screening of what may have changed: linear fits of all effects, then simulations of a few."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnose.change.differences.fit import (
+    CoefficientPrior,
+    DifferenceFit,
+    score_differences,
+)
+from diagnose.change.differences.gram import DifferenceGram
+from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem, Side, least_strengths
+from diagnose.linear.linear_fit import Block
+from diagnose.linear.regressors import ShapeVariant
+from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.run_pool import RunPool
+
+
+@dataclass(frozen=True)
+class ChangeScreeningSettings:
+    """Numbers by which explanations are screened.
+
+    Attributes:
+        max_simulated: Effects that are simulated, at most, the best linear fits first.
+        min_gain: Log score that a linear fit must gain over no change for it [-].
+        hopeless_deficit: Nor is one that is this far behind the best linear fit [-].
+        simulations: Simulations of all runs with each, at most.
+        min_step_share: A step that gains nothing is halved down to this share [-].
+        min_score_gain: Refinement ends where a simulation gains less [-]: a bin counts for a tenth
+            of a statement, so that little of the score is much of an error.
+        zeta_unit: One unit of log zeta in Broyden's update [-]; a strength's is its typical size.
+        shape_unit: One unit of the logarithm of a shape there [-].
+        parameter_cost: Log score that each number costs in the ranking [-].
+    """
+
+    max_simulated: int = 8
+    min_gain: float = 0.5
+    hopeless_deficit: float = 40.0
+    simulations: int = 7
+    min_step_share: float = 0.1
+    min_score_gain: float = 0.02
+    zeta_unit: float = 0.02
+    shape_unit: float = 0.3
+    parameter_cost: float = 1.0
+
+
+DEFAULT_CHANGE_SCREENING = ChangeScreeningSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeScreening:
+    """Explanations of a change.
+
+    Attributes:
+        none: No change, each run with its own zeta within the bed's scatter.
+        zeta: The sand's strength changed.
+        effects: One for each effect, best first; the leading ones simulated.
+        blocks: (channel, kind) of each block of the differences.
+        worth: Independent statements in each [-], shape (blocks,).
+    """
+
+    none: ChangeHypothesis
+    zeta: ChangeHypothesis
+    effects: tuple[ChangeHypothesis, ...]
+    blocks: tuple[Block, ...]
+    worth: np.ndarray
+
+    @property
+    def all(self) -> tuple[ChangeHypothesis, ...]:
+        """No change first, then zeta, then effects."""
+        return (self.none, self.zeta, *self.effects)
+
+
+def screen_change(
+    problem: ChangeProblem,
+    pool: RunPool,
+    settings: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING,
+) -> ChangeScreening:
+    """Fit every explanation, and simulate those that lead.
+
+    Args:
+        problem: The runs and their responses.
+        pool: Threads.
+        settings: Numbers of the screening.
+    """
+    matrices = _linear_responses(problem, pool)
+    none, zeta, effects = _linear_fits(problem, matrices, settings)
+    least = none.score + settings.min_gain
+    leading = [
+        each
+        for each in effects[: settings.max_simulated]
+        if each.score > max(least, effects[0].score - settings.hopeless_deficit)
+    ]
+    problem.regressors.dataset.precompile(
+        pool, predict, [AugmentedModel(), *(each.model for each in leading)]
+    )
+    none, zeta, *refined = pool.map_outer(
+        lambda each: refine_change(problem, each, pool, settings), (none, zeta, *leading)
+    )
+    others = effects[len(leading) :]
+    ranked = sorted((*refined, *others), key=lambda each: -_ranking(each, settings))
+    worth = matrices.worth(problem.settings)
+    return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, worth)
+
+
+def refine_change(
+    problem: ChangeProblem,
+    start: ChangeHypothesis,
+    pool: RunPool,
+    settings: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING,
+) -> ChangeHypothesis:
+    """Refine a hypothesis by simulations, each followed by a linear fit; return the best.
+
+    One whose simulations all fail stays as it was proposed.
+
+    Args:
+        problem: The runs.
+        start: With a proposed step.
+        pool: Threads.
+        settings: Numbers of the refinement.
+    """
+    assert start.proposed is not None
+    here, (coordinates, log_zeta) = start, start.proposed
+    best: ChangeHypothesis | None = None
+    share = 1.0
+    for _ in range(settings.simulations):
+        moved = _simulate(problem, here, coordinates, log_zeta, pool, settings)
+        if moved is None:
+            share /= 4
+        elif best is None or moved.score > best.score:
+            gain = np.inf if best is None else moved.score - best.score
+            here = best = moved
+            share = 1.0
+            if gain < settings.min_score_gain:
+                break
+        else:
+            # Not so far; but the simulation there has corrected the derivatives.
+            here = replace(best, columns=moved.columns, by_zeta=moved.by_zeta)
+            share /= 2
+        if share < settings.min_step_share:
+            break
+        fit = problem.fit_about(here, pool)
+        step = fit.coefficients
+        common = step[-1] * problem.differences.is_now if here.zeta_changes else 0.0
+        coordinates = here.coordinates + share * step
+        log_zeta = here.log_zeta + share * (fit.zeta_change + common)
+    return start if best is None else best
+
+
+def _linear_responses(problem: ChangeProblem, pool: RunPool) -> DifferenceGram:
+    """Gram matrices of every effect in the runs of now, a common change of log zeta last."""
+    reference, is_now = problem.regressors, problem.differences.is_now
+    columns = [
+        np.concatenate([each[:, :, 1:], each[:, :, :1]], axis=2) * float(now)
+        for each, now in zip(reference.columns, is_now, strict=True)
+    ]
+    return problem.differences.gram(columns, problem.by_zeta, reference.residual, pool)
+
+
+def _linear_fits(
+    problem: ChangeProblem, matrices: DifferenceGram, settings: ChangeScreeningSettings
+) -> tuple[ChangeHypothesis, ChangeHypothesis, list[ChangeHypothesis]]:
+    """No change, a change of zeta, and every effect's best form, best effect first."""
+    reference = problem.regressors
+    deviation = reference.log_zeta - problem.common
+    share = problem.settings.linear_error
+
+    def fit(numbers: tuple[int, ...], prior: CoefficientPrior) -> DifferenceFit:
+        return problem.fit(matrices, numbers, deviation, prior, share)
+
+    nothing = fit((), CoefficientPrior.free(np.zeros(0)))
+    width = np.array([problem.settings.zeta_prior])
+    sand = fit((reference.columns[0].shape[-1] - 1,), CoefficientPrior.free(width))
+    best: dict[str, tuple[float, ShapeVariant, Side, DifferenceFit]] = {}
+    for variant in reference.variants:
+        for side, bounded in _priors(variant, problem.settings.strength_prior):
+            found = fit(variant.columns, bounded)
+            cost = settings.parameter_cost * (len(variant.columns) + len(variant.shapes))
+            name = variant.effect.about.name
+            if name not in best or found.score - cost > best[name][0]:
+                best[name] = found.score - cost, variant, side, found
+    ranked = sorted(best.values(), key=lambda each: -each[0])
+    return (
+        problem.linear_start(None, "now", nothing),
+        problem.zeta_start(sand),
+        [problem.linear_start(variant, side, found) for _, variant, side, found in ranked],
+    )
+
+
+def _priors(variant: ShapeVariant, width: float) -> Iterator[tuple[Side, CoefficientPrior]]:
+    """Sides on which an effect may act, with the bounds of its strengths in the runs of now.
+
+    An effect whose strengths have one sign only may have come, or have gone.
+    """
+    least = least_strengths(variant)
+    free = CoefficientPrior.free(np.full(len(least), width))
+    yield "now", replace(free, least=least)
+    if (least == 0).all():
+        yield "before", replace(free, most=-least)
+
+
+def _ranking(each: ChangeHypothesis, settings: ChangeScreeningSettings) -> float:
+    return each.score - settings.parameter_cost * len(each.coordinates)
+
+
+def _simulate(
+    problem: ChangeProblem,
+    here: ChangeHypothesis,
+    coordinates: np.ndarray,
+    log_zeta: np.ndarray,
+    pool: RunPool,
+    settings: ChangeScreeningSettings,
+) -> ChangeHypothesis | None:
+    """The hypothesis simulated at other numbers, its derivatives corrected by Broyden's update.
+
+    See `diagnose.hypotheses.refinement` for the update.
+
+    Returns:
+        None where a run cannot be simulated.
+    """
+    dataset, is_now = problem.regressors.dataset, problem.differences.is_now
+    prior = here.coordinate_prior(problem.settings)
+    coordinates = here.coordinates + np.clip(
+        coordinates - here.coordinates, prior.least, prior.most
+    )
+    acts = here.acts(is_now)
+    if here.zeta_changes:
+        units = np.array([settings.zeta_unit])
+    else:
+        units = np.array([settings.shape_unit if f.scale is None else 1 for f in here.model.free])
+    change = coordinates - here.coordinates
+    own = log_zeta - here.log_zeta - (change[-1] * is_now if here.zeta_changes else 0.0)
+
+    def of(run: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        on = bool(acts[run]) and bool(here.model.effects)
+        model = here.model if on else AugmentedModel()
+        at = coordinates if on else np.zeros(0)
+        residual = dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
+        step = np.r_[own[run] / settings.zeta_unit, change / units * float(acts[run])]
+        scale = np.r_[settings.zeta_unit, units]
+        jacobian = np.concatenate([here.by_zeta[run][:, :, None], here.columns[run]], axis=2)
+        size = float(step @ step)
+        if size > 0:
+            surprise = residual - here.residual[run] - jacobian @ (scale * step)
+            update = np.nan_to_num(surprise)[:, :, None] * step / size / scale
+            jacobian = jacobian + update
+        return residual, jacobian[:, :, 0], jacobian[:, :, 1:] * float(acts[run])
+
+    found = pool.map(of, dataset.run_numbers)
+    residual = [each[0] for each in found]
+    if not dataset.all_finite(residual):
+        return None
+    moved = replace(
+        here,
+        coordinates=coordinates,
+        log_zeta=log_zeta,
+        residual=residual,
+        by_zeta=[each[1] for each in found],
+        columns=[each[2] for each in found],
+        is_simulated=True,
+        proposed=None,
+    )
+    return replace(moved, fit=_score(problem, moved, pool))
+
+
+def _score(problem: ChangeProblem, here: ChangeHypothesis, pool: RunPool) -> DifferenceFit:
+    """Score of simulated residuals as they are: a fit that moves nothing."""
+    gram = problem.differences.gram(
+        [each[:, :, :0] for each in here.columns],
+        [np.zeros_like(each) for each in here.by_zeta],
+        here.residual,
+        pool,
+    )
+    free = problem.differences.degrees_of_freedom
+    return score_differences(gram, problem.deviation(here), free, problem.settings)

@@ -1,0 +1,110 @@
+"""A base that follows the runs: what before and now share, as far as a few numbers describe it.
+
+The responses to effects are those about a simulation. Where the sand follows another law, or the
+rig has had a fault all along, a simulation that knows nothing of it gives responses that are wrong
+by a tenth or more. So a few numbers are fitted to the runs before, and all that follows is relative
+to that. What they leave is no matter: it is shared.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
+from diagnose.linear.linear_fit import fit_linear
+from diagnose.linear.linearized_runs import linearize_runs
+from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import AugmentedModel, with_effects
+from diagnose.run_pool import RunPool
+from drftjax.common.errors import InputError
+from drftjax.effects.base import AbstractEffect
+from drftjax.effects.rig import Drawbar, VerticalLoad
+from drftjax.effects.stress import DepthPower
+from drftjax.recorded.prepared_run import PreparedRun
+
+LAW: tuple[type[AbstractEffect], ...] = (DepthPower, Drawbar, VerticalLoad)
+"""Effects of the base: the exponent of depth, and the pull and the lift that a heap has too."""
+
+
+@dataclass(frozen=True)
+class SharedLawSettings:
+    """Numbers by which the base is fitted.
+
+    Attributes:
+        width: Width of the prior on each number [typical sizes]: exponents of depth of 0.8 to 1.4
+            are common, and a healthy rig pulls and bears by some newtons.
+        max_step: Longest change of a number in one round [typical sizes].
+        rounds: Rounds of linearisation and fit, as responses change with the law.
+    """
+
+    width: float = 2.0
+    max_step: float = 3.0
+    rounds: int = 2
+
+
+DEFAULT_SHARED_LAW = SharedLawSettings()
+
+
+def follow_shared_law(
+    dataset: RigDataset,
+    before: Sequence[int],
+    pool: RunPool,
+    settings: SharedLawSettings = DEFAULT_SHARED_LAW,
+) -> tuple[RigDataset, tuple[AbstractEffect, ...]]:
+    """The dataset whose reference model has a law that follows the runs before.
+
+    Args:
+        dataset: Runs before and now.
+        before: Numbers of those before.
+        pool: Threads.
+        settings: Numbers of the fit.
+
+    Returns:
+        The dataset without errors of the step, and the effects that its model has.
+
+    Raises:
+        InputError: where no run has a sinkage.
+        RunError: where a run cannot be simulated.
+    """
+    model = AugmentedModel(tuple(each for each in LAW if _is_possible(dataset.runs, each)))
+    at = np.zeros(len(model.free))
+    with_null = RigDataset.of(_with_law(dataset.runs, model, at), dataset.settings)
+    runs = without_step_errors(with_null, pool).runs
+    for _ in range(settings.rounds):
+        base = RigDataset.of([runs[run] for run in before], dataset.settings)
+        linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)
+        responses = Regressors.of(base, linearized, model.effects, pool)
+        fit = fit_linear(
+            responses.gram_matrices,
+            range(len(at)),
+            prior=np.full(len(at), settings.width),
+            offset=at,
+            linear_error=0.0,
+        )
+        at = at + np.clip(fit.coefficients, -settings.max_step, settings.max_step)
+        runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
+    return RigDataset.of(runs, dataset.settings), model.build(at)
+
+
+def _with_law(
+    runs: Sequence[PreparedRun], model: AugmentedModel, at: np.ndarray
+) -> list[PreparedRun]:
+    effects = model.build(at)
+    return [replace(each, trial=with_effects(each.trial, effects)) for each in runs]
+
+
+def _without_law(each: PreparedRun, count: int) -> PreparedRun:
+    """The run without the effects that were added last."""
+    effects = each.trial.simulator.effects
+    simulator = replace(each.trial.simulator, effects=effects[: len(effects) - count])
+    return replace(each, trial=replace(each.trial, simulator=simulator))
+
+
+def _is_possible(runs: Sequence[PreparedRun], effect: type[AbstractEffect]) -> bool:
+    """True where the wheel, the law and the carriage can have an effect."""
+    try:
+        replace(runs[0].trial.simulator, effects=(effect(),)).check()
+    except InputError:
+        return False
+    return True
