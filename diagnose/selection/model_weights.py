@@ -21,8 +21,8 @@ the fit alone would reward what bends to every run.
 `unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
 $\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
 Alone, it asks of listed effects that they explain nearly all of a gap to be believed. Beside some
-it is a remainder, which makes a set more credible by `max_remainder_gain` at most: an effect that
-takes a part of what something unknown does is not there for that.
+it is a remainder. It has a part of the set's weight, by what it gains, and adds nothing to it: an
+effect that takes a part of what something unknown does is no more credible for that.
 
 The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
 --seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
@@ -61,8 +61,8 @@ class WeightSettings:
         log_prior_none: $\ln \pi$ of the reference model, over a single effect's [-].
         log_prior_unknown: $\ln \pi$ of `unknown`, over a single effect's [-].
         log_prior_further: $\ln \pi$ of each effect beyond the first [-].
-        max_remainder_gain: Log weight that a remainder adds to a set of effects, at most [-]: the
-            remainder is then 95 % certain.
+        max_remainder_odds: Logarithm of the odds of a remainder beside a set of effects, at most
+            [-]: nothing is certain, and the remainder is then so to 95 %.
     """
 
     slow_worth: float = 0.05
@@ -76,7 +76,7 @@ class WeightSettings:
     log_prior_none: float = 0.5
     log_prior_unknown: float = 1.0
     log_prior_further: float = -4.0
-    max_remainder_gain: float = 3.0
+    max_remainder_odds: float = 3.0
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
@@ -127,6 +127,9 @@ def log_weights(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Log weights, up to a common constant, of each hypothesis alone and beside `unknown`.
 
+    The reference model and `unknown` stand for themselves; the weight of a set of effects is
+    divided between the set alone and the set with a remainder.
+
     Args:
         scored: Hypotheses, the reference model first.
         blocks: (channel, kind) of each block.
@@ -173,11 +176,13 @@ def log_weights(
     count = [len(each.names) for each in scored]
     alone = [both(each) + settings.log_prior(k) for each, k in zip(scored, count, strict=True)]
     own = settings.log_prior_unknown - settings.parameter_cost * settings.unknown_parameters
-    beside = [both(each, taken) + own for each in scored[:1]]
-    beside += [
-        min(both(each, taken) + own + settings.log_prior(k), of + settings.max_remainder_gain)
+    unknown = both(reference, taken) + own
+    odds = [
+        min(both(each, taken) + own + settings.log_prior(k) - of, settings.max_remainder_odds)
         for each, k, of in zip(scored[1:], count[1:], alone[1:], strict=True)
     ]
+    beside = [unknown, *(of - np.logaddexp(0, -g) for g, of in zip(odds, alone[1:], strict=True))]
+    alone[1:] = [of - np.logaddexp(0, g) for g, of in zip(odds, alone[1:], strict=True)]
     return np.array(alone), np.array(beside)
 
 

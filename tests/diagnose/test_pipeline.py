@@ -276,6 +276,30 @@ def test_weights_follow_what_is_left():
     assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - settings.held_out_share), rel=ROUNDING)
 
 
+def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
+    """Half a gap explained is no more credible for what something unknown does with the rest."""
+    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
+    gap = np.array([1e-6])
+
+    def of(left: float, odds: float) -> dict:
+        each = np.array([left])
+        drawbar = ScoredHypothesis(("drawbar",), each, each, 0.0, 1, 0.0)
+        judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0), drawbar]
+        return weights(judged, blocks, count, noise, 1, WeightSettings(max_remainder_odds=odds))
+
+    for left in (2.5e-7, 1e-8, 4e-10):
+        none, most = of(left, -50.0), of(left, 3.0)
+        both = most[("drawbar",)] + most[("drawbar", UNKNOWN)]
+        assert both == pytest.approx(none[("drawbar",)], rel=1e-9, abs=1e-12)
+    # Half of a gap: what is left is sure to be there, and the effect is not believed.
+    half = of(2.5e-7, 3.0)
+    assert half[("drawbar", UNKNOWN)] > 10 * half[("drawbar",)]
+    assert half[(UNKNOWN,)] > 0.99
+    # All of it: no remainder.
+    whole = of(4e-10, 3.0)
+    assert whole[("drawbar",)] > 0.9
+
+
 def test_effects_that_share_their_weight_speak_together():
     share = {("none",): 0.02, ("unknown",): 0.4, ("drawbar",): 0.3, ("bulldozing",): 0.28}
     assert decide(share) == (("drawbar",), [["drawbar", "bulldozing"]])
