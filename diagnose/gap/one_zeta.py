@@ -111,7 +111,7 @@ class ZetaShare:
 def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
     """How much of each effect another zeta would make up for, from products that exist already.
 
-    Of an effect with shapes, the one that zeta makes up for least counts.
+    Of an effect with shapes, those count that zeta makes up for least.
 
     Args:
         regressors: The runs.
@@ -120,8 +120,8 @@ def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
     for variant in regressors.variants:
         name = reported_name(variant.effect.about.name)
         share = _made_up(regressors.gram_matrices, variant.columns, regressors.settings)
-        if name not in found or share.own < found[name].own:
-            found[name] = share
+        known = found.get(name, share)
+        found[name] = ZetaShare(min(known.own, share.own), min(known.bed, share.bed))
     return found
 
 
