@@ -179,7 +179,7 @@ def contributions(
     after: Sequence[np.ndarray],
     pool: RunPool,
 ) -> list[np.ndarray]:
-    """What each effect takes off the residual, by run [m, N, N m]; (effects, channels, samples).
+    """Contribution of each effect by run [m, N, N m], shape (effects, channels, samples).
 
     Arguments as for `gap_budget`. The contributions of a run add up to `before` less `after`.
     """

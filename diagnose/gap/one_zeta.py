@@ -109,7 +109,7 @@ class ZetaShare:
 
 
 def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
-    """How much of each effect another zeta would make up for, from products that exist already.
+    """Share of each effect that another zeta would make up for, from products that exist already.
 
     Of an effect with shapes, those count that zeta makes up for least.
 

@@ -5,17 +5,17 @@ escape. Either somebody prepared the bed alike for every run, and zeta of a run 
 others' within that scatter; or nobody did, and each run has its own.
 """
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-import equinox as eqx
 import numpy as np
 
 
-class AbstractBed(eqx.Module):
-    """Rule by which the zetas of several runs are judged together."""
+class AbstractBed(ABC):
+    """Rule by which the zetas of several runs are judged together; has their `scatter` [-]."""
 
-    scatter: eqx.AbstractVar[float]
+    scatter: float
 
     @abstractmethod
     def evidence(self, variance: float, runs: int, pardoned: float = 0.0) -> float:
@@ -44,6 +44,7 @@ class AbstractBed(eqx.Module):
         """
 
 
+@dataclass(frozen=True)
 class PreparedBed(AbstractBed):
     r"""A bed prepared alike for every run: a run's zeta is foretold by the others'.
 
@@ -80,6 +81,7 @@ class PreparedBed(AbstractBed):
         return PreparedBed(float(np.sqrt(variance)), float(more))
 
 
+@dataclass(frozen=True)
 class FreeBed(AbstractBed):
     r"""A bed that nobody prepared: each run has its own zeta, and that zetas agree tells little.
 

@@ -13,7 +13,7 @@ Words = Callable[[Numbers, SetUp], str]
 
 
 def in_user_terms(name: str, numbers: Numbers, setup: SetUp) -> str:
-    """What an effect's numbers say of the rig.
+    """Numbers of an effect as what they say of the rig.
 
     Args:
         name: Reported name of the effect.
