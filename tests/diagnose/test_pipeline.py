@@ -166,7 +166,9 @@ def test_a_slope_is_named_and_its_gap_closed(sloping):
     found = diagnose(sloping, CATALOGUE)
     assert found.verdict == ("surface_slope",)
     assert found.weights["surface_slope"] > SURE
-    assert sum(found.weights.values()) == pytest.approx(1, abs=ROUNDING)
+    # Probabilities that each takes part: a set counts for each of its names.
+    assert sum(found.weights.values()) >= 1 - ROUNDING
+    assert all(0 <= weight <= 1 for weight in found.weights.values())
     assert found.gap["z"].before > 10 * found.gap["z"].floor
     # All of it, as far as the floor tells.
     assert found.gap["z"].shrinkage > 0.95

@@ -183,7 +183,8 @@ def test_the_json_has_the_documented_layout(diagnosed):
     assert (document["schema"], document["schema_version"]) == ("drft-diagnosis", 2)
     answer = msgspec.convert(document, Answer)
     assert answer.verdict == ["surface_slope"]
-    assert sum(answer.weights.values()) == pytest.approx(1, abs=ROUNDING)
+    # A set counts for each of its names, and a remainder for "unknown".
+    assert sum(answer.weights.values()) >= 1 - ROUNDING
     slope = document["parameters"]["surface_slope"]["slope"]
     assert set(slope) == {"value", "error", "unit"}
     assert slope["value"] == pytest.approx(SLOPE, rel=TOLD)
