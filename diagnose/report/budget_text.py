@@ -50,12 +50,16 @@ def _effect(budget: ChannelBudget, name: str) -> tuple[float, str]:
     if not budget.is_reducible:
         return each.size, "-"
     low, high = each.interval
-    return each.size, f"{each.share:.0%} ({low:.0%} to {high:.0%})"
+    return each.size, f"{_percent(each.share)} ({_percent(low)} to {_percent(high)})"
 
 
 def _remainder(budget: ChannelBudget) -> tuple[float, str]:
     size = budget.remainder * max(budget.before - budget.floor, 0)
-    return size, f"{budget.remainder:.0%}" if budget.is_reducible else "-"
+    return size, _percent(budget.remainder) if budget.is_reducible else "-"
+
+
+def _percent(share: float) -> str:
+    return f"{round(100 * share) + 0:d}%"  # no minus before zero
 
 
 def budget_table(found: Diagnosis) -> Table:

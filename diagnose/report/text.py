@@ -115,8 +115,7 @@ def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
             "but no effect that is known here explains it."
         )
     if len(found.verdict) > 2:
-        listed = ", ".join(found.verdict[:-1]) + f" and {found.verdict[-1]}"
-        return f"These runs show {len(found.verdict)} effects at once: {listed}."
+        return f"These runs show {len(found.verdict)} effects at once: {_listed(found.verdict)}."
     effects = " and ".join(f"{name} ({found.meaning(name)})" for name in found.verdict)
     if alone:
         return (
@@ -124,6 +123,11 @@ def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
             "describes and does not prove."
         )
     return f"These runs show {effects}, with weight {percent(weight)}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names with commas between, and "and" before the last."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _large_gaps(found: Diagnosis, min_floors: float) -> str:
@@ -207,7 +211,7 @@ def gap_sentences(found: Diagnosis) -> list[str]:
         return []
     if found.verdict == (UNKNOWN,):
         return [_substitute_sentence(found)]
-    effects = " and ".join(found.verdict)
+    effects = _listed(found.verdict)
     shares = _shrunk_by(found)
     on = _measured_on(found, "its curve was" if found.correction else "the effect's numbers were")
     if not shares:
@@ -227,7 +231,7 @@ def _substitute_sentence(found: Diagnosis) -> str:
         what = f"a correction of {effect.stage} over {effect.variable}, fitted to these runs"
     else:
         on = _measured_on(found, "the effect's numbers were")
-        what = f"{' and '.join(reported_names(found.chosen.names))}, the likeliest of what is known"
+        what = f"{_listed(reported_names(found.chosen.names))}, the likeliest of what is known"
     shares = _shrunk_by(found) or "little in any one channel"
     return (
         f"Offered in its place: {what}. With it the gap above the noise floor shrinks by {shares}, "
