@@ -21,6 +21,11 @@ COMPARISON_SCHEMA: Final = "drft-comparison"
 LARGEST = 1e150
 
 
+# Layouts of results that can be compared, where there is more than the first: every entry of an
+# older one means the same in the newer.
+KNOWN_VERSIONS = {"drft-diagnosis": (1, 2)}
+
+
 @dataclass(frozen=True)
 class SideBySideSettings:
     """Numbers of the sentences on several results.
@@ -197,9 +202,11 @@ def read_results(paths: Sequence[Path], kinds: Mapping[str, str]) -> list[Result
         if document.schema not in kinds:
             known = " or ".join(f"of a {each}" for each in kinds.values())
             raise InputError(f"{path}: is a {document.schema}, must be the JSON file {known}")
-        if plain.get("schema_version") != 1:
+        known_versions = KNOWN_VERSIONS.get(document.schema, (1,))
+        if plain.get("schema_version") not in known_versions:
+            are = " and ".join(map(str, known_versions)) + (" are" if known_versions[1:] else " is")
             raise InputError(
-                f"{path}: schema_version {plain.get('schema_version')} is not known here (1 is)"
+                f"{path}: schema_version {plain.get('schema_version')} is not known here ({are})"
             )
         found.append(ResultInput(path, plain, document.schema, document.provenance))
     first = found[0]

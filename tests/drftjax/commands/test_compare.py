@@ -271,6 +271,16 @@ def test_diagnoses_that_agree(drft, tmp_path):
     assert document["next"] == []
 
 
+def test_a_diagnosis_of_either_layout_is_read_and_of_a_later_one_refused(drft, tmp_path):
+    old = diagnosis(tmp_path, "old.json", "drawbar", 10.0)
+    new = diagnosis(tmp_path, "new.json", "drawbar", 11.0, schema_version=2, budget={})
+    assert compared(drft, old, new)[1].count("All name drawbar.") == 1
+    later = diagnosis(tmp_path, "later.json", "drawbar", 11.0, schema_version=3)
+    refused = drft("compare", old, later)
+    assert refused.code == 2
+    assert f"{later}: schema_version 3 is not known here (1 and 2 are)" in refused.err
+
+
 def test_diagnoses_that_differ(drft, tmp_path):
     one = diagnosis(tmp_path, "a.json", "drawbar", 10.0, next_run=ADVICE)
     other = diagnosis(tmp_path, "b.json", "none", 0.0, parameters={}, groups=[["none", "drawbar"]])
