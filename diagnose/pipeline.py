@@ -44,6 +44,7 @@ from diagnose.selection.verdict import (
     hypothesis_behind,
     reassign_unknown,
     weight_by_name,
+    with_remainder,
 )
 from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings, StandardErrorSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
@@ -150,6 +151,8 @@ class _Diagnosing:
                 break
             weighed = self.without_set(weighed)
             gap = self.measure_gap(weighed)
+        if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
+            weighed = self.named_with_remainder(weighed)
         competing = competing_hypotheses(
             found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
@@ -236,6 +239,12 @@ class _Diagnosing:
         verdict, groups = decide(share, self.settings.verdict)
         chosen = hypothesis_behind(found, leading, share, verdict)
         return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
+
+    def named_with_remainder(self, weighed: _Weighed) -> _Weighed:
+        """The verdict of the likeliest listed effects, beside which something more acts."""
+        names = weighed.chosen.names
+        share = with_remainder(weighed.share, names, self.settings.verdict)
+        return replace(weighed, share=share, verdict=names, groups=[[name] for name in names])
 
     def without_set(self, weighed: _Weighed) -> _Weighed:
         """The weights without the verdict's set, which makes a channel worse."""

@@ -21,9 +21,15 @@ class EffectSelectionSettings:
     Attributes:
         min_improvement: The gap over all channels must fall by this share at least [-], and in no
             channel rise by more than it.
+        most: Effects explain most of a gap that they shrink by this share in every channel [-]: as
+            much and more than something unknown is taken to.
+        large: So many noise floors, in one channel at least, are needed for that [-]: of a smaller
+            gap chance is too large a part.
     """
 
     min_improvement: float = 0.1
+    most: float = 0.9
+    large: float = 10.0
 
 
 DEFAULT_EFFECT_SELECTION = EffectSelectionSettings()
@@ -66,6 +72,16 @@ class SelectedEffects:
         """True where no channel's gap grows by more than the allowed share, or beyond chance."""
         most = 1 + settings.min_improvement
         return all(each.after < most * max(each.before, each.floor) for each in self.gap.values())
+
+    def explains_most(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
+        """True where a large gap shrinks by nearly all in every channel that has one."""
+        parts = [each for each in self.gap.values() if each.is_reducible]
+        largest = max((each.before / each.floor for each in parts), default=0.0)
+        return (
+            largest >= settings.large
+            and all(each.shrinkage >= settings.most for each in parts)
+            and self.worsens_no_channel(settings)
+        )
 
     def improves_gap(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
         """True where the gap shrinks by enough, and not at the cost of a channel."""

@@ -26,6 +26,9 @@ class VerdictSettings:
             none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
+        remainder_weight: Share of the weight of `unknown` that goes to effects which explain most
+            of a large gap [-]. No blind test has measured how often they are right; this is under
+            what a confident answer has.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
         max_competing: One run is asked to tell the verdict from so many at most.
     """
@@ -34,6 +37,7 @@ class VerdictSettings:
     min_named_weight: float = 0.1
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
+    remainder_weight: float = 0.8
     max_retries: int = 3
     max_competing: int = 3
 
@@ -122,6 +126,24 @@ def reassign_unknown(share: Weights, name: str) -> dict[tuple[str, ...], float]:
     """
     moved = share.get((name,), 0.0) + share[(UNKNOWN,)]
     return {**share, (name,): moved, (UNKNOWN,): 0.0}
+
+
+def with_remainder(
+    share: Weights, names: tuple[str, ...], settings: VerdictSettings = DEFAULT_VERDICT
+) -> dict[tuple[str, ...], float]:
+    """Weights after most of that of `unknown` went to a set of effects with a remainder.
+
+    Where the set explains most of a large gap: the runs show it, and something more.
+
+    Args:
+        share: Weights with `unknown`.
+        names: Effects of the set.
+        settings: Numbers of the verdict.
+    """
+    moved = settings.remainder_weight * share[(UNKNOWN,)]
+    beside = (*names, UNKNOWN)
+    left = share[(UNKNOWN,)] - moved
+    return {**share, beside: share.get(beside, 0.0) + moved, (UNKNOWN,): left}
 
 
 def weight_by_name(share: Weights) -> dict[str, float]:

@@ -8,7 +8,8 @@ import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.cross_validation import predict_held_out
-from diagnose.gap.gap import gaps, shrinkage
+from diagnose.gap.gap import Gap, gaps, shrinkage
+from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import screen_effects
@@ -25,7 +26,12 @@ from diagnose.selection.model_weights import (
     WeightSettings,
     weights,
 )
-from diagnose.selection.verdict import competing_hypotheses, decide
+from diagnose.selection.verdict import (
+    competing_hypotheses,
+    decide,
+    weight_by_name,
+    with_remainder,
+)
 from drftjax.effects.catalogue import effect_class
 from drftjax.effects.drive import SpeedGain, SpeedRipple
 from drftjax.effects.rig import Drawbar
@@ -300,6 +306,25 @@ def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
     # All of it: no remainder.
     whole = of(4e-10, 3.0)
     assert whole[("drawbar",)] > 0.9
+
+
+def test_effects_that_explain_most_of_a_large_gap_are_named_beside_a_remainder():
+    def selected(*gaps: tuple[float, float]) -> SelectedEffects:
+        found = {
+            name: Gap(before, after, 1.0, shrinkage(before, after, 1.0), None)
+            for name, (before, after) in zip("xz", gaps, strict=True)
+        }
+        return SelectedEffects((), np.zeros(1), [], found)
+
+    assert selected((50.0, 3.0), (5.0, 1.2)).explains_most()
+    assert not selected((50.0, 3.0), (5.0, 2.0)).explains_most()  # z: three quarters alone
+    assert not selected((8.0, 1.0), (5.0, 1.0)).explains_most()  # not large
+    assert not selected((50.0, 3.0), (1.0, 1.3)).explains_most()  # z gets worse
+    share = {("none",): 0.0, ("drawbar",): 0.0, ("unknown",): 0.9, ("drawbar", "unknown"): 0.1}
+    moved = with_remainder(share, ("drawbar",))
+    assert sum(moved.values()) == pytest.approx(1.0)
+    assert decide(moved)[0] == ("drawbar",)
+    assert weight_by_name(moved) == pytest.approx({"unknown": 1.0, "drawbar": 0.82, "none": 0.0})
 
 
 def test_effects_that_share_their_weight_speak_together():
