@@ -106,7 +106,7 @@ class ScreeningSettings:
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
-    min_set_share: float = 0.05
+    min_set_share: float = 0.1
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
