@@ -12,7 +12,7 @@ from diagnose.checks.outlier_runs import (
     outliers_by_zeta,
 )
 from diagnose.dataset import RigDataset, without_step_errors
-from diagnose.gap.budget import ChannelBudget, gap_budget, strength_errors_of
+from diagnose.gap.budget import ChannelBudget, gap_budget
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import discretization_errors
 from diagnose.gap.gap import gaps
@@ -20,6 +20,7 @@ from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.one_zeta import one_zeta_gaps, zeta_shares
 from diagnose.gap.repeatability import repeat_variance
 from diagnose.gap.selected_effects import SelectedEffects, best_selection, effects_of
+from diagnose.gap.standard_errors import relative_strength_errors, standard_errors
 from diagnose.gap.stepwise import stepwise_gap
 from diagnose.gap.zeta_matching import (
     REFERENCE_NAME,
@@ -28,10 +29,9 @@ from diagnose.gap.zeta_matching import (
     residuals_of,
     unmatched,
 )
-from diagnose.hypotheses.hypothesis import Hypothesis, gaussian_prior, top_ranked
+from diagnose.hypotheses.hypothesis import Hypothesis, top_ranked
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linearized_runs import linearize_runs
-from diagnose.linear.regressors import Regressors
 from diagnose.localization.localization import localize
 from diagnose.localization.shares import GapShare
 from diagnose.next_runs.discrimination import next_run
@@ -46,7 +46,7 @@ from diagnose.selection.verdict import (
     weight_by_name,
     with_remainder,
 )
-from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings, StandardErrorSettings
+from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
 from diagnose.unknown.disturbances import by_stage, estimate_disturbances
 from drftjax.effects.base import AbstractEffect
@@ -100,28 +100,42 @@ class _Weighed:
 
 
 @dataclass(frozen=True, eq=False)
+class _ReferenceRuns:
+    """Every run by the reference model.
+
+    Attributes:
+        prediction: Each with the zeta that suits all channels.
+        matches: Each at its matched zeta.
+        discretization: Error of its plates and width at rest by channel [m, N, N m].
+    """
+
+    prediction: HeldOutPrediction
+    matches: list[MatchedRun]
+    discretization: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class _MeasuredGap:
     """The gap without and with the chosen hypothesis, on held-out runs at matched zeta.
 
     Attributes:
-        reference: Every run by the reference model.
+        reference: The reference model.
         floors: Noise floor of each channel [m, N, N m].
         notes: Sentences on the floors and on runs that do not go with the others.
         selected: The chosen hypothesis's effects, and the gap with them.
-        reference_prediction, prediction: Held-out runs by both.
+        prediction: Held-out runs by the chosen hypothesis.
     """
 
-    reference: list[MatchedRun]
+    reference: _ReferenceRuns
     floors: dict[str, float]
     notes: list[str]
     selected: SelectedEffects
-    reference_prediction: HeldOutPrediction
     prediction: HeldOutPrediction
 
     @property
     def before(self) -> list[np.ndarray]:
         """By run, residual of the reference model [m, N, N m], shape (channels, samples)."""
-        return residuals_of(self.reference)
+        return residuals_of(self.reference.matches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +159,13 @@ class _Diagnosing:
         dataset, settings = self.dataset, self.settings
         found = screen_effects(dataset, effects, self.pool, self.report, settings.screening)
         weighed = self.weigh(found)
-        gap = self.measure_gap(weighed)
+        reference = self.measure_reference(found)
+        gap = self.measure_gap(weighed, reference)
         for _ in range(settings.verdict.max_retries):
             if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
                 break
             weighed = self.without_set(weighed)
-            gap = self.measure_gap(weighed)
+            gap = self.measure_gap(weighed, reference)
         if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
             weighed = self.named_with_remainder(weighed)
         competing = competing_hypotheses(
@@ -167,7 +182,7 @@ class _Diagnosing:
             weighed, selected, notes = self.judge_unknown(
                 weighed, gap, unknown, places, {reported_name(e.about.name) for e in effects}
             )
-        notes = [*notes, *unmatched(dataset, gap.reference, REFERENCE_NAME)]
+        notes = [*notes, *unmatched(dataset, reference.matches, REFERENCE_NAME)]
         if selected.effects:
             notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
         self.report("what to run next")
@@ -176,12 +191,13 @@ class _Diagnosing:
         if competing:
             advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
         is_listed = selected is gap.selected
+        errors = standard_errors(found.regressors, chosen, self.pool, settings.standard_error)
         return Diagnosis(
             verdict=reported_names(weighed.verdict),
             weights=weight_by_name(weighed.share),
             groups=[reported_names(group) for group in weighed.groups],
             selected=selected,
-            parameters=self.parameters(weighed) if chosen.names and is_listed else {},
+            parameters=self.parameters(chosen, errors) if chosen.names and is_listed else {},
             notes=notes,
             next_run=advice,
             screening=found,
@@ -204,10 +220,10 @@ class _Diagnosing:
                 if weighed.verdict == chosen.names and is_listed
                 else []
             ),
-            budget=self.budget(weighed, gap),
+            budget=self.budget(weighed, gap, errors),
             one_zeta_gap=one_zeta_gaps(
                 found.regressors,
-                gap.reference_prediction,
+                reference.prediction,
                 gap.prediction,
                 gap.floors,
                 self.pool,
@@ -287,18 +303,28 @@ class _Diagnosing:
             regressors.settings,
         )
 
-    def measure_gap(self, weighed: _Weighed) -> _MeasuredGap:
+    def measure_reference(self, found: ScreeningResult) -> _ReferenceRuns:
+        """The runs by the reference model, which every gap is measured against."""
+        regressors, none, pool = found.regressors, found.none, self.pool
+        plain = predict_held_out(regressors, none, pool)
+        settings = self.settings.discretization
+        return _ReferenceRuns(
+            plain,
+            at_mean_sinkage(regressors, plain, pool),
+            discretization_errors(self.dataset, none.log_zeta, pool, settings),
+        )
+
+    def measure_gap(self, weighed: _Weighed, reference: _ReferenceRuns) -> _MeasuredGap:
         """The gap without and with the chosen hypothesis, and its noise floors."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
         regressors, none = weighed.screening.regressors, weighed.screening.none
         chosen = weighed.chosen
-        plain = prediction = predict_held_out(regressors, none, pool)
-        matches = reference = at_mean_sinkage(regressors, plain, pool)
+        prediction, matches = reference.prediction, reference.matches
         if chosen.names:
             prediction = weighed.held_out[chosen.names]
             matches = at_mean_sinkage(regressors, prediction, pool)
-        before, after = residuals_of(reference), residuals_of(matches)
-        own = discretization_errors(dataset, none.log_zeta, pool, settings.discretization)
+        before, after = residuals_of(reference.matches), residuals_of(matches)
+        own = reference.discretization
         floors, how = noise_floors(dataset, before, after, own, none.by_zeta)
         notes = [
             how,
@@ -310,30 +336,29 @@ class _Diagnosing:
         ]
         gap = gaps(dataset, before, after, floors, settings.gap)
         selected = SelectedEffects(effects_of(chosen), chosen.log_zeta, matches, gap)
-        return _MeasuredGap(reference, floors, notes, selected, plain, prediction)
+        return _MeasuredGap(reference, floors, notes, selected, prediction)
 
-    def budget(self, weighed: _Weighed, gap: _MeasuredGap) -> dict[str, ChannelBudget]:
-        """The gap of each channel, divided by the verdict's effects."""
+    def budget(
+        self, weighed: _Weighed, gap: _MeasuredGap, errors: np.ndarray
+    ) -> dict[str, ChannelBudget]:
+        """The gap of each channel, divided by the verdict's effects.
+
+        `errors` are the standard errors of the coordinates behind the verdict, shape (free,).
+        """
         named = weighed.verdict == weighed.chosen.names
-        prediction = gap.prediction if named else gap.reference_prediction
+        prediction = gap.prediction if named else gap.reference.prediction
         after = gap.selected.after if named else gap.before
-        chosen = prediction.hypothesis
         return gap_budget(
             self.dataset,
             prediction,
             gap.before,
             after,
             gap.floors,
-            strength_errors_of(chosen, self.standard_errors(weighed, chosen)),
-            chosen.names,
+            relative_strength_errors(weighed.chosen, errors),
+            prediction.hypothesis.names,
             self.pool,
             self.settings.budget,
         )
-
-    def standard_errors(self, weighed: _Weighed, chosen: Hypothesis) -> np.ndarray:
-        """Standard error of each coordinate, shape (free,)."""
-        regressors = weighed.screening.regressors
-        return _standard_errors(regressors, chosen, self.pool, self.settings.standard_error)
 
     def explain_unknown(
         self, weighed: _Weighed, gap: _MeasuredGap, places: Sequence[GapShare]
@@ -392,7 +417,7 @@ class _Diagnosing:
         known, log_zeta = gap.selected, weighed.screening.none.log_zeta
         settings = self.settings
         without = gaps(self.dataset, gap.before, gap.before, gap.floors, settings.gap)
-        reference = SelectedEffects((), log_zeta, gap.reference, without)
+        reference = SelectedEffects((), log_zeta, gap.reference.matches, without)
         tried = [known] if curve is None else [known, curve]
         selected = best_selection(tried, reference, settings.selection)
         offered = curve is not None and selected is curve
@@ -409,10 +434,10 @@ class _Diagnosing:
             weighed = replace(weighed, share=share, verdict=(meant,), groups=[[meant]])
         return weighed, selected, notes
 
-    def parameters(self, weighed: _Weighed) -> dict[str, dict[str, ParameterEstimate]]:
+    def parameters(
+        self, chosen: Hypothesis, error: np.ndarray
+    ) -> dict[str, dict[str, ParameterEstimate]]:
         """The chosen effects' numbers with standard errors, by effect and field."""
-        chosen = weighed.chosen
-        error = self.standard_errors(weighed, chosen)
         found: dict[str, dict[str, ParameterEstimate]] = {}
         for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
             effect = chosen.model.effects[free.index]
@@ -436,35 +461,3 @@ def _scored(
         len(each.coordinates),
         held_out_zeta_variance,
     )
-
-
-def _standard_errors(
-    regressors: Regressors,
-    chosen: Hypothesis,
-    pool: RunPool,
-    settings: StandardErrorSettings,
-) -> np.ndarray:
-    r"""Standard error of each coordinate of a hypothesis, shape (free,).
-
-    The square root of the diagonal of the inverse of the information on (coordinates, each run's
-    log zeta): products of their columns, where block b weighs $w_b/(s_b + \sigma_b^2)$, the
-    precision of the coordinates' prior, which bounds the error of a number that the runs do not
-    determine, and what the bed says of the zetas.
-    """
-    matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
-    weights = regressors.settings
-    worth = {"slow": settings.slow_worth, "fast": settings.fast_worth}
-    floor = weights.model_errors(matrices.blocks) ** 2
-    weight = np.array([worth[kind] for _, kind in matrices.blocks])
-    weight = weight / (chosen.fit.mean_square + floor)
-    gram = np.einsum("b,rbij->rij", weight, matrices.gram[:, :, :-1, :-1])
-    width, _ = gaussian_prior(chosen.model, weights)
-    count, runs = len(width), len(gram)
-    information = np.zeros((count + runs, count + runs))
-    information[:count, :count] = np.diag(1 / width**2) + gram[:, 1:, 1:].sum(axis=0)
-    information[:count, count:] = gram[:, 1:, 0].T
-    information[count:, :count] = gram[:, 1:, 0]
-    hold = weights.bed.hold(chosen.fit.zeta_variance, runs)
-    own = np.diag(np.maximum(gram[:, 0, 0], 1e-300))
-    information[count:, count:] = own + hold * (np.eye(runs) - 1 / runs)
-    return np.sqrt(np.diag(np.linalg.inv(information))[:count])

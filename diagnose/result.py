@@ -20,7 +20,7 @@ from diagnose.linear.bed import AbstractBed
 from diagnose.localization.shares import GapShare
 from diagnose.unknown.correction_fit import Correction, UnknownEffect
 from drftjax.common.rich_text import summary_html, summary_text
-from drftjax.effects.catalogue import effect_class
+from drftjax.effects.catalogue import effect_class, reported_name
 from drftjax.results.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -120,6 +120,11 @@ class Diagnosis:
         """The correction, where it is selected in the place of an unlisted mechanism."""
         tried = None if self.unknown_effect is None else self.unknown_effect.best_correction
         return tried if tried is not None and tried.selection is self.selected else None
+
+    def group_of(self, name: str) -> Sequence[str]:
+        """An effect of the verdict with those that it trades places with, itself first."""
+        own = reported_name(name)
+        return next((each for each in self.groups if each and each[0] == own), [own])
 
     def meaning(self, name: str) -> str:
         """Meaning of an effect of the verdict, also of one of the user's that no catalogue has."""

@@ -15,6 +15,7 @@ from diagnose.gap.budget import DEFAULT_BUDGET, BudgetSettings
 from diagnose.gap.discretization_error import DEFAULT_DISCRETIZATION, DiscretizationSettings
 from diagnose.gap.gap import DEFAULT_GAP, GapSettings
 from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelectionSettings
+from diagnose.gap.standard_errors import DEFAULT_STANDARD_ERROR, StandardErrorSettings
 from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.bed import AbstractBed
 from diagnose.linear.linear_fit import LinearFitSettings
@@ -44,22 +45,6 @@ class HeldOutSettings:
 
 
 DEFAULT_HELD_OUT = HeldOutSettings()
-
-
-@dataclass(frozen=True)
-class StandardErrorSettings:
-    """Numbers of the standard errors of an effect's numbers.
-
-    Attributes:
-        slow_worth: Independent statements in one bin of a slow part [-].
-        fast_worth: Independent statements in one sample of a fast part [-].
-    """
-
-    slow_worth: float = 1.0
-    fast_worth: float = 0.1
-
-
-DEFAULT_STANDARD_ERROR = StandardErrorSettings()
 
 
 @dataclass(frozen=True)

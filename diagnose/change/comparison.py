@@ -40,6 +40,7 @@ from diagnose.dataset import (
     RigDataset,
     match_initial_zeta,
 )
+from diagnose.linear.linear_fit import worth_by_block
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.result import ParameterEstimate
@@ -220,25 +221,25 @@ def _parameters(
     problem: ChangeProblem, chosen: ChangeHypothesis, pool: RunPool, settings: ChangeSettings
 ) -> dict[str, dict[str, ParameterEstimate]]:
     """The change's numbers with standard errors, by effect and field."""
-    worth = {"slow": settings.error.slow_worth, "fast": settings.error.fast_worth}
-    prior = chosen.coordinate_prior(problem.settings)
-    precision = information(problem.gram(chosen, pool), chosen.fit, prior, worth, problem.settings)
+    prior, matrices = chosen.coordinate_prior(problem.settings), problem.gram(chosen, pool)
+    error = settings.error
+    worth = worth_by_block(matrices.blocks, error.slow_worth, error.fast_worth)
+    precision = information(matrices, chosen.fit, prior, worth, problem.settings)
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))[: len(prior.width)]
     if chosen.zeta_changes:
         change = float(np.expm1(chosen.common_zeta))
-        error = float(np.hypot((1 + change) * spread[0], settings.error.law_share * change))
-        return {ZETA: {"change": ParameterEstimate(change, error, "-")}}
+        whole = float(np.hypot((1 + change) * spread[0], error.law_share * change))
+        return {ZETA: {"change": ParameterEstimate(change, whole, "-")}}
     sign = 1.0 if chosen.side == "now" else -1.0
     found: dict[str, dict[str, ParameterEstimate]] = {}
-    for free, at, error in zip(chosen.model.free, chosen.coordinates, spread, strict=True):
+    for free, at, width in zip(chosen.model.free, chosen.coordinates, spread, strict=True):
         effect = chosen.model.effects[free.index]
         value, unit = float(free.value(at)), field_metadata(effect)[free.field]["unit"]
         fields = found.setdefault(reported_name(effect.about.name), {})
         if free.scale is None:
-            fields[free.field] = ParameterEstimate(value, value * float(error), unit)
+            fields[free.field] = ParameterEstimate(value, value * float(width), unit)
             continue
-        law = settings.error.law_share * value
-        whole = float(np.hypot(free.scale * error, law))
+        whole = float(np.hypot(free.scale * width, error.law_share * value))
         fields[free.field] = ParameterEstimate(sign * value, whole, unit)
     return found
 

@@ -9,12 +9,13 @@ import numpy as np
 from diagnose.change.differences.fit import CoefficientPrior, DifferenceFit, fit_differences
 from diagnose.change.differences.gram import DifferenceGram, Differences
 from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
+from diagnose.hypotheses.hypothesis import column_mixes, mix_columns
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import NONE
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import field_metadata, reported_name, strengths
+from drftjax.effects.catalogue import field_metadata, reported_name
 
 # Name of the sand's own strength in a verdict.
 ZETA = "zeta"
@@ -270,27 +271,6 @@ def chance_power(
 def _columns(
     regressors: Regressors, variant: ShapeVariant | None, strength: np.ndarray, run: int
 ) -> np.ndarray:
-    """One run's derivatives by strengths and shapes, shape (channels, samples, free).
-
-    A shape's is the difference of the neighbours' responses over that of their logarithms.
-    """
-    responses = regressors.columns[run][:, :, 1:]
-    if variant is None:
-        return responses[:, :, :0]
-    found = [responses[:, :, column] for column in variant.columns]
-    for axis in range(len(variant.shapes)):
-        low, high = (regressors.variants[number] for number in variant.neighbours[axis])
-        apart = np.log(high.shapes[axis] / low.shapes[axis])
-        change = np.zeros(responses.shape[:2])
-        if apart > 0:
-            for size, below, above in zip(strength, low.columns, high.columns, strict=True):
-                change += size * (responses[:, :, above] - responses[:, :, below]) / apart
-        found.append(change)
-    return np.stack(found, axis=2)
-
-
-def least_strengths(variant: ShapeVariant) -> np.ndarray:
-    """Bound below each strength of an effect [typical sizes]; -inf where both signs make sense."""
-    about = field_metadata(variant.effect)
-    names = strengths(variant.effect)
-    return np.array([about[name]["least"] / about[name]["typical"] for name in names])
+    """One run's derivatives by strengths and shapes, shape (channels, samples, free)."""
+    mixes = [] if variant is None else column_mixes(regressors, variant, strength)
+    return mix_columns(regressors.columns[run], mixes)[:, :, 1:]

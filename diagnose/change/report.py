@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import jinja2
 from rich.markup import escape
 from rich.table import Table
 
@@ -10,9 +9,9 @@ from diagnose.change.figures import difference_figure
 from diagnose.change.hypothesis import ZETA
 from diagnose.change.result import ChangeDiagnosis
 from diagnose.report.figures import as_source
-from diagnose.result import ParameterEstimate
+from diagnose.report.model_writer import estimate_in_words
+from diagnose.report.pages import render_page
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
-from drftjax import __version__
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import value_with_error
@@ -76,7 +75,7 @@ def size_in_words(found: ChangeDiagnosis) -> str:
         change = found.parameters[ZETA]["change"]
         return f"zeta by {value_with_error(100 * change.value, 100 * change.error)} %"
     numbers = next(iter(found.parameters.values()))
-    words = ", ".join(f"{key} = {_estimate(each)}" for key, each in numbers.items())
+    words = ", ".join(f"{key} = {estimate_in_words(each)}" for key, each in numbers.items())
     weaker = ", weaker now than before" if found.chosen.side == "before" else ""
     return f"{words}{weaker}"
 
@@ -125,24 +124,13 @@ def budget_table(found: ChangeDiagnosis) -> Table:
     return table
 
 
-def _estimate(number: ParameterEstimate) -> str:
-    unit = "" if number.unit == "-" else f" {number.unit}"
-    return f"{value_with_error(number.value, number.error)}{unit}"
-
-
 # Files --------------------------------------------------------------------------------------------
 
 
 def page(found: ChangeDiagnosis) -> str:
     """The report as one HTML page that refers to no other file."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("diagnose.change"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("change.html").render(
-        version=__version__,
+    return render_page(
+        "change.html",
         verdict=first_sentence(found),
         sentences=paragraphs(found),
         columns=BUDGET_COLUMNS,
@@ -150,7 +138,7 @@ def page(found: ChangeDiagnosis) -> str:
         conditions=found.conditions,
         figure=as_source(difference_figure(found)),
         parameters=[
-            (name, found.meaning(name), key, _estimate(each))
+            (name, found.meaning(name), key, estimate_in_words(each))
             for name, numbers in found.parameters.items()
             for key, each in numbers.items()
         ],

@@ -11,7 +11,9 @@ from diagnose.change.differences.fit import (
     score_differences,
 )
 from diagnose.change.differences.gram import DifferenceGram
-from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem, Side, least_strengths
+from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem, Side
+from diagnose.hypotheses.hypothesis import lower_bounds
+from diagnose.hypotheses.refinement import broyden_update
 from diagnose.linear.linear_fit import Block
 from diagnose.linear.regressors import ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, predict
@@ -194,7 +196,7 @@ def _priors(variant: ShapeVariant, width: float) -> Iterator[tuple[Side, Coeffic
 
     An effect whose strengths have one sign only may have come, or have gone.
     """
-    least = least_strengths(variant)
+    least = np.array(lower_bounds(variant.effect))
     free = CoefficientPrior.free(np.full(len(least), width))
     yield "now", replace(free, least=least)
     if (least == 0).all():
@@ -214,8 +216,6 @@ def _simulate(
     settings: ChangeScreeningSettings,
 ) -> ChangeHypothesis | None:
     """The hypothesis simulated at other numbers, its derivatives corrected by Broyden's update.
-
-    See `diagnose.hypotheses.refinement` for the update.
 
     Returns:
         None where a run cannot be simulated.
@@ -241,11 +241,8 @@ def _simulate(
         step = np.r_[own[run] / settings.zeta_unit, change / units * float(acts[run])]
         scale = np.r_[settings.zeta_unit, units]
         jacobian = np.concatenate([here.by_zeta[run][:, :, None], here.columns[run]], axis=2)
-        size = float(step @ step)
-        if size > 0:
-            surprise = residual - here.residual[run] - jacobian @ (scale * step)
-            update = np.nan_to_num(surprise)[:, :, None] * step / size / scale
-            jacobian = jacobian + update
+        moved = np.nan_to_num(residual - here.residual[run])
+        jacobian = broyden_update(jacobian * scale, step, moved) / scale
         return residual, jacobian[:, :, 0], jacobian[:, :, 1:] * float(acts[run])
 
     found = pool.map(of, dataset.run_numbers)

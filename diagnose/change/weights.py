@@ -12,7 +12,6 @@ with. `unknown` is taken to leave a share $\rho$ (in amplitude) of that.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from diagnose.change.hypothesis import ZETA, ChangeHypothesis, ChangeProblem
 from diagnose.change.screening import ChangeScreening
 from diagnose.selection.model_weights import NONE, UNKNOWN
+from diagnose.selection.verdict import named_together
 
 
 @dataclass(frozen=True)
@@ -142,18 +142,5 @@ def _decide(
         return NONE, (NONE,)
     if unknown > total or not changes:
         return UNKNOWN, (UNKNOWN,)
-    return changes[0][0], _group(changes, total, settings)
-
-
-def _group(
-    changes: Sequence[tuple[str, float]], total: float, settings: ChangeWeightSettings
-) -> tuple[str, ...]:
-    named: list[str] = []
-    so_far = 0.0
-    for name, weight in changes:
-        enough = so_far >= settings.group_weight * total
-        if named and (enough or weight < settings.min_named_weight * total):
-            break
-        named.append(name)
-        so_far += weight
-    return tuple(named)
+    enough, least = settings.group_weight * total, settings.min_named_weight * total
+    return changes[0][0], tuple(named_together(changes, enough, least))

@@ -15,7 +15,7 @@ as effects do not just add, is divided among them by their size.
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,6 @@ import numpy as np
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import HeldOutPrediction
 from diagnose.gap.gap import MM_PER_M, is_reducible
-from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from drftjax.recorded.repeats import group_by_condition
@@ -266,7 +265,7 @@ def _shares(products: np.ndarray, floor: float, scale: np.ndarray) -> np.ndarray
     return sizes / (before - floor) if before > floor else np.zeros(len(scale))
 
 
-def shapley_values(value, players: int) -> np.ndarray:
+def shapley_values(value: Callable[[int], float], players: int) -> np.ndarray:
     """Shapley value of each player of a game.
 
     Args:
@@ -284,20 +283,4 @@ def shapley_values(value, players: int) -> np.ndarray:
             for some in itertools.combinations(others, size):
                 mask = sum(1 << k for k in some)
                 found[player] += weight * (value(mask | 1 << player) - value(mask))
-    return found
-
-
-def strength_errors_of(chosen: Hypothesis, errors: np.ndarray) -> dict[str, float]:
-    """By effect, the relative standard error of the strength that its runs tell best [-].
-
-    Args:
-        chosen: The hypothesis.
-        errors: Standard error of each coordinate, shape (free,).
-    """
-    found: dict[str, float] = {}
-    for free, at, error in zip(chosen.model.free, chosen.coordinates, errors, strict=True):
-        if free.scale is None:
-            continue
-        name = chosen.names[free.index]
-        found[name] = min(found.get(name, np.inf), abs(error / at) if at else 1.0)
     return found

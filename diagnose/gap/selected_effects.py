@@ -21,15 +21,15 @@ class EffectSelectionSettings:
     Attributes:
         min_improvement: The gap over all channels must fall by this share at least [-], and in no
             channel rise by more than it.
-        most: Effects explain most of a gap that they shrink by this share in every channel [-]: as
-            much and more than something unknown is taken to.
-        large: So many noise floors, in one channel at least, are needed for that [-]: of a smaller
-            gap chance is too large a part.
+        explained_share: Effects explain most of a gap that they shrink by this share in every
+            channel [-]: as much and more than something unknown is taken to.
+        large_gap: So many noise floors, in one channel at least, are needed for that [-]: of a
+            smaller gap chance is too large a part.
     """
 
     min_improvement: float = 0.1
-    most: float = 0.9
-    large: float = 10.0
+    explained_share: float = 0.9
+    large_gap: float = 10.0
 
 
 DEFAULT_EFFECT_SELECTION = EffectSelectionSettings()
@@ -78,8 +78,8 @@ class SelectedEffects:
         parts = [each for each in self.gap.values() if each.is_reducible]
         largest = max((each.before / each.floor for each in parts), default=0.0)
         return (
-            largest >= settings.large
-            and all(each.shrinkage >= settings.most for each in parts)
+            largest >= settings.large_gap
+            and all(each.shrinkage >= settings.explained_share for each in parts)
             and self.worsens_no_channel(settings)
         )
 

@@ -16,6 +16,9 @@ from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, reported_names, strengths
 
+# Columns of the regressors, by number, and the weight of each in a sum.
+ColumnMix = list[tuple[int, float]]
+
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
@@ -103,17 +106,15 @@ def linear_start(
     fit = linear_fit_of(regressors, variants) if fit is None else fit
     model = AugmentedModel(tuple(variant.effect for variant in variants))
     coordinates: list[float] = []
-    mixes: list[list[tuple[int, float]]] = []
+    mixes: list[ColumnMix] = []
     used = 0
     for variant in variants:
         count = len(variant.columns)
         strength = fit.coefficients[used : used + count]
         used += count
         coordinates += list(strength)
-        mixes += [[(column, 1.0)] for column in variant.columns]
-        for axis, value in enumerate(variant.shapes):
-            coordinates.append(float(np.log(value)))
-            mixes.append(_shape_mix(regressors, variant, axis, strength))
+        coordinates += [float(np.log(value)) for value in variant.shapes]
+        mixes += column_mixes(regressors, variant, strength)
     null = np.array(
         [0.0 if f.scale is not None else c for f, c in zip(model.free, coordinates, strict=True)]
     )
@@ -122,16 +123,32 @@ def linear_start(
         regressors.log_zeta,
         null,
         fit,
-        [_mix_columns(own, mixes) for own in regressors.columns],
+        [mix_columns(own, mixes) for own in regressors.columns],
         regressors.residual,
         is_simulated=False,
         proposed_step=(fit.log_zeta_change, np.array(coordinates) - null),
     )
 
 
+def column_mixes(
+    regressors: Regressors, variant: ShapeVariant, strength: np.ndarray
+) -> list[ColumnMix]:
+    """Columns of an effect's strengths and shapes, as sums of those of the regressors.
+
+    Args:
+        regressors: The runs.
+        variant: The effect.
+        strength: Its strengths [typical sizes], shape (strengths,).
+    """
+    shapes = [
+        _shape_mix(regressors, variant, axis, strength) for axis in range(len(variant.shapes))
+    ]
+    return [*([(column, 1.0)] for column in variant.columns), *shapes]
+
+
 def _shape_mix(
     regressors: Regressors, variant: ShapeVariant, axis: int, strength: np.ndarray
-) -> list[tuple[int, float]]:
+) -> ColumnMix:
     """A shape's column at these strengths: difference of its neighbours over that of their log."""
     before, after = (regressors.variants[number] for number in variant.neighbours[axis])
     apart = np.log(after.shapes[axis] / before.shapes[axis])
@@ -141,8 +158,13 @@ def _shape_mix(
     return mix + [(c, -s / apart) for c, s in zip(before.columns, strength, strict=True)]
 
 
-def _mix_columns(columns: np.ndarray, mixes: Sequence[list[tuple[int, float]]]) -> np.ndarray:
-    """Own log zeta, and weighted sums of a run's columns, shape (channels, samples, 1 + mixes)."""
+def mix_columns(columns: np.ndarray, mixes: Sequence[ColumnMix]) -> np.ndarray:
+    """Own log zeta, and weighted sums of a run's columns, shape (channels, samples, 1 + mixes).
+
+    Args:
+        columns: Of the regressors, own log zeta first, shape (channels, samples, 1 + columns).
+        mixes: For each sum, columns and their weights.
+    """
     found = np.zeros((*columns.shape[:2], 1 + len(mixes)))
     found[:, :, 0] = columns[:, :, 0]
     for number, mix in enumerate(mixes, start=1):

@@ -220,7 +220,7 @@ def _simulate_with_update(
         own = (log_zeta[run] - before.log_zeta[run]) / settings.zeta_unit
         step = np.concatenate([[own], change])
         change_of_residual = residual - before.residual[run]
-        scaled = _broyden_update(before.columns[run] * all_units, step, change_of_residual)
+        scaled = broyden_update(before.columns[run] * all_units, step, change_of_residual)
         return scaled / all_units, residual
 
     both = pool.map(of, dataset.run_numbers)
@@ -233,7 +233,7 @@ def _simulate_with_update(
     )
 
 
-def _broyden_update(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+def broyden_update(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Jacobian, shape (channels, samples, n), corrected by a change of the residual over a step."""
     size = step @ step
     if size == 0:

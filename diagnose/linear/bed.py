@@ -18,20 +18,21 @@ class AbstractBed(ABC):
     scatter: float
 
     @abstractmethod
-    def evidence(self, variance: float, runs: int, pardoned: float = 0.0) -> float:
+    def evidence(self, variance: float, contrasts: int, pardoned: float = 0.0) -> float:
         """Log evidence of the zetas of some runs.
 
         Args:
-            variance: Of log zeta over the runs [-].
-            runs: Number of runs.
+            variance: Mean square of log zeta's contrasts, such as its variance over runs [-].
+            contrasts: Their number: runs less one of one mean, runs less conditions of a mean each.
             pardoned: Variance that is not held against a model, beyond the bed's scatter [-].
         """
 
     @abstractmethod
-    def hold(self, variance: float, runs: int) -> float:
-        """Weight of a squared distance of log zeta from the runs' mean, in a reweighted fit [-].
+    def hold(self, variance: float, contrasts: int) -> float:
+        """Weight of a squared distance of log zeta from its mean, in a reweighted fit [-].
 
-        It is the derivative of the evidence by half the sum of squares.
+        It is the derivative of the evidence by half the sum of squares, and one over the variance
+        of a run's log zeta as the bed and the runs tell it. Arguments as for `evidence`.
         """
 
     @abstractmethod
@@ -49,12 +50,12 @@ class PreparedBed(AbstractBed):
     r"""A bed prepared alike for every run: a run's zeta is foretold by the others'.
 
     The variance of the scatter has a scaled inverse chi-square distribution of $\nu$ statements
-    about $\tau^2$; repeats of one condition add theirs. Then the n = R - 1 contrasts of the zetas
-    have a multivariate Student-t distribution,
+    about $\tau^2$; repeats of one condition add theirs. Then n contrasts of the zetas (of R runs,
+    R - 1) have a multivariate Student-t distribution,
 
     $$\ln p = -\tfrac12 (\nu + n) \ln\big(1 + n V / (\nu \tau^2)\big),$$
 
-    with V their variance (Gelman et al. 2013, Bayesian Data Analysis, sections 2.6 and 3.2).
+    with V their mean square (Gelman et al. 2013, Bayesian Data Analysis, sections 2.6 and 3.2).
     Evidence is counted in runs, not in samples.
 
     Attributes:
@@ -65,13 +66,14 @@ class PreparedBed(AbstractBed):
     scatter: float = 0.012
     statements: float = 4.0
 
-    def evidence(self, variance: float, runs: int, pardoned: float = 0.0) -> float:
-        n, scale = max(runs - 1, 0), self.statements * (self.scatter**2 + pardoned)
-        return -0.5 * (self.statements + n) * float(np.log(1 + n * variance / scale))
+    def evidence(self, variance: float, contrasts: int, pardoned: float = 0.0) -> float:
+        scale = self.statements * (self.scatter**2 + pardoned)
+        worth = self.statements + contrasts
+        return -0.5 * worth * float(np.log1p(contrasts * variance / scale))
 
-    def hold(self, variance: float, runs: int) -> float:
-        n = max(runs - 1, 0)
-        return (self.statements + n) / (self.statements * self.scatter**2 + n * variance)
+    def hold(self, variance: float, contrasts: int) -> float:
+        squares = self.statements * self.scatter**2 + contrasts * variance
+        return (self.statements + contrasts) / squares
 
     def after_repeats(self, log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> "PreparedBed":
         zetas = [np.asarray(log_zeta)[list(group)] for group in groups]
@@ -95,11 +97,11 @@ class FreeBed(AbstractBed):
     scatter: float = 0.012
     worth: float = 0.6
 
-    def evidence(self, variance: float, runs: int, pardoned: float = 0.0) -> float:
+    def evidence(self, variance: float, contrasts: int, pardoned: float = 0.0) -> float:
         scatter = float(np.log(variance + self.scatter**2 + pardoned))
-        return -0.5 * self.worth * max(runs - 1, 0) * scatter
+        return -0.5 * self.worth * contrasts * scatter
 
-    def hold(self, variance: float, runs: int) -> float:
+    def hold(self, variance: float, contrasts: int) -> float:
         return self.worth / (variance + self.scatter**2)
 
     def after_repeats(self, log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> "FreeBed":

@@ -32,6 +32,16 @@ from diagnose.linear.residual_blocks import KINDS
 Block = tuple[str, str]
 
 
+def worth_by_block(blocks: Sequence[Block], slow: float, fast: float) -> np.ndarray:
+    """Independent statements in one value of each block [-], shape (blocks,).
+
+    Args:
+        blocks: (channel, kind) of each block.
+        slow, fast: Statements in a bin of a slow part and in a sample of a fast part [-].
+    """
+    return np.array([{"slow": slow, "fast": fast}[kind] for _, kind in blocks])
+
+
 def _default_model_error() -> Mapping[Block, float]:
     return MappingProxyType(
         {
@@ -86,8 +96,7 @@ class LinearFitSettings:
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
-        worth = {"slow": self.slow_worth, "fast": self.fast_worth}
-        return np.array([worth[kind] for _, kind in blocks])
+        return worth_by_block(blocks, self.slow_worth, self.fast_worth)
 
 
 DEFAULT_LINEAR_FIT = LinearFitSettings()
@@ -278,7 +287,7 @@ class _Problem:
         normal[:p, p:] = summed[:, 1:-1, 0].T
         normal[p:, :p] = summed[:, 1:-1, 0]
         right[p:] = -summed[:, 0, -1]
-        hold = self.settings.bed.hold(variance, runs)
+        hold = self.settings.bed.hold(variance, runs - 1)
         normal[p:, p:] += hold * self.centring
         right[p:] -= hold * self.centring @ self.log_zeta
         return normal, right
@@ -348,7 +357,7 @@ def log_score(
     floor = (inflation * settings.model_errors(blocks)) ** 2
     worth = sample_count * settings.worth(blocks)
     score = -0.5 * float((worth * np.log(mean_square + floor)).sum())
-    return score + settings.bed.evidence(zeta_variance, runs)
+    return score + settings.bed.evidence(zeta_variance, runs - 1)
 
 
 def block_names(channels: Sequence[str]) -> tuple[Block, ...]:

@@ -1,5 +1,8 @@
 """The budget of the gap in words and as a table: which effect makes how much of it."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 from rich.markup import escape
 from rich.table import Table
 
@@ -9,8 +12,27 @@ from diagnose.report.remedies import remedy
 from diagnose.report.user_terms import in_user_terms
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import UNKNOWN, percent
-from drftjax.effects.catalogue import reported_name
 from drftjax.recorded.observation import SHOWN
+
+
+@dataclass(frozen=True)
+class BudgetTextSettings:
+    """Thresholds of the sentences.
+
+    Attributes:
+        min_remainder_weight: A remainder is told that is likelier than not [-].
+        min_hidden_share: The gap with one zeta is told where it is larger than that with each run's
+            own, or its floor, by this share of it [-].
+        made_up_share: These runs cannot show an effect of which another zeta makes up for so much
+            [-]: what is left is less than its formula may be wrong by.
+    """
+
+    min_remainder_weight: float = 0.5
+    min_hidden_share: float = 0.5
+    made_up_share: float = 0.98
+
+
+DEFAULT_BUDGET_TEXT = BudgetTextSettings()
 
 
 def budget_columns(found: Diagnosis) -> tuple[str, ...]:
@@ -24,20 +46,19 @@ def budget_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     budgets = list(found.budget.items())
     rows = [("the reference model's gap", *_cells(budgets, lambda b: (b.before, "")))]
     for name in dict.fromkeys(name for _, each in budgets for name in each.effects):
-        rows.append((group_name(found, name), *_cells(budgets, lambda b, n=name: _effect(b, n))))
+        rows.append(
+            (" or ".join(found.group_of(name)), *_cells(budgets, lambda b, n=name: _effect(b, n)))
+        )
     rows.append(("unexplained", *_cells(budgets, _remainder)))
     rows.append(("chance (noise floor)", *_cells(budgets, lambda b: (min(b.floor, b.before), ""))))
     return rows
 
 
-def group_name(found: Diagnosis, name: str) -> str:
-    """An effect of the verdict with those that it trades places with: one line, one share."""
-    own = reported_name(name)
-    group = next((each for each in found.groups if each and each[0] == own), [own])
-    return " or ".join(group)
-
-
-def _cells(budgets, of) -> list[str]:
+def _cells(
+    budgets: Sequence[tuple[str, ChannelBudget]],
+    of: Callable[[ChannelBudget], tuple[float, str]],
+) -> list[str]:
+    """Size and share of one line, channel by channel."""
     cells: list[str] = []
     for channel, budget in budgets:
         size, share = of(budget)
@@ -87,10 +108,10 @@ def effect_sentences(found: Diagnosis) -> list[str]:
     return sentences
 
 
-def remainder_sentence(found: Diagnosis) -> str:
+def remainder_sentence(found: Diagnosis, settings: BudgetTextSettings = DEFAULT_BUDGET_TEXT) -> str:
     """The part of the gap that the verdict's effects leave; empty where it is none or unlikely."""
     weight = found.weights.get(UNKNOWN, 0.0)
-    if found.verdict == (UNKNOWN,) or weight < 0.5:
+    if found.verdict == (UNKNOWN,) or weight < settings.min_remainder_weight:
         return ""
     parts = ", ".join(
         f"{budget.remainder:.0%} of the gap in {channel}"
@@ -103,12 +124,12 @@ def remainder_sentence(found: Diagnosis) -> str:
     )
 
 
-def one_zeta_sentence(found: Diagnosis) -> str:
+def one_zeta_sentence(found: Diagnosis, settings: BudgetTextSettings = DEFAULT_BUDGET_TEXT) -> str:
     """The gap with one zeta for the bed, before and after, where it differs from that above."""
     parts = []
     for channel, gap in found.one_zeta_gap.items():
         own, (unit, scale) = found.gap[channel], SHOWN[channel]
-        if gap.before - gap.floor > 0.5 * max(own.before, own.floor):
+        if gap.before - gap.floor > settings.min_hidden_share * max(own.before, own.floor):
             parts.append(
                 f"{channel} {gap.before * scale:.2f} → {gap.after * scale:.2f} {unit} "
                 f"(chance {gap.floor * scale:.2f})"
@@ -121,18 +142,13 @@ def one_zeta_sentence(found: Diagnosis) -> str:
     )
 
 
-def zeta_sentence(found: Diagnosis, most: float = 0.98) -> str:
-    """Effects that another zeta would make up for, in one sentence; empty where there are none.
-
-    Args:
-        found: The diagnosis.
-        most: Share of an effect from which on these runs cannot show it [-].
-    """
+def zeta_sentence(found: Diagnosis, settings: BudgetTextSettings = DEFAULT_BUDGET_TEXT) -> str:
+    """Effects that another zeta would make up for, in one sentence; empty where there are none."""
+    most = settings.made_up_share
     free = isinstance(found.bed, FreeBed)
     hidden = [name for name, each in found.zeta_shares.items() if each.own > most]
-    lost = [name for name, each in found.zeta_shares.items() if each.bed > most]
-    if free:
-        lost = hidden
+    shares = found.zeta_shares.items()
+    lost = hidden if free else [name for name, each in shares if each.bed > most]
     sentences = []
     if lost:
         sentences.append(f"These runs cannot show {', '.join(lost)}: another zeta makes up for it.")

@@ -4,7 +4,6 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -17,7 +16,6 @@ from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import percent
 from diagnose.unknown.correction_fit import UnknownEffect
 from diagnose.unknown.dependence import PERIODIC_VARIABLE, signal_against
-from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES, Curve
 from drftjax.recorded.observation import SHOWN
 
@@ -72,7 +70,7 @@ def budget_figure(found: Diagnosis) -> Figure:
         ("chance (noise floor)", "0.8", [min(b.floor, b.before) for b in found.budget.values()]),
         *(
             (
-                " or ".join(_group_of(found, name)),
+                " or ".join(found.group_of(name)),
                 colours[k % len(colours)],
                 [max(b.effects[name].size, 0.0) for b in found.budget.values()],
             )
@@ -100,11 +98,6 @@ def budget_figure(found: Diagnosis) -> Figure:
     axes.set_title("Where the gap comes from", fontsize=10, loc="left")
     axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
-
-
-def _group_of(found: Diagnosis, name: str) -> Sequence[str]:
-    own = reported_name(name)
-    return next((each for each in found.groups if each and each[0] == own), [own])
 
 
 def at_a_glance(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> Figure:

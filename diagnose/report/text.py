@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import msgspec
 import numpy as np
 from rich.markup import escape
@@ -32,9 +31,9 @@ from diagnose.report.figures import (
     weights,
 )
 from diagnose.report.model_writer import MODEL_FILE_MARK, estimate_in_words, model_toml
+from diagnose.report.pages import render_page
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
-from drftjax import __version__
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
@@ -353,14 +352,8 @@ def run_columns(found: Diagnosis) -> tuple[str, ...]:
 
 def page(found: Diagnosis) -> str:
     """The report as one HTML page that refers to no other file."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("diagnose.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html").render(
-        version=__version__,
+    return render_page(
+        "report.html",
         names=[each.name for each in found.dataset.runs],
         verdict=verdict(found),
         budget=as_source(budget_figure(found)),

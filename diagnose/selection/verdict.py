@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.screening import ScreeningResult
@@ -11,6 +12,9 @@ from drftjax.effects.catalogue import reported_names
 # Weight of each explanation, by the names of its effects; ("none",) and ("unknown",) too. A set
 # beside which something unknown acts ends in "unknown".
 Weights = Mapping[tuple[str, ...], float]
+
+
+Named = TypeVar("Named")
 
 
 @dataclass(frozen=True)
@@ -64,14 +68,28 @@ def decide(
     """
     ranked = _speaking_together(share, settings)
     verdict, whole = ranked[0][0], _total(ranked)
-    kept, total = [], 0.0
+    kept = named_together(ranked, settings.group_weight * whole, settings.min_named_weight)
+    return verdict, [_group(first, verdict, kept[1:]) for first in verdict]
+
+
+def named_together(
+    ranked: Sequence[tuple[Named, float]], enough: float, least: float
+) -> list[Named]:
+    """The first explanation, and those after it until enough of the weight is named.
+
+    Args:
+        ranked: Explanations with their weights, heaviest first.
+        enough: Weight after which no further one is named [-].
+        least: One of less weight than this is not named beside another [-].
+    """
+    kept: list[Named] = []
+    total = 0.0
     for names, weight in ranked:
-        named_enough = total >= settings.group_weight * whole
-        if kept and (named_enough or weight < settings.min_named_weight):
+        if kept and (total >= enough or weight < least):
             break
         kept.append(names)
         total += weight
-    return verdict, [_group(first, verdict, kept[1:]) for first in verdict]
+    return kept
 
 
 def weight_by_set(share: Weights) -> dict[tuple[str, ...], float]:

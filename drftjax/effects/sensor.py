@@ -3,6 +3,7 @@
 import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -243,12 +244,12 @@ LOGGED = ("fx", "fz", "torque")
 LONGEST_DELAY = (KEPT - 1) * KEPT_EVERY
 
 
-def _channels(output: "Output", names: tuple[str, ...] = CHANNELS) -> Float[Array, " channels"]:
+def _channels(output: "Output", names: tuple[str, ...]) -> Float[Array, " channels"]:
     return jnp.stack([getattr(output, name) for name in names])
 
 
 def _with_channels(
-    output: "Output", values: Float[Array, " channels"], names: tuple[str, ...] = CHANNELS
+    output: "Output", values: Float[Array, " channels"], names: tuple[str, ...]
 ) -> "Output":
     changed = dict(zip(names, values, strict=True))
     if "z" in changed:
@@ -256,31 +257,33 @@ def _with_channels(
     return dataclasses.replace(output, **changed)
 
 
-def _begin_late(output: "Output", names: tuple[str, ...]) -> Memory:
-    """Ages [s] and values of the kept readings of some channels, as if at rest before."""
-    value = _channels(output, names)
-    ages = KEPT_EVERY * jnp.arange(KEPT, dtype=value.dtype)
-    return ages, jnp.repeat(value[None], KEPT, axis=0)
+class DelayedSensor(AbstractSensor):
+    """A sensor that reads some channels as they were a delay ago, as if at rest before the run."""
+
+    late: ClassVar[tuple[str, ...]]
+    delay: eqx.AbstractVar[Number]
+
+    def begin(self, output: "Output") -> Memory:
+        """Ages [s] and values of the kept readings."""
+        value = _channels(output, self.late)
+        ages = KEPT_EVERY * jnp.arange(KEPT, dtype=value.dtype)
+        return ages, jnp.repeat(value[None], KEPT, axis=0)
+
+    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
+        # The present first, then what was kept, the latest before the earlier.
+        older = memory[0] + dt
+        ages = jnp.concatenate([jnp.zeros_like(older[:1]), older])
+        values = jnp.concatenate([_channels(output, self.late)[None], memory[1]])
+        later = jnp.clip(jnp.sum(ages <= self.delay) - 1, 0, KEPT - 1)
+        share = jnp.minimum((self.delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
+        value = values[later] + share * (values[later + 1] - values[later])
+        # Never closer, or the kept would not reach back far enough; but for the times' rounding.
+        due = older[0] > KEPT_EVERY - dt / 100
+        kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
+        return _with_channels(output, value, self.late), kept
 
 
-def _read_late(
-    output: "Output", names: tuple[str, ...], delay: Number, dt: Number, memory: Memory
-) -> tuple["Output", Memory]:
-    """The output with some channels as they were a delay [s] ago, and the kept readings."""
-    # The present first, then what was kept, the latest before the earlier.
-    older = memory[0] + dt
-    ages = jnp.concatenate([jnp.zeros_like(older[:1]), older])
-    values = jnp.concatenate([_channels(output, names)[None], memory[1]])
-    later = jnp.clip(jnp.sum(ages <= delay) - 1, 0, KEPT - 1)
-    share = jnp.minimum((delay - ages[later]) / (ages[later + 1] - ages[later]), 1)
-    value = values[later] + share * (values[later + 1] - values[later])
-    # Never closer, or the kept would not reach back far enough; but for the times' rounding.
-    due = older[0] > KEPT_EVERY - dt / 100
-    kept = jnp.where(due, ages[:-1], older), jnp.where(due, values[:-1], memory[1])
-    return _with_channels(output, value, names), kept
-
-
-class ChannelDelay(AbstractSensor):
+class ChannelDelay(DelayedSensor):
     """Forces and torque are late against x and z: a second logger, whose clock is behind.
 
     What was true is kept as by `MeasurementDelay`. A diagnosis looks for it, and for its forms of
@@ -296,14 +299,10 @@ class ChannelDelay(AbstractSensor):
     )
     delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
 
-    def begin(self, output: "Output") -> Memory:
-        return _begin_late(output, LOGGED)
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _read_late(output, LOGGED, self.delay, dt, memory)
+    late: ClassVar[tuple[str, ...]] = LOGGED
 
 
-class TravelDelay(AbstractSensor):
+class TravelDelay(DelayedSensor):
     """The reading of x is late against the others; otherwise as `ChannelDelay`."""
 
     about: ClassVar = EffectInfo(
@@ -316,14 +315,10 @@ class TravelDelay(AbstractSensor):
     )
     delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
 
-    def begin(self, output: "Output") -> Memory:
-        return _begin_late(output, ("x",))
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _read_late(output, ("x",), self.delay, dt, memory)
+    late: ClassVar[tuple[str, ...]] = ("x",)
 
 
-class SinkageDelay(AbstractSensor):
+class SinkageDelay(DelayedSensor):
     """The reading of z is late against the others; otherwise as `ChannelDelay`."""
 
     about: ClassVar = EffectInfo(
@@ -336,14 +331,10 @@ class SinkageDelay(AbstractSensor):
     )
     delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
 
-    def begin(self, output: "Output") -> Memory:
-        return _begin_late(output, ("z",))
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _read_late(output, ("z",), self.delay, dt, memory)
+    late: ClassVar[tuple[str, ...]] = ("z",)
 
 
-class MeasurementDelay(AbstractSensor):
+class MeasurementDelay(DelayedSensor):
     """The readings are late, by a second at the most.
 
     What was true is kept every 10 ms, or at the first step after.
@@ -357,11 +348,7 @@ class MeasurementDelay(AbstractSensor):
     )
     delay: Number = strength("s", 0.1, "how late", least=0.0, most=LONGEST_DELAY)
 
-    def begin(self, output: "Output") -> Memory:
-        return _begin_late(output, CHANNELS)
-
-    def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        return _read_late(output, CHANNELS, self.delay, dt, memory)
+    late: ClassVar[tuple[str, ...]] = CHANNELS
 
 
 class MeasurementFilter(AbstractSensor):
@@ -376,12 +363,12 @@ class MeasurementFilter(AbstractSensor):
     lag: Number = strength("s", 0.1, "time constant", least=0.0)
 
     def begin(self, output: "Output") -> Memory:
-        return _channels(output)
+        return _channels(output, CHANNELS)
 
     def read(self, output: "Output", dt: Number, memory: Memory) -> tuple["Output", Memory]:
-        value = _channels(output)
+        value = _channels(output, CHANNELS)
         value = value + self.lag / (self.lag + dt) * (memory - value)
-        return _with_channels(output, value), value
+        return _with_channels(output, value, CHANNELS), value
 
 
 # What reads a force or a torque wrongly before what makes all readings late.

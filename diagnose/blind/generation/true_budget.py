@@ -13,8 +13,6 @@ $v(\emptyset)$ is what finer plates and steps leave, far below the noise.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
-from math import factorial
 
 import numpy as np
 
@@ -23,39 +21,13 @@ from diagnose.blind.plant.plant import DEFAULT_PLANT, FIT_PLATE_SIZE, Part, Plan
 from diagnose.blind.plant.rig import DEFAULT_RIG, PlantRig
 from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sensors import PlantReading
+from diagnose.gap.budget import shapley_values
 from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 
 CHANNELS = ("x", "z")
 
-Subset = frozenset[str]
-
 # Mean sinkages are met to a few micrometres, a tenth of the noise.
 MATCH = ZetaMatchSettings(min_step=2e-4)
-
-
-def shapley_values(value: Mapping[Subset, float]) -> dict[str, float]:
-    """Shapley value of each player of a game.
-
-    Args:
-        value: Value of every subset of the players, the empty one included.
-
-    Returns:
-        Part of each player, by name; all add up to the value of all less that of none.
-    """
-    everyone = max(value, key=len)
-    count = len(everyone)
-    parts = dict.fromkeys(sorted(everyone), 0.0)
-    for player in parts:
-        for subset in (each for each in value if player not in each):
-            size = len(subset)
-            weight = factorial(size) * factorial(count - size - 1) / factorial(count)
-            parts[player] += weight * (value[subset | {player}] - value[subset])
-    return parts
-
-
-def subsets(names: Sequence[str]) -> list[Subset]:
-    """All subsets of some names, the empty one first."""
-    return [frozenset(each) for size in range(len(names) + 1) for each in combinations(names, size)]
 
 
 def true_budget(
@@ -79,30 +51,31 @@ def true_budget(
     Raises:
         InputError: The plant, or the reference model, cannot make a run.
     """
-    groups = plant.groups_of(tuple(parts.values()), plant.COMMON_GROUPS)
-    gaps: dict[Subset, dict[str, float]] = {}
-    for subset in subsets(list(parts)):
-        present = [part for name, part in parts.items() if name in subset]
-        misses = [_residual(present, run, zeta, groups, settings, rig) for run, zeta in runs]
-        joined = np.concatenate(misses, axis=1)
-        rms = 1e3 * np.sqrt(np.mean(joined**2, axis=1))
-        gaps[subset] = dict(zip(CHANNELS, rms.tolist(), strict=True))
-    everyone, none = frozenset(parts), frozenset[str]()
+    names, present = list(parts), list(parts.values())
+    groups = plant.groups_of(tuple(present), plant.COMMON_GROUPS)
+    count, everyone = len(names), (1 << len(names)) - 1
+
+    def gap(mask: int) -> np.ndarray:
+        some = [part for place, part in enumerate(present) if mask >> place & 1]
+        misses = [_residual(some, run, zeta, groups, settings, rig) for run, zeta in runs]
+        return 1e3 * np.sqrt(np.mean(np.concatenate(misses, axis=1) ** 2, axis=1))
+
+    gaps = np.array([gap(mask) for mask in range(1 << count)])
     channels = {}
-    for channel in CHANNELS:
-        value = {subset: gap[channel] for subset, gap in gaps.items()}
-        excess = value[everyone] - value[none]
+    for channel, values in zip(CHANNELS, gaps.T.tolist(), strict=True):
+        sizes = shapley_values(values.__getitem__, count).tolist()
+        excess = values[everyone] - values[0]
         channels[channel] = {
-            "before": value[everyone],
-            "none": value[none],
+            "before": values[everyone],
+            "none": values[0],
             "effects": {
                 name: {
-                    "share": part / excess,
-                    "shapley": part,
-                    "alone": value[frozenset([name])],
-                    "without": value[everyone - {name}],
+                    "share": size / excess,
+                    "shapley": size,
+                    "alone": values[1 << place],
+                    "without": values[everyone & ~(1 << place)],
                 }
-                for name, part in shapley_values(value).items()
+                for place, (name, size) in enumerate(zip(names, sizes, strict=True))
             },
         }
     return {"unit": "mm", "channels": channels}

@@ -4,15 +4,13 @@ With $x = (\theta, \zeta_1 \ldots \zeta_R, 1)$ the sum of squares of block b is 
 (`diagnose.change.differences.gram`), and $s_b$ that by $N_b$, its degrees of freedom. The log score
 is
 
-$$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2)
-  - \tfrac12 (\nu_0 + \nu) \ln\Big(1 + \frac{\sum_i \zeta_i^2}{\nu_0 \sigma_0^2}\Big),$$
+$$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2) + \ln p(V_\zeta),$$
 
 with $w_b$ the independent statements in a value, $e_b$ the part of the responses that may be wrong
-and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the log
-zetas' Student t: their variance, of which a scaled inverse chi-square is believed ($\nu_0$ runs of
-scatter $\sigma_0$), is integrated out. $\zeta_i$ counts from a value that the condition's runs
-share, so $\nu$ is the runs less the conditions. The fit maximises the score, with Gaussian
-priors on $\theta$, by iteratively reweighted least squares.
+and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the
+evidence of the log zetas by the scatter of the bed (`diagnose.linear.bed`). $\zeta_i$ counts from a
+value that the condition's runs share, so the contrasts are the runs less the conditions. The fit
+maximises the score, with Gaussian priors on $\theta$, by iteratively reweighted least squares.
 """
 
 from collections.abc import Sequence
@@ -98,7 +96,7 @@ def fit_differences(
     change = np.zeros(width + runs)
     for _ in range(settings.iterations):
         weight = worth / np.maximum(matrices.count, 1) / (mean_square + response_error + floor)
-        variance = settings.zeta.variance(own, degrees_of_freedom)
+        variance = 1 / settings.bed.hold(_mean_square(own, degrees_of_freedom), degrees_of_freedom)
         change = _solve(np.einsum("b,bij->ij", weight, gram), variance, deviation, prior)
         mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
         alone = np.r_[change[:width], np.zeros(runs + 1)]
@@ -146,7 +144,8 @@ def _scored(
     """A fit with its score."""
     worth = matrices.worth(settings)
     floor = matrices.floor(settings)
-    zeta_score = settings.zeta.score(deviation, degrees_of_freedom)
+    scatter = _mean_square(deviation, degrees_of_freedom)
+    zeta_score = settings.bed.evidence(scatter, degrees_of_freedom)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
         evidence + zeta_score,
@@ -155,15 +154,20 @@ def _scored(
         mean_square,
         response_error,
         zeta_score,
-        float(np.sqrt(settings.zeta.variance(deviation, degrees_of_freedom))),
+        float(settings.bed.hold(scatter, degrees_of_freedom) ** -0.5),
     )
+
+
+def _mean_square(deviation: np.ndarray, degrees_of_freedom: int) -> float:
+    """Mean square of the independent differences of log zeta [-]."""
+    return float(deviation @ deviation) / max(degrees_of_freedom, 1)
 
 
 def information(
     matrices: DifferenceGram,
     fit: DifferenceFit,
     prior: CoefficientPrior,
-    worth: dict[str, float],
+    worth: np.ndarray,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
 ) -> np.ndarray:
     """Precision of (coefficients, log zetas), all columns acting, shape (n, n).
@@ -172,11 +176,10 @@ def information(
         matrices: Gram matrices about the fit.
         fit: What is left there.
         prior: Of the coefficients.
-        worth: Independent statements in one value of each kind of block [-].
+        worth: Independent statements in one value of each block [-], shape (blocks,).
         settings: For the model errors.
     """
-    by_block = np.array([worth[kind] for _, kind in matrices.blocks])
-    weight = by_block / (fit.mean_square + matrices.floor(settings))
+    weight = worth / (fit.mean_square + matrices.floor(settings))
     found = np.einsum("b,bij->ij", weight, matrices.gram[:, :-1, :-1])
     width = len(prior.width)
     runs = len(found) - width

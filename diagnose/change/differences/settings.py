@@ -5,35 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, Block
-
-
-@dataclass(frozen=True)
-class ZetaScatterSettings:
-    """Belief of the scatter of log zeta between runs of one bed, before the runs are seen.
-
-    A scaled inverse chi-square: the runs' own scatter joins it.
-
-    Attributes:
-        scatter: Centre of the belief [-]: sand that is prepared alike scatters by about 1 %.
-        worth: Runs that the belief counts as [-]: few, as beds differ.
-    """
-
-    scatter: float = 0.012
-    worth: float = 4.0
-
-    def variance(self, deviation: np.ndarray, degrees_of_freedom: int) -> float:
-        """Variance of log zeta, of the belief and the runs' deviations from their conditions."""
-        believed = self.worth * self.scatter**2
-        return (believed + float(deviation @ deviation)) / (self.worth + degrees_of_freedom)
-
-    def score(self, deviation: np.ndarray, degrees_of_freedom: int) -> float:
-        """Log density of the deviations, their variance integrated out, up to a constant."""
-        squares = float(deviation @ deviation) / (self.worth * self.scatter**2)
-        return -0.5 * (self.worth + degrees_of_freedom) * float(np.log1p(squares))
-
-
-DEFAULT_ZETA_SCATTER = ZetaScatterSettings()
+from diagnose.linear.bed import DEFAULT_BED, AbstractBed
+from diagnose.linear.linear_fit import DEFAULT_LINEAR_FIT, Block, worth_by_block
 
 
 @dataclass(frozen=True)
@@ -44,7 +17,7 @@ class DifferenceFitSettings:
         slow_worth: Independent statements in one bin of a slow part [-]. Far fewer than one: what
             a formula leaves of a true effect changes slowly, too.
         fast_worth: Independent statements in one sample of a fast part [-], likewise.
-        zeta: Scatter of zeta between runs.
+        bed: Scatter of zeta between runs, before these runs are seen.
         strength_prior: Width of the prior on a strength [typical sizes].
         shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
         zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over
@@ -58,7 +31,7 @@ class DifferenceFitSettings:
 
     slow_worth: float = 0.1
     fast_worth: float = 0.01
-    zeta: ZetaScatterSettings = DEFAULT_ZETA_SCATTER
+    bed: AbstractBed = DEFAULT_BED
     strength_prior: float = 5.0
     shape_prior: float = 0.7
     zeta_prior: float = 0.5
@@ -72,8 +45,7 @@ class DifferenceFitSettings:
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one value of these blocks [-], shape (blocks,)."""
-        worth = {"slow": self.slow_worth, "fast": self.fast_worth}
-        return np.array([worth[kind] for _, kind in blocks])
+        return worth_by_block(blocks, self.slow_worth, self.fast_worth)
 
 
 DEFAULT_DIFFERENCE_FIT = DifferenceFitSettings()

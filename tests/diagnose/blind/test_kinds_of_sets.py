@@ -17,7 +17,7 @@ from diagnose.blind.generation.settings import (
     RigSettings,
     SeveralSetSettings,
 )
-from diagnose.blind.generation.true_budget import shapley_values, subsets, true_budget
+from diagnose.blind.generation.true_budget import true_budget
 from diagnose.blind.plant.machine import PlantEccentricity
 from diagnose.blind.plant.run_plan import PlannedRun, SweepSettings
 from diagnose.blind.plant.sensors import PlantSinkageDrift, PlantTravelGain
@@ -142,18 +142,6 @@ def test_a_set_of_several_says_each_size_and_the_budget(short, tmp_path):
     # A gain of the travel and a drift of the sinkage show in one channel each.
     assert budget["channels"]["z"]["effects"]["travel_gain"]["share"] == pytest.approx(0, abs=1e-9)
     assert len(list((tmp_path / "set_01").rglob("*.h5"))) == 12
-
-
-def test_shapley_values_of_a_game_that_is_known():
-    # Gloves: a left one, and two right ones; a pair is worth one.
-    def worth(hands: frozenset[str]) -> float:
-        return float("left" in hands and len(hands) > 1)
-
-    values = shapley_values({each: worth(each) for each in subsets(["left", "right", "other"])})
-    assert values == pytest.approx({"left": 2 / 3, "right": 1 / 6, "other": 1 / 6})
-    cost = {"a": 3.0, "b": -1.0, "c": 0.5, "d": 7.0}
-    added = {each: 2 + sum(cost[name] for name in each) for each in subsets(list(cost))}
-    assert shapley_values(added) == pytest.approx(cost)
 
 
 def test_the_budget_shares_a_gap_out_by_channel():

@@ -35,6 +35,16 @@ def test_shapley_values_are_the_mean_over_all_orders():
     assert found.sum() == pytest.approx(worth[15], abs=ROUNDING)
 
 
+def test_shapley_values_of_gloves_and_of_a_sum_are_known():
+    """A left glove and two right ones; a pair is worth one."""
+    left, right = 0b001, 0b110
+    gloves = shapley_values(lambda mask: float(bool(mask & left) and bool(mask & right)), 3)
+    assert gloves == pytest.approx([2 / 3, 1 / 6, 1 / 6], abs=ROUNDING)
+    cost = np.array([3.0, -1.0, 0.5, 7.0])
+    added = shapley_values(lambda m: 2 + sum(c for k, c in enumerate(cost) if m >> k & 1), 4)
+    assert added == pytest.approx(cost, abs=ROUNDING)
+
+
 class Bench:
     """Runs whose effects add: a signal each, and zeta that shifts z alone."""
 

@@ -25,17 +25,29 @@ def test_evidence_is_that_of_a_student_t_of_the_contrasts(bed):
         return law.logpdf(contrasts(len(zetas)) @ zetas)
 
     near, far = map(np.array, SPREADS)
-    found = [bed.evidence(np.var(each, ddof=1), len(each)) for each in (near, far)]
+    found = [bed.evidence(np.var(each, ddof=1), len(each) - 1) for each in (near, far)]
     assert found[0] - found[1] == pytest.approx(reference(near) - reference(far), rel=1e-9)
 
 
 @pytest.mark.parametrize("bed", [PreparedBed(), FreeBed()])
 def test_hold_is_the_slope_of_the_evidence(bed):
-    runs, variance, step = 7, 4e-4, 1e-9
-    rise = bed.evidence(variance + step, runs) - bed.evidence(variance - step, runs)
-    # By half the sum of squares, which is (runs - 1) / 2 times the variance.
-    slope = -rise / (2 * step) / ((runs - 1) / 2)
-    assert bed.hold(variance, runs) == pytest.approx(slope, rel=DERIVATIVE * 100)
+    contrasts, variance, step = 6, 4e-4, 1e-9
+    rise = bed.evidence(variance + step, contrasts) - bed.evidence(variance - step, contrasts)
+    # By half the sum of squares, which is half the contrasts times their mean square.
+    slope = -rise / (2 * step) / (contrasts / 2)
+    assert bed.hold(variance, contrasts) == pytest.approx(slope, rel=DERIVATIVE * 100)
+
+
+def test_the_scatter_of_a_run_goes_from_the_belief_to_the_runs_own():
+    bed = PreparedBed(scatter=0.01, statements=4.0)
+
+    def scatter(contrasts: int) -> float:
+        return float(bed.hold(0.03**2, contrasts) ** -0.5)
+
+    assert scatter(0) == pytest.approx(0.01)
+    assert 0.01 < scatter(2) < 0.03
+    assert scatter(200) == pytest.approx(0.03, rel=0.02)
+    assert bed.evidence(0.03**2, 200) < bed.evidence(0.01**2, 200)
 
 
 def test_repeats_outweigh_what_is_usual():
@@ -53,7 +65,7 @@ def test_zeta_that_falls_with_the_condition_is_no_scatter_of_a_prepared_bed():
     fall, still = float(np.var(np.log([0.9, 0.75, 0.6, 0.45]), ddof=1)), 1e-4
 
     def loss(bed):
-        return bed.evidence(still, 4) - bed.evidence(fall, 4)
+        return bed.evidence(still, 3) - bed.evidence(fall, 3)
 
     assert loss(PreparedBed()) > 10
     assert loss(PreparedBed()) > 2 * loss(FreeBed())

@@ -88,7 +88,6 @@ def make_change(
     elif kinds:
         mechanism = mechanism_for(draw_mechanism(kinds[0], random), drawn.rig)
         base = (*law.parts, *present)
-
         part, mechanism_label = part_of_size(
             mechanism, draw_target(request, random, 0.0), *_probe_on(base, drawn, runs, settings)
         )
@@ -126,7 +125,6 @@ def _another_law(
     change = settings.change
     factors = 1 + change.coefficient_spread * random.standard_normal(9)
     rig = dataclasses.replace(drawn.rig, stress_factors=tuple(map(float, factors)))
-    # One at about the mean depth of the plates of a wheel at rest, so that zeta stays as it is.
     exponent = float(random.uniform(*change.depth_exponent))
     resistance = float(random.uniform(*change.heap)) * rig.mass_z * GRAVITY
     # One at about the mean depth of the plates of a wheel at rest, so that zeta stays as it is.

@@ -9,7 +9,8 @@ from scipy.optimize import minimize
 from diagnose.change.differences.conditions import MatchedCondition
 from diagnose.change.differences.fit import CoefficientPrior, fit_differences
 from diagnose.change.differences.gram import DifferenceGram, Differences
-from diagnose.change.differences.settings import DifferenceFitSettings, ZetaScatterSettings
+from diagnose.change.differences.settings import DifferenceFitSettings
+from diagnose.linear.bed import PreparedBed
 
 # Sums of a few hundred numbers, in another order.
 ROUNDING = 1e-10
@@ -110,10 +111,10 @@ def test_a_fit_is_where_a_general_optimiser_of_its_score_ends():
             worth = SETTINGS.worth(matrices.blocks)[block]
             total += 0.5 * worth * count * np.log(square / count + error**2)
         own = deviation + changes[2:]
-        zeta = SETTINGS.zeta
-        scatter = (own @ own) / (zeta.worth * zeta.scatter**2)
+        bed = PreparedBed()
+        scatter = (own @ own) / (bed.statements * bed.scatter**2)
         prior = 0.5 * ((changes[:2] / width) ** 2).sum()
-        return total + 0.5 * (zeta.worth + 3) * np.log1p(scatter) + prior
+        return total + 0.5 * (bed.statements + 3) * np.log1p(scatter) + prior
 
     best = minimize(loss, np.r_[fit.coefficients, fit.zeta_change] + 0.01, method="BFGS")
     assert loss(np.r_[fit.coefficients, fit.zeta_change]) == pytest.approx(best.fun, abs=OPTIMUM)
@@ -134,12 +135,3 @@ def test_bounds_hold_and_the_others_fit_around_them():
     assert held.coefficients[0] == pytest.approx(bound.least[0])
     assert held.coefficients[1] != pytest.approx(loose.coefficients[1])
     assert held.score < loose.score
-
-
-def test_scatter_goes_from_the_belief_to_the_runs_own():
-    settings = ZetaScatterSettings(scatter=0.01, worth=4.0)
-    few, many = np.full(2, 0.03), np.full(200, 0.03)
-    assert np.sqrt(settings.variance(np.zeros(2), 0)) == pytest.approx(0.01)
-    assert 0.01 < np.sqrt(settings.variance(few, 2)) < 0.03
-    assert np.sqrt(settings.variance(many, 200)) == pytest.approx(0.03, rel=0.02)
-    assert settings.score(many, 200) < settings.score(many / 3, 200)
