@@ -136,14 +136,16 @@ def _group(first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...
 def reassign_unknown(share: Weights, name: str) -> dict[tuple[str, ...], float]:
     """Weights after that of `unknown` went to an effect of the catalogue.
 
-    Where the runs show it in a form that the catalogue lacks.
+    Where the runs show it in a form that the catalogue lacks: what is unknown, and what the list's
+    form leaves, is then that effect.
 
     Args:
         share: Weights with `unknown`.
         name: The effect.
     """
-    moved = share.get((name,), 0.0) + share[(UNKNOWN,)]
-    return {**share, (name,): moved, (UNKNOWN,): 0.0}
+    unknown = {names: share[names] for names in ((UNKNOWN,), (name, UNKNOWN)) if names in share}
+    moved = share.get((name,), 0.0) + sum(unknown.values())
+    return {**share, **dict.fromkeys(unknown, 0.0), (name,): moved}
 
 
 def with_remainder(

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from diagnose.gap.selected_effects import EffectSelectionSettings
 from diagnose.hypotheses.refinement import RefinementSettings
 from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
 from diagnose.linear.linear_fit import LinearFitSettings
@@ -68,8 +69,14 @@ def test_a_weight_and_a_threshold_change_the_verdict(sloping):
     usual = diagnose(sloping, EFFECTS)
     assert usual.verdict == ("surface_slope",)
     prior = WeightSettings(log_prior_unknown=WeightSettings().log_prior_unknown + 30)
-    believed = diagnose(sloping, [SurfaceSlope], settings=DiagnosisSettings(weights=prior))
+    selection = EffectSelectionSettings(large_gap=np.inf)
+    settings = DiagnosisSettings(weights=prior, selection=selection)
+    believed = diagnose(sloping, [SurfaceSlope], settings=settings)
     assert believed.verdict == (UNKNOWN,)
+    # The slope explains nearly all of a large gap, and is named beside what is believed in.
+    beside = diagnose(sloping, [SurfaceSlope], settings=DiagnosisSettings(weights=prior))
+    assert beside.verdict == ("surface_slope",)
+    assert beside.weights[UNKNOWN] > VerdictSettings().remainder_weight
     cautious = DiagnosisSettings(
         verdict=VerdictSettings(alarm_ratio=1e12), held_out=HeldOutSettings(1, 0)
     )

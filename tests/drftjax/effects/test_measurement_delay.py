@@ -68,9 +68,11 @@ def test_each_channel_is_late_by_its_own_clock_and_no_other():
     omega = 2.0 + np.sin(np.arange(1, steps + 1) / 9)
     delays = tuple(KNOWN[name](delay=dt * count[name]) for name in late)
 
+    start = driven(True, 2.0)
+
     @jax.jit
     def both():
-        sim, start = simulator(RIM), driven(True, 2.0)
+        sim = simulator(RIM)
         slow = replace(sim, effects=delays)
         return [rows(each, start, omega, dt, 1) for each in (sim, slow)]
 
