@@ -43,6 +43,19 @@ class Event(IntEnum):
     RIG_RESET = 42  # arg: the new boot_id
     EMERGENCY_STOP = 43  # arg: the reason's number
     FRAMES_DROPPED = 44  # arg: how many since the last such event
+    # What the rig measures, against what it was told (hils.control.safety).
+    RUNAWAY = 70  # arg: the angular velocity measured [rad/s]
+    DRIVE_DEVIATES = 71  # arg: the same
+    MOVES_AT_REST = 72  # arg: angular velocity [rad/s] or travel [m] measured
+    NOT_SLOWING = 73  # arg: the angular velocity measured after STOP [rad/s]
+    CARRIAGE_DEVIATES = 74  # arg: the speed measured [m/s]
+    STAYS_STUCK = 75  # arg: for how long [s]
+    READINGS_TOO_OLD = 76  # arg: age of the newest [s]
+    ZETA_DOUBTED = 77  # arg: zeta(0) by statics [-]
+    SIMULATION_JUMPS = 78  # arg: change of the simulated height [m]
+    SPEED_DOUBTED = 79  # arg: the carriage speed that was asked for [m/s]
+    ZETA_AT_BOUND = 80  # arg: the bound [-]
+    OMEGA_LOST = 81  # omega is no longer measured; its last value stands in the log
     # What ended the run early.
     LINK_LOST = 50
     INTERRUPTED = 51  # arg: the signal's number
@@ -66,6 +79,7 @@ class TickFlag(IntFlag):
     OLD = 1 << 7  # the reading answers a command too old to tune by, so zeta was held
     DRIVE_OFF = 1 << 8  # the wheel does not turn as commanded
     X_STUCK = 1 << 9  # x stands still though the carriage is driven
+    HELD = 1 << 10  # zeta was held: the wheel stands, z is stuck or zeta is at a bound
     NOT_FINITE = 1 << 31  # a number of this row was not finite; 0 stands for it
 
 

@@ -79,11 +79,13 @@ def file_names(output: Path, runs: int) -> list[Path]:
 
 
 def make_series(procedure: Procedure, series: Series, prompts: AbstractPrompts) -> int:
-    """Make the runs, one after the other; the first that does not complete, or after which the rig
-    is not seen to rest, ends them, and so does whoever asks for an end, between two runs as well.
+    """Make the runs, one after the other; the first that does not complete, in which a safety rule
+    fired, or after which the rig is not seen to rest, ends them, and so does whoever asks for an
+    end, between two runs as well.
 
     Returns:
-        The exit code: 0 where all were completed, the rig rests and nobody asked for an end.
+        The exit code: 0 where all were completed, nothing was found, the rig rests and nobody asked
+        for an end.
 
     Raises:
         InputError: a run could not be begun, or its file not be finished.
@@ -106,7 +108,7 @@ def make_series(procedure: Procedure, series: Series, prompts: AbstractPrompts) 
                 request = report.stop_reason or stop.first_reason
                 if request is not None:
                     return _exit_code(request)
-                if not (report.completed and report.rested):
+                if not (report.completed and report.rested) or report.findings:
                     return ENDED_EARLY
                 stop.uninterruptible = False
                 if stop.first_reason is not None:  # it came just before it would have been raised
@@ -227,7 +229,11 @@ def _draw_figure(path: Path) -> str:
 
 def outcome_lines(report: RunReport, path: Path) -> list[str]:
     """A run's report in a few lines."""
-    lines = ["Completed." if report.completed else f"Ended early: {report.reason}."]
+    lines = [f"Ended early: {report.reason}."]
+    if report.completed:
+        lines = ["Completed, but not all was well:" if report.findings else "Completed."]
+    reason = "" if report.completed else report.reason
+    lines += [f"- {each[0].upper()}{each[1:]}." for each in report.findings if each != reason]
     if report.completed and report.stop_reason is not None:
         lines.append(f"No further run: {report.stop_reason.reason}.")
     if not report.rested:

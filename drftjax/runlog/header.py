@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from drftjax.common.errors import InputError
 from drftjax.runlog import validation as rules
-from drftjax.runlog.record import CHANNELS, RecordedSetup
+from drftjax.runlog.record import SENSORS, RecordedSetup
 from drftjax.runlog.schema import COLUMNS, Column
 
 
@@ -37,7 +37,7 @@ class Head:
         setup: Set-up of the rig as stated by the operator.
         source: Origin of the run, such as "measured" or "virtual rig".
         title: Title for people.
-        channels: Channels of /measured: names among x, z, fx, fz, torque, in the order of a row.
+        channels: Channels of /measured: names among x, z, fx, fz, torque, omega, in the order of a row.
         driven: True where the carriage is driven, so that /command has vx.
         online: Numbers of the control loop; None where there is none.
         event_meanings: Words for each code of /events.
@@ -63,11 +63,11 @@ class Head:
     def __post_init__(self) -> None:
         for sentence in rules.source_problems(self.source):
             raise InputError(sentence)
-        known = [each for each in CHANNELS if each in self.channels]
+        known = [each for each in SENSORS if each in self.channels]
         if not known or len(known) != len(self.channels):
             raise InputError(
                 f"channels are {', '.join(self.channels) or 'none'}, they must be some of "
-                f"{', '.join(CHANNELS)}"
+                f"{', '.join(SENSORS)}"
             )
 
     def columns(self, title: str) -> tuple[Column, ...]:

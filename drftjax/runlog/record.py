@@ -22,8 +22,11 @@ from drftjax.runlog.schema import COLUMNS, ONLINE_NUMBERS, Column
 Reals = NDArray[np.float64]
 
 
-CHANNELS: Final = tuple(each.name for each in COLUMNS["measured"][1:])
+SENSORS: Final = tuple(each.name for each in COLUMNS["measured"][1:])
 """Quantities that a rig may measure, in the format's order."""
+
+CHANNELS: Final = tuple(name for name in SENSORS if name != "omega")
+"""Those that a simulation is compared with; the wheel's speed is what it is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,9 +117,10 @@ class Measured:
         fx: Forward force of the sand on the wheel [N].
         fz: Upward force of the sand on the wheel [N].
         torque: Torque of the drive on the wheel, positive driving forward [N m].
+        omega: Wheel speed, positive driving forward [rad/s].
 
     Raises:
-        InputError: names the column and the rule that it breaks, or no channel is given.
+        InputError: names the column and the rule that it breaks, or no channel but omega is given.
     """
 
     time: Reals
@@ -125,6 +129,7 @@ class Measured:
     fx: Reals | None = None
     fz: Reals | None = None
     torque: Reals | None = None
+    omega: Reals | None = None
 
     def __post_init__(self) -> None:
         _store_columns(self, "measured")
@@ -132,9 +137,18 @@ class Measured:
             raise InputError(f"nothing was measured: give at least one of {', '.join(CHANNELS)}")
 
     def channels(self) -> dict[str, Reals]:
-        """Measured channels by name, in the format's order."""
+        """Measured channels that a simulation is compared with, by name, in the format's order."""
         pairs = ((name, getattr(self, name)) for name in CHANNELS)
         return {name: values for name, values in pairs if values is not None}
+
+    def select(self, rows: NDArray[np.bool_]) -> "Measured":
+        """These rows of every column.
+
+        Args:
+            rows: True for each row to keep, shape (rows,).
+        """
+        pairs = ((name, getattr(self, name)) for name in ("time", *SENSORS))
+        return Measured(**{name: each[rows] for name, each in pairs if each is not None})
 
     @property
     def sinkage(self) -> Reals:
@@ -168,6 +182,12 @@ class Online:
         flags: Bits of the events of this tick.
         seq_sent, seq_received: Sequence numbers on the wire.
         rig_time: Clock of the rig [s].
+        ack_seq: Sequence number of the command that the newest measurement answers. This and those
+            below are None in a log of a program that did not record them.
+        rig_state, rig_fault: As the rig said with it; docs/reference/wire.md has the states.
+        work_time: From waking to the command being away [s].
+        wake_delay: From the due time of the tick, or of the first one skipped before it, to
+            waking [s].
         tick: Control period [s].
         zeta_step: Change of zeta in one tuning step [-].
         tolerance: Largest sinkage error at which zeta is not changed [m].
@@ -192,6 +212,11 @@ class Online:
     seq_sent: NDArray[np.uint32]
     seq_received: NDArray[np.uint32]
     rig_time: Reals
+    ack_seq: NDArray[np.uint32] | None = field(default=None, kw_only=True)
+    rig_state: NDArray[np.uint16] | None = field(default=None, kw_only=True)
+    rig_fault: NDArray[np.uint16] | None = field(default=None, kw_only=True)
+    work_time: Reals | None = field(default=None, kw_only=True)
+    wake_delay: Reals | None = field(default=None, kw_only=True)
     tick: float
     zeta_step: float
     tolerance: float

@@ -57,6 +57,7 @@ COLUMNS: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("fx", "N", optional=True),
         Column("fz", "N", optional=True),
         Column("torque", "N m", optional=True),
+        Column("omega", "rad/s", optional=True),
     ),
     "online": (
         Column("time", "s"),
@@ -73,6 +74,11 @@ COLUMNS: Final[Mapping[str, tuple[Column, ...]]] = {
         Column("seq_sent", "1", np.uint32),
         Column("seq_received", "1", np.uint32),
         Column("rig_time", "s"),
+        Column("ack_seq", "1", np.uint32, optional=True),  # this and the rest likewise
+        Column("rig_state", "1", np.uint16, optional=True),
+        Column("rig_fault", "1", np.uint16, optional=True),
+        Column("work_time", "s", optional=True),
+        Column("wake_delay", "s", optional=True),
     ),
     "events": (
         Column("event_time", "s"),

@@ -58,6 +58,9 @@ class StepResult(NamedTuple):
 NUMBERS = len(StepResult._fields)
 
 
+_ZETA = StepResult._fields.index("zeta")
+
+
 class CompiledStep:
     """A tick as one call: packed state in, packed state out. It holds no state of a run.
 
@@ -116,6 +119,7 @@ class CompiledStep:
 
         one = jax.ShapeDtypeStruct((), np.float64)
         length = NUMBERS + sum(leaf.size for leaf in leaves)
+        self._tuner_at = NUMBERS + sum(leaf.size for leaf in jax.tree.leaves(example.state))
         packed = jax.ShapeDtypeStruct((length,), np.float64)
         given = jax.ShapeDtypeStruct((1 + substeps,), np.float64)
         self._first = jax.jit(first).lower(one, one, one, one).compile()
@@ -145,6 +149,19 @@ class CompiledStep:
         given[0], given[1:] = sinkage, omega
         # A copy of a few dozen numbers: JAX's own memory may go to the next call's result.
         return np.array(self._tick(packed, given))
+
+    def with_tuner_of(self, packed: Packed, earlier: Packed) -> Packed:
+        """The simulated wheel of one packed state, with zeta and the tuner's memory of another."""
+        mixed = packed.copy()
+        mixed[_ZETA] = earlier[_ZETA]
+        mixed[self._tuner_at :] = earlier[self._tuner_at :]
+        return mixed
+
+    def with_zeta(self, packed: Packed, zeta: float) -> Packed:
+        """The packed state with another zeta [-]."""
+        changed = packed.copy()
+        changed[_ZETA] = changed[self._tuner_at] = zeta
+        return changed
 
     @staticmethod
     def compute(packed: Packed) -> StepResult:

@@ -62,6 +62,8 @@ class ReadingLimits(msgspec.Struct, frozen=True):
             after which the sensor counts as stuck [s].
         drive_error: Difference of measured and commanded angular velocity that is no noise [rad/s].
         drive_time: Time over which that difference lasts before it is flagged [s].
+        noisy_at_rest: True where the readings of the standing wheel showed noise, so that a height
+            without any change means a stuck sensor, and `still` may be short.
     """
 
     highest: float = 0.05
@@ -74,6 +76,28 @@ class ReadingLimits(msgspec.Struct, frozen=True):
     still: float = 1.0
     drive_error: float = 0.05
     drive_time: float = 0.5
+    noisy_at_rest: bool = False
+
+    def by_noise(self, repeated: float, interval: float) -> "ReadingLimits":
+        """The limits with the time after which z is stuck taken from the noise at rest.
+
+        A run of equal readings as long as that has a chance of one in 1e9 while the sensor lives,
+        but no less than a tenth of a second is taken.
+
+        Args:
+            repeated: Share of the standing wheel's readings that equal the one before [-].
+            interval: From one reading to the next [s].
+        """
+        if not repeated < _MOST_REPEATED:
+            return self
+        count = math.log(_CHANCE) / math.log(max(repeated, _CHANCE))
+        still = max(_SHORTEST_STILL, (count + 1) * interval)
+        return msgspec.structs.replace(self, still=min(self.still, still), noisy_at_rest=True)
+
+
+# A sensor that repeats more of its readings than this at rest shows too little noise to judge by.
+_MOST_REPEATED = 0.9
+_CHANCE, _SHORTEST_STILL = 1e-9, 0.1  # [-], [s]
 
 
 class Verdict(enum.Enum):

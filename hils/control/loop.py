@@ -3,7 +3,6 @@
 import enum
 
 from hils.clock import AbstractClock
-from hils.control.event_log import EventLog
 from hils.control.limits import Verdict
 from hils.control.loop_report import LoopReport, LoopStatistics
 from hils.control.measurements import (
@@ -17,13 +16,15 @@ from hils.control.measurements import (
     measured_channels,
 )
 from hils.control.run_end import DEFAULT_RAMP, RampSettings, RunEnd
-from hils.control.schedule import TickSchedule, TickStart
+from hils.control.safety import DEFAULT_SAFETY, Action, Finding, SafetyMonitor, SafetySettings
+from hils.control.schedule import TickSchedule
 from hils.control.stop_request import StopReason, StopRequest
 from hils.control.tick import AbstractTick, LoopState, TickInput, TickOutput
 from hils.control.tick_record import TickRecord
 from hils.events import Event
 from hils.link.link import AbstractLink
 from hils.link.messages import Drive, HelloAck
+from hils.recording.event_log import EventLog
 from hils.recording.sinks import RowSink
 
 
@@ -50,6 +51,8 @@ class TickLoop:
         valid_ms: Time for which the rig may hold a command [ms].
         response: Patience with a silent rig.
         ramp: End of the ramp to rest.
+        safety: Numbers of the safety rules.
+        omega_measured: True where the rig measures its wheel's speed.
     """
 
     def __init__(
@@ -66,6 +69,8 @@ class TickLoop:
         valid_ms: int,
         response: ResponseSettings = DEFAULT_RESPONSE,
         ramp: RampSettings = DEFAULT_RAMP,
+        safety: SafetySettings = DEFAULT_SAFETY,
+        omega_measured: bool = True,
     ):
         period = tick.loop.tick
         self._tick, self._link, self._log = tick, link, log
@@ -73,7 +78,10 @@ class TickLoop:
         self._schedule = TickSchedule(clock, period)
         self._tracker = MeasurementTracker(link, log, zero, ack, period, response)
         self._sensors = SensorFaults(log)
-        self._record = TickRecord(rows, measured_channels(zero.x_scale), tick.driven, period)
+        channels = measured_channels(zero.x_scale, omega_measured)
+        self._record = TickRecord(rows, channels, tick.driven, period)
+        self._safety = SafetyMonitor(tick.loop, tick.driven, safety)
+        self._findings: list[Finding] = []
         self._end = RunEnd(tick, link, rows, log, stop, ramp)
         self._statistics = LoopStatistics(self._end.most_ticks)
 
@@ -104,7 +112,8 @@ class TickLoop:
         dropped = self._link.quality().dropped - dropped
         if dropped:
             self._log.event(Event.FRAMES_DROPPED, dropped)
-        return LoopReport(reason, completed, self._statistics, state)
+        findings = (*(each.sentence for each in self._findings), *self._sensors.sentences)
+        return LoopReport(reason, completed, self._statistics, state, findings)
 
     def _make_tick(self, state: LoopState) -> LoopState:
         start = self._schedule.wait_for(state.number)
@@ -122,10 +131,31 @@ class TickLoop:
             self._handle_overrun(overrun, 0)
         # A tick that was skipped had its deadline too.
         late = max(0.0, self._schedule.lateness(start, sent))
-        self._record.write(output, polled, seq, late, start.skipped, ramping, self._sensors.flags)
+        times = sent - start.woken, start.woken - start.due
+        flags = self._sensors.flags
+        self._record.write(output, polled, seq, late, start.skipped, ramping, flags, *times)
         self._check_readings(state, output, polled)
-        self._count(start, output, polled, sent)
+        self._count(times, output, polled)
+        for each in self._safety.find(output, state.watch, polled, ramping):
+            self._follow(each)
         return state
+
+    def _follow(self, finding: Finding) -> None:
+        """Act on a safety rule that fired.
+
+        Raises:
+            RigUnresponsive: it asks for an emergency stop, which is sent.
+        """
+        self._findings.append(finding)
+        rule = finding.rule
+        if rule.action is Action.HOLD:
+            self._log.event(rule.event, finding.value)
+            return
+        reason = StopReason(finding.sentence, rule.event, finding.value)
+        if rule.action is Action.STOP:
+            self._log.note(rule.event, finding.value)
+            self._end.stop_at_once(reason)
+        self._end.request(reason)
 
     def _send(self, output: TickOutput) -> int:
         """Command the rig; the sequence number of the command."""
@@ -157,14 +187,8 @@ class TickLoop:
                 self._end.request(StopReason(why, Event.READINGS_REFUSED_IN_A_ROW, refused))
         self._sensors.update(state.watch, reading, state.demand.omega)
 
-    def _count(
-        self, start: TickStart, output: TickOutput, polled: PolledReading, sent: float
-    ) -> None:
+    def _count(self, times: tuple[float, float], output: TickOutput, polled: PolledReading) -> None:
         driven = self._tick.driven
         self._statistics.fresh += polled.reading is not None
         self._statistics.old += driven and polled.answers_old_command
-        self._statistics.add_tick(
-            sent - start.woken,
-            start.woken - start.due,
-            output.after.error if driven else float("nan"),
-        )
+        self._statistics.add_tick(*times, output.after.error if driven else float("nan"))

@@ -32,6 +32,20 @@ MOST_TICKS = 2e6
 FASTEST_WHEEL, FASTEST_CARRIAGE = 100.0, 10.0
 
 
+class ZetaHold(msgspec.Struct, frozen=True):
+    """Where zeta is held whatever the tuner says.
+
+    Attributes:
+        standing_omega: Commanded angular velocity up to which the wheel stands [rad/s]: a simulated
+            wheel that stands hardly moves whatever zeta is, so that a tuner runs away.
+        min_zeta, max_zeta: Bounds of zeta [-]; sand beyond them does not exist.
+    """
+
+    standing_omega: float = 0.02
+    min_zeta: float = 0.05
+    max_zeta: float = 20.0
+
+
 class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
     """The loop before a run.
 
@@ -43,6 +57,7 @@ class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
         readings: Limits of the readings.
         commands: Limits of the commands.
         ramp: Change of the angular velocity when a run is ended early [rad/s2].
+        hold: Where zeta is held; None in logs of a program that held it nowhere.
     """
 
     setup: SetUp
@@ -52,6 +67,7 @@ class LoopSetUp(msgspec.Struct, frozen=True, kw_only=True):
     tuning_ticks: int = 1
     readings: ReadingLimits = ReadingLimits()
     ramp: float = 1.0
+    hold: ZetaHold | None = ZetaHold()
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -85,7 +101,9 @@ class LoopRecord(msgspec.Struct, frozen=True):
         """
         try:
             record = msgspec.json.decode(text, type=dict[str, dict[str, Any]])
-            if isinstance(setup := record.get("loop", {}).get("setup"), dict):
+            loop = record.get("loop", {})
+            loop.setdefault("hold", None)
+            if isinstance(setup := loop.get("setup"), dict):
                 record["loop"]["setup"] = drop_unused_numbers(setup)
             return msgspec.convert(record, cls)
         except msgspec.DecodeError as error:
@@ -131,6 +149,12 @@ class LoopPhysics:
     def ticks(self) -> int:
         """Length of the profile."""
         return len(self.omega)
+
+    def with_readings(self, readings: ReadingLimits) -> "LoopPhysics":
+        """The same, with other limits of the readings; nothing is compiled again."""
+        other = copy.copy(self)
+        other.loop = msgspec.structs.replace(self.loop, readings=readings)
+        return other
 
     def precompile(self, start: Start, ticks: int = 20) -> None:
         """Make some steps beforehand, so that the first tick takes no longer than any other."""

@@ -76,9 +76,11 @@ class LoopReport(NamedTuple):
         completed: True where the profile was run to its end.
         statistics: Counts and times of the ticks.
         last: State of the loop at the end.
+        findings: Sentences on safety rules that fired, and sensors that were stuck.
     """
 
     reason: str
     completed: bool
     statistics: LoopStatistics
     last: LoopState
+    findings: tuple[str, ...] = ()

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from hils.control.event_log import EventLog
 from hils.control.limits import Reading, ReadingMonitor
 from hils.events import Event, TickFlag
 from hils.link.link import AbstractLink, Arrival
@@ -17,6 +16,7 @@ from hils.link.messages import (
     StateReport,
     reason_in_words,
 )
+from hils.recording.event_log import EventLog
 
 # As plain numbers: an enumeration's own arithmetic takes a microsecond each.
 STUCK, DRIVE_OFF, X_STUCK = (int(TickFlag[name]) for name in ["STUCK", "DRIVE_OFF", "X_STUCK"])
@@ -45,9 +45,15 @@ class TouchdownZero(NamedTuple):
         )
 
 
-def measured_channels(x_scale: float) -> tuple[str, ...]:
-    """Channels of /measured that a rig with this scale of x [m a count] fills."""
-    return ("x", "z") if x_scale else ("z",)
+def measured_channels(x_scale: float, omega: bool) -> tuple[str, ...]:
+    """Channels of /measured that a rig fills.
+
+    Args:
+        x_scale: Metres a count of x; 0 where it is not measured.
+        omega: True where the rig measures its wheel's speed.
+    """
+    every = (("x", bool(x_scale)), ("z", True), ("omega", omega))
+    return tuple(name for name, there in every if there)
 
 
 @dataclass(frozen=True)
@@ -61,12 +67,17 @@ class ResponseSettings:
         stale_time: Age of a reading, at least, that is worth an event [s]; zeta is not tuned by a
             reading that answers a command as old.
         stale_ticks: The same in ticks; the longer of both counts.
+        clock_window: Time over which the least delay of a reading is looked for, which tells the
+            rig's clock from the host's [s]; crystals drift apart by less than 1 ms in it.
+        clock_jump: Change of that delay from one reading to the next that is the clock's [s].
     """
 
     silent_time: float = 0.25
     silent_ticks: int = 5
     stale_time: float = 0.03
     stale_ticks: int = 5
+    clock_window: float = 5.0
+    clock_jump: float = 0.1
 
     def longest_silence(self, period: float) -> float:
         """Time without a measurement after which a run is ended [s], by the control period [s]."""
@@ -91,16 +102,58 @@ class PolledReading(NamedTuple):
         reading: The measurement, where it was not seen before.
         answers_old_command: True of a new reading that answers a command so old that it counts as
             stale. A line that holds all back alike is seen by nothing else.
-        age: Of the newest reading [s].
+        age: Of the newest reading, from its sample on, as far as the rig's clock tells [s].
+        behind: Age of the command that the newest measurement answers [s].
         seq: Sequence number of the newest measurement; 0 before the first.
+        ack_seq: Of the command that it answers.
         rig_time: Clock of the rig, which does not wrap here [s].
+        state, fault: Of the rig, as the newest measurement says.
     """
 
     reading: Reading | None
     answers_old_command: bool
     age: float
+    behind: float
     seq: int
+    ack_seq: int
     rig_time: float
+    state: int
+    fault: int
+
+
+class SampleClock:
+    """Age of samples by the rig's clock, which runs beside the host's.
+
+    The least delay between sample and arrival over some seconds is taken for that of the line,
+    half of the round trip; what a reading is later than that, it is older.
+
+    Args:
+        settings: Window and jumps.
+    """
+
+    def __init__(self, settings: ResponseSettings):
+        self._settings = settings
+        self._begin = -math.inf
+        self._last = self._least = self._before = math.inf
+        self._trip = math.inf
+
+    def age(self, arrival: float, sampled: float, trip: float) -> float:
+        """Age of a sample when it arrived [s].
+
+        Args:
+            arrival: By the host's clock [s].
+            sampled: By the rig's [s].
+            trip: From the command that it answers being sent to the arrival [s].
+        """
+        delay, settings = arrival - sampled, self._settings
+        if abs(delay - self._last) > settings.clock_jump and math.isfinite(self._last):
+            self._least = self._before = math.inf  # the rig's clock was set
+        if arrival - self._begin > settings.clock_window:
+            self._before, self._least, self._begin = self._least, math.inf, arrival
+        self._last, self._least = delay, min(self._least, delay)
+        self._trip = min(self._trip, trip) if trip > 0 else self._trip
+        line = self._trip / 2 if math.isfinite(self._trip) else 0.0
+        return delay - min(self._least, self._before) + line
 
 
 class MeasurementTracker:
@@ -127,7 +180,8 @@ class MeasurementTracker:
         self._link, self._log, self._zero, self._ack = link, log, zero, ack
         self._longest_silence = settings.longest_silence(period)
         self._stale_age = settings.stale_age(period)
-        self._start = self._reading_time = 0.0
+        self._start = self._reading_time = self._age = 0.0
+        self._samples = SampleClock(settings)
         self._seen: Arrival | None = None
         self._stale = False
         self._rig_us: int | None = None
@@ -151,14 +205,40 @@ class MeasurementTracker:
         arrival = self._link.newest()
         seen, self._seen = self._seen, arrival
         behind = self._check_age(arrival, now)
-        reading = None if arrival is None else self._new_reading(arrival, seen)
+        if arrival is None:
+            return PolledReading(None, False, now - self._start, behind, 0, 0, 0.0, 0, 0)
+        reading = self._new_reading(arrival, seen)
+        message = arrival.frame.message
+        assert isinstance(message, Measurement)
+        if reading is not None:
+            sent = self._link.sent_at(message.ack_seq)
+            trip = 0.0 if sent is None else arrival.time - sent
+            self._age = self._samples.age(arrival.time, self._rig_time, trip)
+        age = max(0.0, now - max(arrival.time, self._start)) + self._age
+        self._require_recent(max(age, behind))
         return PolledReading(
             reading,
             reading is not None and behind > self._stale_age,
-            max(0.0, now - self._start - self._reading_time),
-            0 if arrival is None else arrival.frame.seq,
-            (self._rig_us or 0) * 1e-6,
+            age,
+            behind,
+            arrival.frame.seq,
+            message.ack_seq,
+            self._rig_time,
+            int(message.state),
+            message.fault,
         )
+
+    @property
+    def _rig_time(self) -> float:
+        return (self._rig_us or 0) * 1e-6
+
+    def _require_recent(self, age: float) -> None:
+        if age > self._longest_silence:
+            self._log.note(Event.READINGS_TOO_OLD, age)
+            raise RigUnresponsive(
+                f"the rig's newest reading is {age:.2f} s old, {self._longest_silence:.2g} s are "
+                "allowed: something holds the line's bytes back, or the rig reads its sensors late"
+            )
 
     def _check_age(self, arrival: Arrival | None, now: float) -> float:
         """Age of the command that the newest measurement answers [s]; a silent rig is refused."""
@@ -233,12 +313,14 @@ class SensorFaults:
 
     Attributes:
         flags: Those that hold, as bits of `hils.events.TickFlag`.
+        sentences: Words on each kind of stuck sensor that was there.
     """
 
     def __init__(self, log: EventLog):
         self._log = log
-        self._stuck = self._drive_off = self._x_stuck = False
+        self._held = dict.fromkeys((STUCK, DRIVE_OFF, X_STUCK), False)
         self.flags = 0
+        self.sentences: list[str] = []
 
     def update(self, monitor: ReadingMonitor, reading: Reading | None, omega: float) -> None:
         """Take over the faults found on a tick.
@@ -248,16 +330,27 @@ class SensorFaults:
             reading: Of the tick.
             omega: Angular velocity commanded on it [rad/s].
         """
-        if monitor.stuck != self._stuck:
-            self._stuck = monitor.stuck
-            still = monitor.time - monitor.still_since
-            self._log.event(Event.SENSOR_STUCK if self._stuck else Event.SENSOR_MOVES_AGAIN, still)
-        if monitor.drive_off != self._drive_off:
-            self._drive_off = monitor.drive_off
+        z_since, x_since = monitor.still_since, monitor.x_still_since
+        if self._changes(STUCK, monitor.stuck):
+            since = monitor.time - z_since
+            self._log.event(
+                Event.SENSOR_STUCK if monitor.stuck else Event.SENSOR_MOVES_AGAIN, since
+            )
+            self._say(monitor.stuck, "z did not change while the wheel turned", z_since)
+        if self._changes(DRIVE_OFF, monitor.drive_off):
             error = 0.0 if reading is None else reading.omega - omega
-            self._log.event(Event.DRIVE_OFF if self._drive_off else Event.DRIVE_FOLLOWS, error)
-        if monitor.x_stuck != self._x_stuck:
-            self._x_stuck = monitor.x_stuck
-            still = monitor.time - monitor.x_still_since
-            self._log.event(Event.X_STUCK if self._x_stuck else Event.X_MOVES_AGAIN, still)
-        self.flags = STUCK * self._stuck | DRIVE_OFF * self._drive_off | X_STUCK * self._x_stuck
+            self._log.event(Event.DRIVE_OFF if monitor.drive_off else Event.DRIVE_FOLLOWS, error)
+        if self._changes(X_STUCK, monitor.x_stuck):
+            since = monitor.time - x_since
+            self._log.event(Event.X_STUCK if monitor.x_stuck else Event.X_MOVES_AGAIN, since)
+            self._say(monitor.x_stuck, "x did not change while the carriage was driven", x_since)
+        self.flags = sum(bit for bit, holds in self._held.items() if holds)
+
+    def _changes(self, bit: int, holds: bool) -> bool:
+        before, self._held[bit] = self._held[bit], holds
+        return holds != before
+
+    def _say(self, begins: bool, seen: str, since: float) -> None:
+        """Keep a sentence on the first fault of a kind."""
+        if begins and not any(each.startswith(seen) for each in self.sentences):
+            self.sentences.append(f"{seen}, from {since:.2f} s on")

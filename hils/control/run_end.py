@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-from hils.control.event_log import EventLog
 from hils.control.limits import REST
 from hils.control.measurements import RigUnresponsive
 from hils.control.stop_request import StopReason, StopRequest
@@ -11,6 +10,7 @@ from hils.control.tick import AbstractTick, LoopState
 from hils.events import Event
 from hils.link.link import AbstractLink
 from hils.link.messages import EMERGENCY, EmergencyStop
+from hils.recording.event_log import EventLog
 from hils.recording.sinks import RowSink
 
 
@@ -86,6 +86,15 @@ class RunEnd:
             self.request(request)
         if self.reason is None and not self._rows.alive:
             self.request(StopReason(f"the recorder {self._rows.reason}", Event.FAILED))
+
+    def stop_at_once(self, reason: StopReason) -> None:
+        """Make an emergency stop for a reason of the loop's own.
+
+        Raises:
+            RigUnresponsive: always, once it is sent.
+        """
+        self._stop.ask(reason, emergency=True)
+        self.check_requests()
 
     def request(self, reason: StopReason) -> None:
         """Ramp down from the next tick on; only the first request counts."""

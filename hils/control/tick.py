@@ -12,15 +12,18 @@ log, so a replay calls this very function and gets the same zeta, bit for bit:
 """
 
 import abc
+import copy
 import math
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from hils.control.compiled_step import NO_READING, NUMBERS, CompiledStep, Packed, StepResult
 from hils.control.limits import (
     REST,
     Reading,
+    ReadingLimits,
     ReadingMonitor,
     RigCommand,
     Verdict,
@@ -39,6 +42,7 @@ class LoopState(NamedTuple):
         watch: Memory of the readings.
         demand: Last command to the rig.
         tuned: Number of the tick on which the tuner last had a reading.
+        moved: Packed state of the last tick whose reading had another height than the one before.
     """
 
     number: int
@@ -46,6 +50,7 @@ class LoopState(NamedTuple):
     watch: ReadingMonitor
     demand: RigCommand
     tuned: int
+    moved: Packed
 
 
 class TickInput(NamedTuple):
@@ -76,7 +81,10 @@ class TickOutput(NamedTuple):
         asked: Command by the profile and the simulation, before any limit.
         limited: True where a limit held it back.
         verdict: Judgement of the reading; None without one.
-        tuned: True where zeta changed.
+        tuned: True where the tuner changed zeta.
+        zeta_held: True where a reading was there to tune by and zeta was held all the same: the
+            wheel stands, z is stuck or zeta is at a bound.
+        at_bound: True where zeta is at a bound of `hils.control.loop_config.ZetaHold`.
     """
 
     number: int
@@ -88,6 +96,8 @@ class TickOutput(NamedTuple):
     limited: bool
     verdict: Verdict | None
     tuned: bool
+    zeta_held: bool = False
+    at_bound: bool = False
 
 
 class AbstractTick(abc.ABC):
@@ -107,6 +117,10 @@ class AbstractTick(abc.ABC):
     @abc.abstractmethod
     def driven(self) -> bool:
         """True where the carriage is driven at the simulated speed; else it runs free."""
+
+    @abc.abstractmethod
+    def with_readings(self, readings: ReadingLimits) -> "AbstractTick":
+        """The same, with other limits of the readings."""
 
     @abc.abstractmethod
     def begin(self, start: Start) -> LoopState:
@@ -147,6 +161,9 @@ class TunedTick(AbstractTick):
     def begin(self, start: Start) -> LoopState:
         return begin(self._physics, start)
 
+    def with_readings(self, readings: ReadingLimits) -> "TunedTick":
+        return TunedTick(self._physics.with_readings(readings))
+
     def precompile(self, start: Start) -> None:
         """Step a little beforehand, so that the first tick takes no longer than any other."""
         self._physics.precompile(start)
@@ -178,6 +195,11 @@ class FreeTick(AbstractTick):
     def driven(self) -> bool:
         return False
 
+    def with_readings(self, readings: ReadingLimits) -> "FreeTick":
+        other = copy.copy(self)
+        other._loop = msgspec.structs.replace(self._loop, readings=readings)
+        return other
+
     def begin(self, start: Start) -> LoopState:
         return _at_rest(np.zeros(NUMBERS), start, self._loop)
 
@@ -192,7 +214,8 @@ class FreeTick(AbstractTick):
         said = TickOutput(
             number, state.demand, still, still, demand, asked, held_back, verdict, False
         )
-        after = LoopState(number + 1, state.packed, watch, demand or state.demand, number)
+        packed = state.packed
+        after = LoopState(number + 1, packed, watch, demand or state.demand, number, packed)
         return after, said
 
 
@@ -219,13 +242,21 @@ def step_tick(
         packed = step(packed, NO_READING, held)
 
     watch, verdict = _judge(loop, state, given)
+    wanted = _omega(loop, physics.omega, number, state.demand, given.ramping)
+    hold, stuck = loop.hold, watch.stuck
+    if hold is None:
+        zeta_held = False
+    else:
+        if stuck and not state.watch.stuck:  # what z said since it last changed was no reading
+            packed = step.with_tuner_of(packed, state.moved)
+        zeta_held = stuck or max(abs(state.demand.omega), abs(wanted[-1])) <= hold.standing_omega
     due = number - state.tuned >= loop.tuning_ticks and not (given.ramping or given.old)
+    usable = given.reading is not None and verdict is Verdict.USED and due
     sinkage, tuned = NO_READING, state.tuned
-    if given.reading is not None and verdict is Verdict.USED and due:
+    if given.reading is not None and usable and not zeta_held:
         sinkage, tuned = -given.reading.z, number
 
     before = step.compute(packed)
-    wanted = _omega(loop, physics.omega, number, state.demand, given.ramping)
     # What is simulated is what will be asked for, so a limit on omega comes before the step.
     turning = limit_command(
         loop.commands, state.demand, RigCommand(wanted[-1], state.demand.vx), loop.tick
@@ -234,6 +265,11 @@ def step_tick(
         wanted = _even_steps(state.demand.omega, turning[0].omega, step.substeps)
     packed = step(packed, sinkage, wanted)
     after = step.compute(packed)
+    at_bound = False
+    if hold is not None and not hold.min_zeta < after.zeta < hold.max_zeta:
+        at_bound = True
+        packed = step.with_zeta(packed, min(max(after.zeta, hold.min_zeta), hold.max_zeta))
+        after = step.compute(packed)
 
     asked = RigCommand(float(wanted[-1]), after.vx)
     allowed = limit_command(loop.commands, state.demand, asked, loop.tick)
@@ -241,13 +277,25 @@ def step_tick(
     held_back = held_back or (turning is not None and turning[1])
     changed = after.zeta != before.zeta
     said = TickOutput(
-        number, state.demand, before, after, demand, asked, held_back, verdict, changed
+        number,
+        state.demand,
+        before,
+        after,
+        demand,
+        asked,
+        held_back,
+        verdict,
+        changed,
+        (usable and zeta_held) or at_bound,
+        at_bound,
     )
-    return LoopState(number + 1, packed, watch, demand or state.demand, tuned), said
+    moved = packed if watch.still_since != state.watch.still_since else state.moved
+    return LoopState(number + 1, packed, watch, demand or state.demand, tuned, moved), said
 
 
 def _at_rest(packed: Packed, start: Start, loop: LoopSetUp) -> LoopState:
-    return LoopState(0, packed, ReadingMonitor(0.0, -start.sinkage), REST, -loop.tuning_ticks)
+    watch = ReadingMonitor(0.0, -start.sinkage)
+    return LoopState(0, packed, watch, REST, -loop.tuning_ticks, packed)
 
 
 def _judge(

@@ -1,6 +1,8 @@
 """Rows of a run: commands, readings and ticks."""
 
-from hils.control.limits import REST, RigCommand, Verdict
+import math
+
+from hils.control.limits import REST, Reading, RigCommand, Verdict
 from hils.control.measurements import PolledReading
 from hils.control.tick import TickOutput
 from hils.events import Event, TickFlag
@@ -8,9 +10,9 @@ from hils.recording.row_stream import OnlineRow
 from hils.recording.sinks import RowSink
 
 # As plain numbers: an enumeration's own arithmetic takes a microsecond each.
-FRESH, REFUSED, LATE, SKIPPED, LIMITED, RAMPING, OLD = (
+FRESH, REFUSED, LATE, SKIPPED, LIMITED, RAMPING, OLD, HELD = (
     int(TickFlag[name])
-    for name in ["FRESH", "REFUSED", "LATE", "SKIPPED", "LIMITED", "RAMPING", "OLD"]
+    for name in ["FRESH", "REFUSED", "LATE", "SKIPPED", "LIMITED", "RAMPING", "OLD", "HELD"]
 )
 
 
@@ -27,6 +29,7 @@ class TickRecord:
     def __init__(self, rows: RowSink, channels: tuple[str, ...], driven: bool, period: float):
         self._rows, self._channels = rows, channels
         self._driven, self._period = driven, period
+        self._omega, self._lost = 0.0, False
 
     def begin(self, zeta: float) -> None:
         """Record the start of a run: the command to rest, and zeta(0) [-]."""
@@ -42,6 +45,8 @@ class TickRecord:
         skipped: int,
         ramping: bool,
         sensor_flags: int,
+        work_time: float,
+        wake_delay: float,
     ) -> None:
         """Record a tick.
 
@@ -53,6 +58,8 @@ class TickRecord:
             skipped: Ticks that passed unused before it.
             ramping: True past the profile.
             sensor_flags: Flags of the sensors' faults.
+            work_time: From waking to the command being away [s].
+            wake_delay: From the due time to waking [s].
         """
         rows, reading = self._rows, polled.reading
         time = output.number * self._period
@@ -61,7 +68,7 @@ class TickRecord:
             self._command(time, output.held)
         self._command((output.number + 1) * self._period, output.demand)
         if reading is not None:
-            rows.measured(reading.time, *(getattr(reading, name) for name in self._channels))
+            rows.measured(reading.time, *self._values(reading))
         if output.limited:
             rows.event(time, Event.COMMAND_LIMITED, output.asked.vx)
         if not self._driven:
@@ -87,12 +94,28 @@ class TickRecord:
                 | LIMITED * output.limited
                 | RAMPING * ramping
                 | OLD * polled.answers_old_command
+                | HELD * output.zeta_held
                 | sensor_flags,
                 seq_sent=seq,
                 seq_received=polled.seq,
                 rig_time=polled.rig_time,
+                ack_seq=polled.ack_seq,
+                rig_state=polled.state,
+                rig_fault=polled.fault,
+                work_time=work_time,
+                wake_delay=wake_delay,
             )
         )
+
+    def _values(self, reading: Reading) -> list[float]:
+        """Values of the channels; the last omega where it is no longer measured."""
+        if math.isfinite(reading.omega):
+            self._omega = reading.omega
+        elif "omega" in self._channels and not self._lost:
+            self._lost = True
+            self._rows.event(reading.time, Event.OMEGA_LOST)
+        reading = reading._replace(omega=self._omega)
+        return [getattr(reading, name) for name in self._channels]
 
     def _command(self, time: float, command: RigCommand) -> None:
         if self._driven:

@@ -245,7 +245,7 @@ class _ObservedRows:
     """Row sink that an observer sees."""
 
     def __init__(self, rows: RowSink, observer: RunObserver):
-        self._rows, self._observer = rows, observer
+        self._rows, self._observer, self._z = rows, observer, 0
 
     @property
     def alive(self) -> bool:
@@ -259,6 +259,7 @@ class _ObservedRows:
         self._rows.require_room(head)
 
     def begin(self, head: Head) -> None:
+        self._z = head.channels.index("z")
         self._rows.begin(head)
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
@@ -267,7 +268,7 @@ class _ObservedRows:
 
     def measured(self, time: float, *values: float) -> None:
         self._rows.measured(time, *values)
-        self._observer.on_measurement(values[-1])  # x, where it is measured, comes before z
+        self._observer.on_measurement(values[self._z])
 
     def online(self, row: OnlineRow) -> None:
         self._rows.online(row)
@@ -302,6 +303,9 @@ class _ObservedPrompts(AbstractPrompts):
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self._prompts.confirm(text, meanwhile)
+
+    def accept(self, doubt: str) -> bool:
+        return not self._observer.is_showing and self._prompts.accept(doubt)
 
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         self._observer.on_phase(phase, lasts)

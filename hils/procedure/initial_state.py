@@ -21,6 +21,7 @@ from drftjax.simulation.statics import zeta_from_sinkage
 from hils.control.limits import CommandLimits, require_profile
 from hils.control.loop_config import LoopRecord, LoopSetUp, Start
 from hils.control.measurements import measured_channels
+from hils.control.safety import DEFAULT_SAFETY, Finding, SafetyRule, SafetySettings
 from hils.events import EVENT_MEANINGS, FLAG_MEANINGS
 from hils.link.messages import VIRTUAL_RIG, HelloAck
 from hils.procedure.settling import SettledWheel
@@ -39,7 +40,7 @@ class StartLimits:
     """
 
     min_zeta: float = 0.05
-    max_zeta: float = 10.0
+    max_zeta: float = 20.0
     min_sinkage: float = 5e-4
     max_height: float = 0.02
 
@@ -125,8 +126,8 @@ def starting_point(
         raise InputError(
             f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
             f"{least * 1e3:g} and {deepest * 1e3:.3g} mm: hold it at touch-down when it is zeroed, "
-            "or give --zero power-up where the scale was zeroed there before, or --zeta0 where "
-            "no sinkage at rest can be told"
+            "look at the sign of z_scale, give --zero power-up where the scale was zeroed there "
+            "before, or --zeta0 where no sinkage at rest can be told"
         )
     if zeta is not None:
         return Start(settled.sinkage, zeta)
@@ -137,13 +138,48 @@ def starting_point(
         raise InputError(
             f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
             f"lie between {limits.min_zeta:g} and {limits.max_zeta:g}: check touch-down, mass and "
-            "wheel"
+            "wheel, and the rig's z_scale and the sign of its z"
         )
     return Start(settled.sinkage, zeta)
 
 
-def run_log_head(loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free: bool) -> Head:
-    """Head of the run log: all that is known of the run before its first row."""
+def zeta_doubt(
+    loop: LoopSetUp, start: Start, safety: SafetySettings = DEFAULT_SAFETY
+) -> Finding | None:
+    """A zeta(0) by statics that is far from the set-up's; None where it is near.
+
+    Args:
+        loop: Within the rig's limits.
+        start: By `starting_point`, from the sinkage at rest.
+        safety: Numbers of the rule.
+    """
+    believed = loop.setup.terrain.zeta
+    if not (isinstance(believed, float) and believed > 0 and math.isfinite(start.zeta)):
+        return None
+    ratio = start.zeta / believed
+    if 1 / safety.zeta_factor <= ratio <= safety.zeta_factor:
+        return None
+    sentence = (
+        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm tells zeta(0) {start.zeta:.3g}, the "
+        f"set-up says {believed:.3g}: the rig's z_scale, the sign of z, touch-down or the mass is "
+        "wrong, or the sand is another"
+    )
+    return Finding(SafetyRule.ZETA_DOUBTED, sentence, start.zeta)
+
+
+def run_log_head(
+    loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free: bool, omega: bool
+) -> Head:
+    """Head of the run log: all that is known of the run before its first row.
+
+    Args:
+        loop: Within the rig's limits.
+        start: Sinkage and zeta at the start.
+        ack: Answer of the rig to HELLO.
+        title: Of the run.
+        free: True where the carriage runs free.
+        omega: True where the rig measures its wheel's speed.
+    """
     numbers = loop.tuner.build(loop.tick)
     online = OnlineHead(
         tick=loop.tick,
@@ -156,7 +192,7 @@ def run_log_head(loop: LoopSetUp, start: Start, ack: HelloAck, title: str, free:
         setup=with_believed_values(loop.setup, start.sinkage, start.zeta),
         source="virtual rig" if ack.rig_id == VIRTUAL_RIG else "measured",
         title=title,
-        channels=measured_channels(ack.x_scale),
+        channels=measured_channels(ack.x_scale, omega),
         driven=not free,
         online=None if free else online,
         event_meanings=EVENT_MEANINGS,

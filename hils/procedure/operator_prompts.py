@@ -44,6 +44,14 @@ class AbstractPrompts(abc.ABC):
         """
 
     @abc.abstractmethod
+    def accept(self, doubt: str) -> bool:
+        """Ask whether to go on in spite of a doubt; False where nobody says so.
+
+        Args:
+            doubt: A sentence without its full stop.
+        """
+
+    @abc.abstractmethod
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         """Announce a phase of the run.
 
@@ -115,6 +123,13 @@ class TerminalPrompts(AbstractPrompts):
                 "nobody is at the terminal to answer; give --yes where the rig needs no hands"
             ) from None
 
+    def accept(self, doubt: str) -> bool:
+        try:
+            answer = input(f"{doubt[0].upper()}{doubt[1:]}. Go on all the same? [y/N] ")
+        except (EOFError, OSError):
+            return False
+        return answer.strip().lower() in ("y", "yes")
+
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 
@@ -142,6 +157,9 @@ class UnattendedPrompts(AbstractPrompts):
 
     def confirm(self, text: str, meanwhile: Callable[[], None] = _do_nothing) -> None:
         self.say(f"{text}: taken as done")
+
+    def accept(self, doubt: str) -> bool:
+        return False
 
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass

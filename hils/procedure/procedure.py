@@ -19,17 +19,17 @@ import msgspec
 from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
-from hils.control.event_log import EventLog
 from hils.control.loop import Overruns, TickLoop
 from hils.control.loop_config import LoopSetUp, Start, shared_physics
 from hils.control.loop_report import LoopReport
 from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings, TouchdownZero
 from hils.control.run_end import DEFAULT_RAMP, RampSettings
+from hils.control.safety import DEFAULT_SAFETY, MotionAtRest, SafetySettings
 from hils.control.stop_request import StopReason, StopRequest
 from hils.control.tick import AbstractTick, FreeTick, TunedTick
 from hils.events import Event, Phase
 from hils.link.link import AbstractLink, LinkLost, LinkQuality
-from hils.link.messages import Drive, Hello, HelloAck, RigState
+from hils.link.messages import Drive, Hello, HelloAck, Measurement, RigState
 from hils.link.timing import watchdog_ms
 from hils.procedure.initial_state import (
     DEFAULT_START_LIMITS,
@@ -38,6 +38,7 @@ from hils.procedure.initial_state import (
     run_log_head,
     starting_point,
     zeta_by_sinkage,
+    zeta_doubt,
 )
 from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.session import (
@@ -58,6 +59,7 @@ from hils.procedure.settling import (
     touch_down,
 )
 from hils.procedure.shutdown import DEFAULT_SHUTDOWN, Shutdown, ShutdownSettings
+from hils.recording.event_log import EventLog
 from hils.recording.recorder import DEFAULT_RECORDER
 from hils.recording.sinks import RowSink
 
@@ -83,6 +85,7 @@ class ProcedureSettings:
         response: Patience with a silent rig.
         ramp: End of the ramp to rest.
         shutdown: Rig at rest.
+        safety: Safety rules.
         connect_time: Time over which HELLO is tried again [s]: a rig may restart when its port is
             opened.
         close_notice_time: Time after which the operator hears of a recording that takes long to
@@ -96,6 +99,7 @@ class ProcedureSettings:
     response: ResponseSettings = DEFAULT_RESPONSE
     ramp: RampSettings = DEFAULT_RAMP
     shutdown: ShutdownSettings = DEFAULT_SHUTDOWN
+    safety: SafetySettings = DEFAULT_SAFETY
     connect_time: float = 3.0
     close_notice_time: float = 3.0
 
@@ -154,6 +158,8 @@ class RunReport:
             where there was none.
         unfinished: Reason why the file could not be finished, and the place of its rows; empty
             where it was finished.
+        findings: Sentences on what was wrong though the run went on: safety rules that fired,
+            sensors that were stuck.
     """
 
     reason: str
@@ -165,6 +171,7 @@ class RunReport:
     quality: LinkQuality
     stop_reason: StopReason | None = None
     unfinished: str = ""
+    findings: tuple[str, ...] = ()
 
 
 def run(
@@ -271,6 +278,7 @@ class _Run:
         self._log = EventLog(rows, clock)
         self._session = Session(link, clock, settings=self._settings.session)
         self._tick_us = round(procedure.loop.tick * 1e6)
+        self._zeta_accepted = procedure.zeta is not None or procedure.free
         self._settled: SettledWheel | None = None
         self._start: Start | None = None
         self._looped: LoopReport | None = None
@@ -306,6 +314,7 @@ class _Run:
             self._start,
             self._looped,
             self._link.quality(),
+            findings=(*(() if self._looped is None else self._looped.findings), *shutdown.findings),
         )
 
     # Before ARM ---------------------------------------------------------------------------------
@@ -317,7 +326,7 @@ class _Run:
             prompts.say(_stopped_before(ack.state))
         loop = apply_rig_limits(procedure.loop, ack, procedure.free)
         expected = Start(loop.setup.start.sinkage, 1.0)
-        head = run_log_head(loop, expected, ack, self._title, procedure.free)
+        head = run_log_head(loop, expected, ack, self._title, procedure.free, True)
         self._rows.require_room(head)
         statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
         tick = _compiled_tick(loop, procedure.free, expected)
@@ -326,7 +335,8 @@ class _Run:
                 "Hold the wheel where its rim just touches the undisturbed sand",
                 session.require_no_rig_stop,
             )
-        zero = touch_down(session, self._link, self._clock, ack, self._settings.touchdown)
+        touchdown, safety = self._settings.touchdown, self._settings.safety
+        zero = touch_down(session, self._link, self._clock, ack, touchdown, safety)
         if procedure.zero is ZeroAt.POWER_UP:
             zero = zero._replace(z=0.0)
         self._log.event(Event.TOUCHED_DOWN, zero.z)
@@ -335,8 +345,31 @@ class _Run:
             session.require_no_rig_stop,
         )
         session.require_no_rig_stop()
+        self._ask_about_zeta(loop, zero, statics)
         self._rows.require_room(head)  # again: a question may stay open for long
         return _Ready(ack, loop, tick, statics, zero)
+
+    def _ask_about_zeta(
+        self, loop: LoopSetUp, zero: TouchdownZero, statics: Callable[[float], float]
+    ) -> None:
+        """Ask about a zeta(0) that is far from the set-up's, where the wheel stands on the sand
+        before ARM already."""
+        procedure, settings = self._procedure, self._settings
+        if procedure.free or procedure.zeta is not None:
+            return
+        arrival = self._link.newest()
+        if arrival is None or not isinstance(arrival.frame.message, Measurement):
+            return
+        sinkage = -zero.reading(arrival.frame.message, arrival.time).z
+        if not settings.start.min_sinkage <= sinkage <= -loop.readings.lowest:
+            return
+        doubt = zeta_doubt(loop, Start(sinkage, statics(sinkage)), settings.safety)
+        if doubt is None:
+            return
+        self._log.note(doubt.rule.event, doubt.value)
+        if not self._prompts.accept(doubt.sentence):
+            raise InputError(f"{doubt.sentence}; --zeta0 gives another start")
+        self._zeta_accepted = True
 
     @property
     def _title(self) -> str:
@@ -354,6 +387,7 @@ class _Run:
             self._prompts.show_sinkage,
             self._settings.settling,
             self._settings.response,
+            MotionAtRest(ready.ack.x_scale, self._settings.safety),
         )
 
     def _shutdown(self, ready: _Ready) -> Shutdown:
@@ -370,6 +404,7 @@ class _Run:
             ready.loop.commands.omega / ready.loop.ramp,
             self._settings.shutdown,
             self._settings.response,
+            self._settings.safety,
         )
 
     # From ARM on --------------------------------------------------------------------------------
@@ -387,20 +422,28 @@ class _Run:
         start = self._start = starting_point(
             loop, settled, procedure.zeta, procedure.free, ready.statics, limits
         )
+        doubt = None if self._zeta_accepted else zeta_doubt(loop, start, self._settings.safety)
+        if doubt is not None:
+            self._log.note(doubt.rule.event, doubt.value)
+            raise RunAborted(f"{doubt.sentence}; --zeta0 {start.zeta:.3g} goes on with it")
         prompts.say_if_free(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
         prompts.enter_phase(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
         sinkage = standing.hold(began - loop.tick / 2, ready.zero, settled)
         start = self._start = Start(sinkage, start.zeta)
-        state = ready.tick.begin(start)
-        self._rows.begin(run_log_head(loop, start, ready.ack, self._title, procedure.free))
+        readings = loop.readings.by_noise(settled.repeated, settled.interval)
+        loop = msgspec.structs.replace(loop, readings=readings)
+        tick, omega = ready.tick.with_readings(readings), settled.omega_measured
+        state = tick.begin(start)
+        head = run_log_head(loop, start, ready.ack, self._title, procedure.free, omega)
+        self._rows.begin(head)
         self._log.begin(began)
-        self._looped = self._tick_loop(ready).run(state, began)
+        self._looped = self._tick_loop(ready, tick, omega).run(state, began)
         return self._looped.reason
 
-    def _tick_loop(self, ready: _Ready) -> TickLoop:
+    def _tick_loop(self, ready: _Ready, tick: AbstractTick, omega_measured: bool) -> TickLoop:
         return TickLoop(
-            ready.tick,
+            tick,
             self._link,
             self._clock,
             self._rows,
@@ -412,6 +455,8 @@ class _Run:
             watchdog_ms(self._tick_us),
             self._settings.response,
             self._settings.ramp,
+            self._settings.safety,
+            omega_measured,
         )
 
     def _bring_to_rest(self, shutdown: Shutdown) -> bool:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
 from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings, TouchdownZero
-from hils.control.stop_request import StopRequest
+from hils.control.safety import DEFAULT_SAFETY, MotionAtRest, SafetySettings
+from hils.control.stop_request import StopReason, StopRequest
 from hils.link.link import AbstractLink, Arrival
-from hils.link.messages import Drive, HelloAck, Measurement
+from hils.link.messages import EMERGENCY, Drive, HelloAck, Measurement
 from hils.procedure.session import Session
 
 
@@ -81,11 +82,17 @@ class SettledWheel(NamedTuple):
         sinkage: H_static [m].
         noise: Standard deviation of a reading [m].
         creep: Speed at which it still sank [m/s].
+        repeated: Share of the readings that equal the one before [-].
+        interval: From one reading to the next [s].
+        omega_measured: True where the rig measures its wheel's speed.
     """
 
     sinkage: float
     noise: float
     creep: float
+    repeated: float = 1.0
+    interval: float = math.inf
+    omega_measured: bool = True
 
 
 def touch_down(
@@ -94,14 +101,17 @@ def touch_down(
     clock: AbstractClock,
     ack: HelloAck,
     settings: TouchdownSettings = DEFAULT_TOUCHDOWN,
+    safety: SafetySettings = DEFAULT_SAFETY,
 ) -> TouchdownZero:
     """Average the counts of a wheel that is held where it just touches the sand.
 
     Raises:
-        InputError: the rig does not measure or has stopped, or the wheel is not held still.
+        InputError: the rig does not measure, has stopped or moves by itself, or the wheel is not
+            held still.
         LinkLost: the line broke.
     """
     heights, travels = [], []
+    motion = MotionAtRest(ack.x_scale, safety)
     begun = clock.now()
     last = _time_of(link.newest())
     while (deadline := begun + settings.duration(len(heights))) > clock.now():
@@ -115,6 +125,9 @@ def touch_down(
         assert isinstance(measurement, Measurement)
         if measurement.fault:
             raise InputError(f"{link.name}: the rig reports fault {measurement.fault}")
+        if (moves := motion.find(measurement.omega, measurement.x)) is not None:
+            session.emergency_stop(EMERGENCY)
+            raise InputError(f"{link.name}: {moves.sentence}, before it was armed: switch it off")
         heights.append(measurement.z)
         travels.append(measurement.x)
     if len(heights) < settings.min_readings:
@@ -146,6 +159,7 @@ class StandingWheel:
         show: Takes each sinkage measured [m], without waiting.
         settings: Settling and creep.
         response: Patience with a silent rig.
+        motion: Looks for motion of the wheel or the carriage.
 
     Attributes:
         hold_command: The command to stand.
@@ -163,8 +177,9 @@ class StandingWheel:
         show: Callable[[float], None],
         settings: SettlingSettings = DEFAULT_SETTLING,
         response: ResponseSettings = DEFAULT_RESPONSE,
+        motion: MotionAtRest | None = None,
     ):
-        self._link, self._clock, self._stop = link, clock, stop
+        self._link, self._clock, self._stop, self._motion = link, clock, stop, motion
         self._session, self._tick, self._show = session, tick, show
         self._settings, self._longest_silence = settings, response.longest_silence(tick)
         self.hold_command = Drive(0.0, 0.0, driven, valid_ms)
@@ -181,12 +196,13 @@ class StandingWheel:
         settings, began = self._settings, self._clock.now()
         times: list[float] = []
         heights: list[float] = []
-        creep = math.nan
+        creep, turning = math.nan, math.nan
         for arrival in self._command_each_tick(began + settings.longest_time):
             if arrival is None:
                 continue
             times.append(arrival.time)
             heights.append(self._height(arrival, zero))
+            turning = _measurement(arrival).omega
             if arrival.time - began < settings.min_time:
                 continue
             windows = self._last_windows(np.array(times), np.array(heights))
@@ -197,7 +213,11 @@ class StandingWheel:
             sunk = float(np.median(before) - np.median(late))
             creep = sunk / settings.window
             if abs(sunk) < settings.max_change:
-                return SettledWheel(-float(np.median(late)), float(late.std()), creep)
+                repeated = float((np.diff(late) == 0).mean())
+                interval = float(np.diff(times[-len(late) :]).mean())
+                noise, measured = float(late.std()), math.isfinite(turning)
+                sinkage = -float(np.median(late))
+                return SettledWheel(sinkage, noise, creep, repeated, interval, measured)
         raise InputError(
             f"the wheel has not come to rest in {settings.longest_time:g} s: it still sinks by "
             f"{creep * 1e3:.2g} mm/s"
@@ -262,25 +282,41 @@ class StandingWheel:
             fresh = arrival is not None and arrival.time != seen
             if arrival is not None and fresh:
                 seen = heard = arrival.time
-                _require_no_fault(arrival)
+                self._require_sound(_measurement(arrival))
             silent = self._clock.now() - heard
             if silent > self._longest_silence:
                 raise RunAborted(f"the rig has sent no measurement for {silent:.2f} s")
             yield arrival if fresh else None
 
+    def _require_sound(self, measurement: Measurement) -> None:
+        """Refuse a rig at fault, one that moves, and one whose readings come too late."""
+        if measurement.fault:
+            raise RunAborted(f"the rig reports fault {measurement.fault}")
+        moves = None
+        if self._motion is not None:
+            moves = self._motion.find(measurement.omega, measurement.x)
+        if moves is not None:
+            reason = StopReason(moves.sentence, moves.rule.event, moves.value)
+            self._stop.ask(reason, emergency=True)
+            raise RunAborted(moves.sentence)
+        sent = self._link.sent_at(measurement.ack_seq)
+        age = 0.0 if sent is None else self._clock.now() - sent
+        if age > self._longest_silence:
+            raise RunAborted(
+                f"the rig's newest reading is {age:.2f} s old, {self._longest_silence:.2g} s are "
+                "allowed: something holds the line's bytes back"
+            )
+
     def _height(self, arrival: Arrival, zero: TouchdownZero) -> float:
-        measurement = arrival.frame.message
-        assert isinstance(measurement, Measurement)
-        height = zero.reading(measurement, arrival.time).z
+        height = zero.reading(_measurement(arrival), arrival.time).z
         self._show(-height)
         return height
 
 
-def _require_no_fault(arrival: Arrival) -> None:
+def _measurement(arrival: Arrival) -> Measurement:
     measurement = arrival.frame.message
     assert isinstance(measurement, Measurement)
-    if measurement.fault:
-        raise RunAborted(f"the rig reports fault {measurement.fault}")
+    return measurement
 
 
 def _time_of(arrival: Arrival | None) -> float:

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 from hils.clock import AbstractClock
-from hils.control.event_log import EventLog
 from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings
+from hils.control.safety import DEFAULT_SAFETY, SafetySettings
 from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.link import AbstractLink
@@ -27,6 +27,7 @@ from hils.link.messages import (
     reason_in_words,
 )
 from hils.procedure.session import STOPPED, Session
+from hils.recording.event_log import EventLog
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,10 @@ class Shutdown:
             measured rests no sooner.
         settings: Signs of rest, and deadlines.
         response: Patience with a silent rig.
+        safety: Numbers of the safety rules.
+
+    Attributes:
+        findings: Sentences on a wheel that did not slow down.
     """
 
     def __init__(
@@ -85,7 +90,10 @@ class Shutdown:
         ramp: float,
         settings: ShutdownSettings = DEFAULT_SHUTDOWN,
         response: ResponseSettings = DEFAULT_RESPONSE,
+        safety: SafetySettings = DEFAULT_SAFETY,
     ):
+        self.findings: tuple[str, ...] = ()
+        self._safety = safety
         self._session, self._link, self._clock, self._stop = session, link, clock, stop
         self._ack, self._hold_command, self._tick, self._ramp = ack, hold, tick, ramp
         self._log, self._settings = log, settings
@@ -117,6 +125,7 @@ class Shutdown:
         began = stop_at = command_at = self._clock.now()
         deadline = began + max(self._settings.longest_stop, 2 * self._ramp)
         watch = self._detector_from(began)
+        slowing = _SlowingDetector(self._link, began, self._safety)
         while (now := self._clock.now()) < deadline and not self._stop.emergency:
             if now >= stop_at:
                 self._session.stop()
@@ -133,6 +142,10 @@ class Shutdown:
                 return False
             if watch.is_at_rest():
                 return True
+            if (omega := slowing.unslowed()) is not None:
+                self._log.note(Event.NOT_SLOWING, omega)
+                self.findings = (f"after STOP the wheel went on turning, at {omega:.3g} rad/s",)
+                return False
         return False
 
     def _stop_at_once(self) -> bool:
@@ -222,6 +235,34 @@ class Shutdown:
 
     def _is_logged(self, rig_stop: EmergencyStop) -> bool:
         return self._log.has_noted(Event.EMERGENCY_STOP, rig_stop.reason)
+
+
+class _SlowingDetector:
+    """Looks whether a wheel that is told to stop slows down.
+
+    Args:
+        link: To the rig.
+        began: Only newer measurements count [s].
+        settings: Numbers of the rule.
+    """
+
+    def __init__(self, link: AbstractLink, began: float, settings: SafetySettings):
+        self._link, self._began, self._settings = link, began, settings
+        self._time, self._omega = math.nan, math.nan
+
+    def unslowed(self) -> float | None:
+        """Angular velocity of a wheel that has not slowed down [rad/s]; None of any other."""
+        arrival, settings = self._link.newest(), self._settings
+        if arrival is None or arrival.time <= self._began:
+            return None
+        if arrival.time < self._time + settings.slowing_time:
+            return None
+        measurement = arrival.frame.message
+        assert isinstance(measurement, Measurement)
+        omega, before = measurement.omega, self._omega
+        self._time, self._omega = arrival.time, abs(omega)
+        unslowed = abs(omega) > before * (1 - settings.slowing_share)  # False for NaN
+        return omega if unslowed and abs(omega) > settings.rest_omega else None
 
 
 class _RestDetector:

@@ -6,6 +6,8 @@ import numpy as np
 
 from hils.rig_sim.faults import (
     Counts,
+    CreepingClock,
+    DemandFault,
     Disconnect,
     DriveFault,
     End,
@@ -13,8 +15,8 @@ from hils.rig_sim.faults import (
     FaultScript,
     Occasion,
     Reset,
-    SaturatedDrive,
     ScaleJump,
+    SlowLine,
     StuckScale,
     WireFault,
 )
@@ -80,9 +82,25 @@ class FaultInjector:
     def demand(self, demand: MotorDemand, now: float) -> MotorDemand:
         """Demand that the drive follows instead."""
         for _, fault in self._holding(now):
-            if isinstance(fault.what, SaturatedDrive):
+            if isinstance(fault.what, DemandFault):
                 demand = fault.what.drive(demand)
         return demand
+
+    def line_baud(self, now: float) -> float | None:
+        """Bits a second that the line carries instead; None where it is sound."""
+        return min(
+            (f.what.baud for _, f in self._holding(now) if isinstance(f.what, SlowLine)),
+            default=None,
+        )
+
+    def clock_error(self, now: float) -> float:
+        """Time that the rig's clock is ahead by creeping [s]."""
+        error = 0.0
+        for fault in self._faults:
+            if isinstance(fault.what, CreepingClock):
+                begin, end = fault.when.edges(self._occasions)
+                error += fault.what.skew * max(0.0, min(now, end) - begin)
+        return error
 
     def drive_fault(self, now: float) -> int:
         """Number of the fault that the drive reports; zero where it reports none."""

@@ -215,6 +215,41 @@ class SaturatedDrive(_FaultKindBase, frozen=True, tag="saturated"):
         return demand._replace(omega=held)
 
 
+class Runaway(_FaultKindBase, frozen=True, tag="runaway"):
+    """The wheel turns at this angular velocity, whatever is demanded [rad/s]."""
+
+    omega: float = 1.5
+
+    def drive(self, demand: MotorDemand) -> MotorDemand:
+        return demand._replace(omega=self.omega)
+
+
+class ReversedDrive(_FaultKindBase, frozen=True, tag="reversed_drive"):
+    """The wheel turns the other way round."""
+
+    def drive(self, demand: MotorDemand) -> MotorDemand:
+        return demand._replace(omega=-demand.omega)
+
+
+class ReversedCarriage(_FaultKindBase, frozen=True, tag="reversed_carriage"):
+    """The carriage is driven the other way."""
+
+    def drive(self, demand: MotorDemand) -> MotorDemand:
+        return demand._replace(vx=-demand.vx)
+
+
+class SlowLine(_FaultKindBase, frozen=True, tag="slow_line"):
+    """The line carries only so many bits a second, both ways, and what waits comes ever later."""
+
+    baud: float = 9600.0
+
+
+class CreepingClock(_FaultKindBase, frozen=True, tag="creeping_clock"):
+    """The rig's clock runs faster by this share [-]; slower where it is negative."""
+
+    skew: float = 0.01
+
+
 class DriveFault(_FaultKindBase, frozen=True, tag="drive_fault"):
     """The drive reports a fault of this number and stands still."""
 
@@ -246,10 +281,13 @@ WireFault = (
 ReadingFault = StuckScale | ScaleJump
 
 
-DeviceFault = DriveFault | Disconnect | Reset
+DemandFault = SaturatedDrive | Runaway | ReversedDrive | ReversedCarriage
 
 
-FaultKind = WireFault | ReadingFault | SaturatedDrive | DeviceFault
+DeviceFault = DriveFault | Disconnect | Reset | SlowLine | CreepingClock
+
+
+FaultKind = WireFault | ReadingFault | DemandFault | DeviceFault
 
 
 KINDS = tuple(msgspec.inspect.type_info(each).tag for each in get_args(FaultKind))  # pyright: ignore[reportAttributeAccessIssue]
@@ -356,7 +394,9 @@ def _check(fault: Fault, name: str) -> None:
     for field, low, high, unit in (
         ("rate", 0.0, 1.0, ""),
         ("delay", 0.0, LONGEST_DELAY, " s"),
-        ("omega", 0.0, 100.0, " rad/s"),
+        ("omega", -100.0, 100.0, " rad/s"),
+        ("baud", 50.0, 1e7, ""),
+        ("skew", -0.5, 0.5, ""),
         ("code", 1, 0xFFFF, ""),
         ("counts", 0, INT32, ""),
     ):

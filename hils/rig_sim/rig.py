@@ -94,6 +94,7 @@ class VirtualRig:
         self._physics = physics or setup.build()
         self._faults = FaultInjector(script or FaultScript())
         self._noise = SensorNoise(seed)
+        self._baud = baud
         self._inward, self._outward = SerialLine(baud), SerialLine(baud, latency)
         self._fragment = b""
         self._start = self._now = self._heard = self._sent_at = start
@@ -184,6 +185,8 @@ class VirtualRig:
         if self._faults.is_powerless(now):
             self._lose_power(now)
             return
+        for line in (self._inward, self._outward):
+            line.pace(self._faults.line_baud(now) or self._baud)
         if self._protocol is None:
             self._boot()
         protocol = self._protocol
@@ -311,4 +314,5 @@ class VirtualRig:
         return protocol.fail(Reason.DRIVE, code, self._rig_time(now)) if code else b""
 
     def _rig_time(self, now: float) -> float:
-        return self._setup.clock.reading(now - self._start)
+        error = self._faults.clock_error(now)
+        return self._setup.clock.reading(now - self._start) + error

@@ -46,7 +46,7 @@ class SerialLine:
     """
 
     def __init__(self, baud: float = 0, latency: float = 0.0):
-        self._byte_time = BITS_PER_BYTE / baud if baud else 0.0
+        self.pace(baud)
         self._latency = latency
         self._waiting: list[tuple[float, int, bytes]] = []
         self._backlog = 0
@@ -56,6 +56,10 @@ class SerialLine:
         self._held = bytearray()
         self._rings_at: float | None = None
         self.overflowed = 0
+
+    def pace(self, baud: float) -> None:
+        """Carry so many bits a second from now on; 0 for no pacing at all."""
+        self._byte_time = BITS_PER_BYTE / baud if baud else 0.0
 
     def send(self, packets: list[DelayedPacket]) -> None:
         """Put packets on their way; past a full backlog they are lost, and counted."""

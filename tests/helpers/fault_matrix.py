@@ -24,6 +24,7 @@ from hils.procedure.procedure import Procedure, RunReport, run
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.config import PhysicsSetUp, VirtualSetUp
 from hils.rig_sim.faults import (
+    CreepingClock,
     DamagedFrames,
     DelayedBytes,
     DelayedFrames,
@@ -40,8 +41,12 @@ from hils.rig_sim.faults import (
     ReorderedBytes,
     ReorderedFrames,
     Reset,
+    ReversedCarriage,
+    ReversedDrive,
+    Runaway,
     SaturatedDrive,
     ScaleJump,
+    SlowLine,
     StuckScale,
     Window,
 )
@@ -93,6 +98,11 @@ RIG_FAULTS: dict[str, tuple[FaultKind, float]] = {
     "reset within 50 ms": (Reset(), 0.05),
     "drive fault": (DriveFault(7), SHORT),
     "drive saturated": (SaturatedDrive(0.1), SHORT),
+    "runaway wheel": (Runaway(1.5), SHORT),
+    "reversed drive": (ReversedDrive(), SHORT),
+    "reversed carriage for good": (ReversedCarriage(), FOR_GOOD),
+    "slow line for good": (SlowLine(9600.0), FOR_GOOD),
+    "creeping clock for good": (CreepingClock(-0.01), FOR_GOOD),
     "stuck scale": (StuckScale("z"), SHORT),
     "stuck scale for good": (StuckScale("z"), FOR_GOOD),
     "stuck scale of x for good": (StuckScale("x"), FOR_GOOD),
@@ -110,7 +120,12 @@ ENDS = {
     "unreached": (r"link lost", False),
     "reset": (r"was reset", None),
     "drive fault": (r"fault|emergency stop", True),
-    "readings": (r"readings in a row|height", True),
+    "readings": (r"readings in a row|height has changed", True),
+    "runaway": (r"the wheel turns at .* commanded were", True),
+    "moves": (r"while it is to stand", True),
+    "carriage": (r"the carriage went", True),
+    "stays stuck": (r"the scale is stuck", True),
+    "old readings": (r"newest reading is .* s old", None),
 }
 FLAGS = {
     "stuck": Event.SENSOR_STUCK,
@@ -177,7 +192,7 @@ def struck(faults: tuple[Fault, ...], countdown: float = COUNTDOWN) -> Cell:
         )
     except InputError as error:
         refusal = str(error)
-    soft.rig.advance_unplugged(soft.clock.now() + 1.0)
+    soft.rig.advance_unplugged(soft.clock.now() + 3.0)  # a slow line brings BYE late
     return Cell(soft, rows, report, refusal)
 
 

@@ -5,11 +5,11 @@ import struct
 
 import pytest
 
-from hils.control.event_log import EventLog
 from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.messages import Bye, Drive, EmergencyStop, RigState, Stop
 from hils.procedure.shutdown import DEFAULT_SHUTDOWN, Shutdown, ShutdownSettings
+from hils.recording.event_log import EventLog
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.firmware import RigIdentity, RigProtocol
 from tests.helpers.protocol_variants import HELLO, HOLD, OtherRig, Table
