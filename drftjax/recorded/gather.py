@@ -60,9 +60,9 @@ def gather(
                     tell(f"note: {path}: {doubt}")
                 if refused := int(refused_readings(run).sum()):
                     are = (
-                        "reading, which the loop refused, is"
+                        "reading, which the loop refused or doubted, is"
                         if refused == 1
-                        else ("readings, which the loop refused, are")
+                        else ("readings, which the loop refused or doubted, are")
                     )
                     tell(f"{name}: {refused} {are} not compared")
             except InputError as problem:

@@ -1,4 +1,8 @@
-"""Readings of a recorded run that the loop refused: found by flags or events, and dropped."""
+"""Readings of a recorded run that the loop refused or doubted: found by flags or events, dropped.
+
+Doubted are those of a sensor that was stuck, from its last change on, and those that came so late
+that their time is not known.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -6,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
-from drftjax.runlog.record import Measured, RunLog
+from drftjax.runlog.record import RunLog
 
-# Words of /online's flags: a tick had a reading of its own, and the loop refused it.
-FRESH, REFUSED = "fresh", "refused"
+# Words of /online's flags: a tick had a reading of its own, the loop refused it, it came late.
+FRESH, REFUSED, OLD = "fresh", "refused", "old"
+
+# Those of a channel that was stuck.
+STUCK = {"stuck": "z", "x_stuck": "x"}
 
 
 # Word of /events for a refused reading, with the value that was read.
@@ -31,7 +38,7 @@ DEFAULT_REFUSAL = RefusalSettings()
 
 
 def refused_readings(run: RunLog, settings: RefusalSettings = DEFAULT_REFUSAL) -> NDArray[np.bool_]:
-    """Rows of /measured that the loop refused as jumps or as impossible heights.
+    """Rows of /measured that the loop refused as jumps or as impossible heights, or doubted.
 
     Each tick with a fresh reading has the next row. Where their numbers differ, as in a run that
     was interrupted, the log does not show which rows they are, and none is returned.
@@ -49,8 +56,28 @@ def refused_readings(run: RunLog, settings: RefusalSettings = DEFAULT_REFUSAL) -
     bits = {word: bit for bit, word in run.online.meanings.items()}
     if not {FRESH, REFUSED} <= set(bits):
         return none
-    fresh, refused = ((run.online.flags & bits[word]) != 0 for word in (FRESH, REFUSED))
-    return refused[fresh] if fresh.sum() == len(none) else none
+
+    def flagged(word: str) -> NDArray[np.bool_]:
+        assert run.online is not None
+        return (run.online.flags & bits.get(word, 0)) != 0
+
+    fresh = flagged(FRESH)
+    if fresh.sum() != len(none):
+        return none
+    found = (flagged(REFUSED) | flagged(OLD))[fresh]
+    for word, channel in STUCK.items():
+        values = getattr(run.measured, channel)
+        if values is not None:
+            found |= _since_last_change(flagged(word)[fresh], values)
+    return found
+
+
+def _since_last_change(
+    stuck: NDArray[np.bool_], values: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Rows that are stuck, and those before them with the same value; shape (samples,)."""
+    piece = np.cumsum(np.r_[0, np.diff(values) != 0])
+    return np.isin(piece, piece[stuck])
 
 
 def _refused_by_events(run: RunLog, settings: RefusalSettings) -> NDArray[np.bool_]:
@@ -86,5 +113,4 @@ def drop_refused(run: RunLog, settings: RefusalSettings = DEFAULT_REFUSAL) -> Ru
     if not kept.any():
         raise InputError("the loop refused all its readings; at least one must be sound")
     measured = run.measured
-    channels = {name: values[kept] for name, values in measured.channels().items()}
-    return replace(run, measured=Measured(time=measured.time[kept], **channels))
+    return replace(run, measured=measured.select(kept))

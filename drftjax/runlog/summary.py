@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drftjax.common.text import replace_unprintable
-from drftjax.runlog.record import RunLog
+from drftjax.runlog.record import Events, RunLog
 from drftjax.runlog.schema import UNITS
 
 
@@ -70,6 +70,7 @@ def show(path: str, run: RunLog) -> Stack:
     ]
     if run.events is not None:
         lines.append(Text(f"events: {run.events.code.size}"))
+        lines += [Text(f"  {each}") for each in _events(run.events)]
     table = Table(box=None, pad_edge=False)
     table.add_column("channel")
     table.add_column("unit")
@@ -80,6 +81,17 @@ def show(path: str, run: RunLog) -> Stack:
         ends = (f"{value:.6g}" for value in (each.low, each.high, each.last))
         table.add_row(each.name, each.unit, str(each.rows), rate, *ends)
     return Stack(*lines, table)
+
+
+def _events(events: Events) -> Iterator[str]:
+    """Each kind of event in words, by its first time, with its number, and how often it came."""
+    codes, first, count = np.unique(events.code, return_index=True, return_counts=True)
+    for place in np.argsort(first):
+        row, code = first[place], int(codes[place])
+        word = replace_unprintable(events.meanings.get(code, f"code {code}"))
+        number = f" ({events.arg[row]:.4g})" if events.arg[row] else ""
+        times = f", {count[place]} times from then on" if count[place] > 1 else ""
+        yield f"{events.event_time[row]:.3f} s: {word}{number}{times}"
 
 
 def _rate(time: NDArray[np.float64]) -> float | None:

@@ -166,7 +166,9 @@ def check_reading(
     """
     verdict = _verdict(limits, watch, reading)
     time = reading.time
-    changed = reading.z != watch.seen or abs(omega) < motion.min_omega
+    # A wheel in the air need not show that it turns.
+    in_air = reading.z >= 0
+    changed = reading.z != watch.seen or abs(omega) < motion.min_omega or in_air
     still_since = time if changed else watch.still_since
     x_changed = reading.x != watch.x_seen or abs(vx) < motion.min_vx
     x_still_since = time if x_changed else watch.x_still_since

@@ -68,7 +68,8 @@ class ResponseSettings:
             reading that answers a command as old.
         stale_ticks: The same in ticks; the longer of both counts.
         clock_window: Time over which the least delay of a reading is looked for, which tells the
-            rig's clock from the host's [s]; crystals drift apart by less than 1 ms in it.
+            rig's clock from the host's [s]; short, so that a rig's clock may be slow by a tenth, as
+            a virtual rig's on a busy computer, and its readings do not count as old.
         clock_jump: Change of that delay from one reading to the next that is the clock's [s].
     """
 
@@ -76,7 +77,7 @@ class ResponseSettings:
     silent_ticks: int = 5
     stale_time: float = 0.03
     stale_ticks: int = 5
-    clock_window: float = 5.0
+    clock_window: float = 0.5
     clock_jump: float = 0.1
 
     def longest_silence(self, period: float) -> float:
@@ -124,7 +125,7 @@ class PolledReading(NamedTuple):
 class SampleClock:
     """Age of samples by the rig's clock, which runs beside the host's.
 
-    The least delay between sample and arrival over some seconds is taken for that of the line,
+    The least delay between sample and arrival over the last moments is taken for that of the line,
     half of the round trip; what a reading is later than that, it is older.
 
     Args:
@@ -133,7 +134,7 @@ class SampleClock:
 
     def __init__(self, settings: ResponseSettings):
         self._settings = settings
-        self._begin = -math.inf
+        self._begin, self._first = -math.inf, math.nan
         self._last = self._least = self._before = math.inf
         self._trip = math.inf
 
@@ -146,13 +147,17 @@ class SampleClock:
             trip: From the command that it answers being sent to the arrival [s].
         """
         delay, settings = arrival - sampled, self._settings
+        self._trip = min(self._trip, trip) if trip > 0 else self._trip
+        line = self._trip / 2 if math.isfinite(self._trip) else 0.0
+        if math.isnan(self._first):
+            self._first = sampled
+        if sampled == self._first:  # a clock that has not moved yet may be none
+            return line
         if abs(delay - self._last) > settings.clock_jump and math.isfinite(self._last):
             self._least = self._before = math.inf  # the rig's clock was set
         if arrival - self._begin > settings.clock_window:
             self._before, self._least, self._begin = self._least, math.inf, arrival
         self._last, self._least = delay, min(self._least, delay)
-        self._trip = min(self._trip, trip) if trip > 0 else self._trip
-        line = self._trip / 2 if math.isfinite(self._trip) else 0.0
         return delay - min(self._least, self._before) + line
 
 

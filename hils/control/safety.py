@@ -54,7 +54,8 @@ class SafetyRule(enum.Enum):
     )
     MOVES_AT_REST = _Rule(
         "at touch-down, while the wheel settles and in the countdown: omega over {rest_omega} "
-        "rad/s, or x gone by more than {rest_travel} m, in {in_a_row} readings in a row",
+        "rad/s, of one sign in {rest_readings} readings in a row, or x gone by more than "
+        "{rest_travel} m in {in_a_row}",
         Action.STOP,
         Event.MOVES_AT_REST,
     )
@@ -137,11 +138,13 @@ class SafetySettings:
         omega_margin: Error of the measured omega that is no danger [rad/s]: half of a usual speed.
         omega_share: The same as a share of the command [-]: more than gearing or a scale is off.
         wrong_omega: Speed the wrong way round that is no noise [rad/s].
+        unit_ratio: Measured omega over the command from which on a unit is suspected [-].
         limit_share: Measured omega may exceed the limit by this share [-], as noise.
         lasting_margin, lasting_share: The same for an error that lasts [rad/s], [-]: a drive that
             is off by less is a matter for a diagnosis.
         lasting_time: Time for which it lasts [s].
         rest_omega: Wheel speed that is no noise of a standing wheel [rad/s].
+        rest_readings: Readings in which it is so, one after the other [-]: noise changes its sign.
         rest_travel: Travel that is no settling of a standing carriage [m].
         slowing_time: From one look at a wheel that is told to stop to the next [s].
         slowing_share: Share of its speed that it must lose from one look to the next [-]: the
@@ -165,11 +168,13 @@ class SafetySettings:
     omega_margin: float = 0.25
     omega_share: float = 0.25
     wrong_omega: float = 0.1
+    unit_ratio: float = 20.0
     limit_share: float = 0.1
     lasting_margin: float = 0.05
     lasting_share: float = 0.2
     lasting_time: float = 1.0
     rest_omega: float = 0.05
+    rest_readings: int = 10
     rest_travel: float = 5e-3
     slowing_time: float = 0.5
     slowing_share: float = 0.05
@@ -233,8 +238,9 @@ class MotionAtRest:
             x: As measured [counts].
         """
         settings, rule = self._settings, SafetyRule.MOVES_AT_REST
-        self._turning = self._turning + 1 if abs(omega) > settings.rest_omega else 0
-        if self._turning >= settings.in_a_row:
+        sign = 0 if not abs(omega) > settings.rest_omega else 1 if omega > 0 else -1
+        self._turning = self._turning + sign if sign * self._turning > 0 else sign
+        if abs(self._turning) >= settings.rest_readings:
             sentence = f"the wheel turns at {omega:.3g} rad/s while it is to stand"
             return Finding(rule, sentence, omega)
         if self._first is None:
@@ -350,8 +356,8 @@ class SafetyMonitor:
         hint = ""
         if backwards:
             hint = " (is the motor or its encoder wired the other way round?)"
-        elif most > 0 and 50 < abs(omega) / most < 65:
-            hint = " (does the rig send deg/s?)"
+        elif abs(omega) > settings.unit_ratio * most > 0:
+            hint = " (does the rig send deg/s, or the speed before the gear?)"
         return Finding(
             SafetyRule.RUNAWAY,
             f"the wheel turns at {omega:.3g} rad/s, commanded were {low:.3g} to {high:.3g} rad/s "

@@ -138,7 +138,7 @@ class InMemorySink:
             title=head.title,
             online=online,
             events=record.Events(
-                *(np.array([row[place] for row in self.events]) for place in range(3)),
+                *(np.array([row[place] for row in sorted(self.events)]) for place in range(3)),
                 meanings=head.event_meanings,
             ),
             created=head.created,

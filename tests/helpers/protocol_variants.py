@@ -43,6 +43,7 @@ class OtherRig:
     deaf_for = 0.0
     boot_text = b""
     omega = 0.0
+    turns_as_commanded = False
     greeting = (0x44524654, 9, 1234, 1e-5, 0.0, 2.0, 0.0, 50, 0)  # HELLO_ACK but its state
 
     def __init__(self, **ways):
@@ -92,6 +93,7 @@ class OtherRig:
             omega, _, _, _ = struct.unpack("<ffHH", body[12:])
             assert self.state != 4 or omega == 0.0
             self.commanded = now
+            self.omega = omega if self.turns_as_commanded else self.omega
             self.measure(now, seq)
         elif kind == 7:
             self.state, self.greeted = 3, False

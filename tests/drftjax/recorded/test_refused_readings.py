@@ -48,13 +48,14 @@ def test_what_the_loop_refused_is_not_compared(log):
 def test_the_operator_is_told_how_many_there_were(log, path):
     told: list[str] = []
     gather([path], tell=told.append)
-    assert told == [f"run: {flagged(log)} readings, which the loop refused, are not compared"]
+    assert told == [
+        f"run: {flagged(log)} readings, which the loop refused or doubted, are not compared"
+    ]
 
 
 def test_all_readings_stay_where_a_log_does_not_tell_which(log):
     measured = log.measured
-    channels = {name: values[:-1] for name, values in measured.channels().items()}
-    cut = dataclasses.replace(measured, time=measured.time[:-1], **channels)
+    cut = measured.select(np.arange(measured.time.size) < measured.time.size - 1)
     online = dataclasses.replace(log.online, meanings={})
     for each in (
         dataclasses.replace(log, measured=cut),
@@ -73,3 +74,20 @@ def test_a_run_of_refused_readings_alone_cannot_be_used(log):
     online = dataclasses.replace(log.online, flags=log.online.flags | TickFlag.REFUSED)
     with pytest.raises(InputError, match="the loop refused all its readings"):
         prepare_run("run", dataclasses.replace(log, online=online))
+
+
+def test_a_stuck_scale_is_left_out_from_its_last_change_on(log):
+    """Its readings are flagged later than they are wrong."""
+    z = log.measured.z.copy()
+    z[40:60] = z[40]
+    fresh = np.flatnonzero(log.online.flags & TickFlag.FRESH)
+    flags = log.online.flags.copy()
+    flags[fresh[50:60]] |= np.uint32(TickFlag.STUCK)
+    stuck = dataclasses.replace(
+        log,
+        measured=dataclasses.replace(log.measured, z=z),
+        online=dataclasses.replace(log.online, flags=flags),
+    )
+    found = refused_readings(stuck) & ~refused_readings(log)
+    assert found[40:60].sum() == 20 - refused_readings(log)[40:60].sum()
+    assert found.sum() <= 20

@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+from hils.control.safety import DEFAULT_SAFETY
 from hils.control.stop_request import StopReason, StopRequest
 from hils.events import Event
 from hils.link.messages import Bye, Drive, EmergencyStop, RigState, Stop
@@ -90,7 +91,11 @@ def test_a_wheel_that_turns_on_is_not_believed_to_rest_though_the_rig_says_that_
     table = Resting(OtherRig(omega=0.5))
     assert not table.bring_to_rest()
     assert table.rig.state == 0  # it took ESTOP and BYE, and turns
-    assert table.clock.now() > DEFAULT_SHUTDOWN.longest_stop
+    # The emergency stop goes out as soon as it is seen not to slow down.
+    seen = {code: (time, arg) for time, code, arg in table.rows.events}
+    time, omega = seen[Event.NOT_SLOWING]
+    assert time < 2 * DEFAULT_SAFETY.slowing_time
+    assert omega == 0.5
 
 
 def test_a_wheel_rests_by_the_speed_that_is_set():

@@ -27,6 +27,7 @@ class InTheAir(OtherRig):
     """Its wheel hangs so far over where it was zeroed [m]."""
 
     over = 0.0
+    turns_as_commanded = True
     greeting = (0x44524654, 9, 7, 1e-5, 1e-4, 2.0, 0.1, 50, 0)
 
     def measure(self, now, seq):
