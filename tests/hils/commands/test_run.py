@@ -21,8 +21,8 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run, survey_run
 from drftjax.runlog.record import RunLog
-from hils.commands.stop import stop_runs
 from hils.procedure.active_runs import ActiveRun, is_alive, registered, runs_under_way
+from hils.procedure.stop_runs import stop_runs
 from tests.helpers.recording_host import committed
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
