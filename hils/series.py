@@ -12,7 +12,6 @@ import psutil
 
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import require_folder
-from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.recording_lock import part_path, require_free
 from hils.clock import MonotonicClock
 from hils.control.stop_request import StopReason, StopRequest
@@ -21,7 +20,7 @@ from hils.link.port_link import PortLink
 from hils.link.ports import open_port
 from hils.monitor.observer import with_live_view, without_observer
 from hils.procedure.active_runs import ActiveRun, registered
-from hils.procedure.operator_prompts import AbstractPrompts
+from hils.procedure.operator_prompts import AbstractPrompts, signs_of_life
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.realtime import timely
 from hils.recording.recorder import Recorder
@@ -135,7 +134,8 @@ def make_run(
     """Open the port, make a run, close everything."""
     with ExitStack() as opened:
         # Before the port and before any priority: it must outlive the one and not have the other.
-        recorder = Recorder(path)
+        with signs_of_life("Starting the recorder", prompts.say):
+            recorder = Recorder(path)
         opened.callback(recorder.close, "not begun")
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
@@ -213,6 +213,7 @@ def _is_run_log(path: Path) -> bool:
 def _draw_figure(path: Path) -> str:
     """Draw the run; a sentence that says where, or why not."""
     from drftjax.common.figures import save_figure
+    from drftjax.runlog.hdf5.api import read_run
     from hils.run_figure import plot_hils
 
     picture = path.with_suffix(".png")
