@@ -244,7 +244,8 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
             )
         lines.append(
             f"{ticks.ticks} ticks, {ticks.overruns} deadlines missed, {ticks.skipped} ticks "
-            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused."
+            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused; "
+            f"{ticks.ticks - ticks.fresh} ticks without a reading."
         )
         if ticks.old:
             lines.append(

@@ -30,6 +30,7 @@ from hils.link.link import AbstractLink, LinkLost, LinkQuality
 from hils.link.messages import Drive, Hello, HelloAck, RigState
 from hils.link.timing import watchdog_ms
 from hils.procedure.compilation import await_compilation, compiled_meanwhile
+from hils.procedure.host_watch import HostWatch
 from hils.procedure.initial_state import (
     DEFAULT_START_LIMITS,
     StartLimits,
@@ -289,6 +290,7 @@ class _Run:
                 self._session.bye()
             raise
         standing, shutdown = self._standing_wheel(ready), self._shutdown(ready)
+        host = HostWatch(self._link, self._log, self._stop)
         reason, rested = "failed", False
         try:
             self._stop.uninterruptible = True
@@ -298,10 +300,12 @@ class _Run:
         except LinkLost as lost:
             reason = f"link lost: {lost}"
         finally:
+            completed = self._looped is not None and self._looped.completed
+            reason = host.explain(reason, completed, ack.watchdog_ms)
             rested = self._bring_to_rest(shutdown)
         return RunReport(
             reason,
-            self._looped is not None and self._looped.completed,
+            completed,
             rested,
             self._settled,
             self._start,
