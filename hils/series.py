@@ -19,6 +19,8 @@ from hils.events import Event
 from hils.link.port_link import PortLink
 from hils.link.ports import open_port
 from hils.monitor.observer import with_live_view, without_observer
+from hils.monitor.stream_address import StreamAddress
+from hils.monitor.tick_stream import open_stream
 from hils.procedure.active_runs import ActiveRun, registered
 from hils.procedure.operator_prompts import AbstractPrompts, signs_of_life
 from hils.procedure.procedure import Procedure, RunReport, run
@@ -42,6 +44,7 @@ class Series(NamedTuple):
         fifo: True to ask the system for SCHED_FIFO.
         view: True to show the live view.
         plot: True to draw each run beside its run log.
+        stream: Address to which each tick is streamed; None for no stream.
         clearing_time: Time that the command between runs, and all that it has started, may take
             to end when it is interrupted [s].
     """
@@ -53,6 +56,7 @@ class Series(NamedTuple):
     fifo: bool
     view: bool = False
     plot: bool = False
+    stream: StreamAddress | None = None
     clearing_time: float = 10.0
 
 
@@ -133,6 +137,7 @@ def make_run(
 ) -> RunReport:
     """Open the port, make a run, close everything."""
     with ExitStack() as opened:
+        stream = opened.enter_context(open_stream(series.stream, prompts.say))
         # Before the port and before any priority: it must outlive the one and not have the other.
         with signs_of_life("Starting the recorder", prompts.say):
             recorder = Recorder(path)
@@ -140,10 +145,11 @@ def make_run(
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
-        seen = without_observer(recorder, prompts)
+        rows = recorder if stream is None else stream.rows(recorder, link)
+        seen = without_observer(rows, prompts)
         if series.view:
             seen = opened.enter_context(
-                with_live_view(under_way, path, procedure, link, clock, recorder, prompts, stop)
+                with_live_view(under_way, path, procedure, link, clock, rows, prompts, stop)
             )
 
         def before_motion() -> None:

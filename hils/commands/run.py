@@ -98,6 +98,13 @@ def run(
         float, typer.Option(help="From rest to the start [s].", min=0.1, max=60.0)
     ] = 3.0,
     title: Annotated[str, typer.Option(help="Of the run log.")] = "",
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            help="Send each tick's numbers: udp://HOST:PORT (JSON, for PlotJuggler), or serve them "
+            "at foxglove://HOST:PORT."
+        ),
+    ] = None,
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live view.")] = False,
     no_plot: Annotated[
         bool, typer.Option("--no-plot", help="No picture of the run beside the run log.")
@@ -131,6 +138,7 @@ def run(
         from hils.control.loop import Overruns
         from hils.control.loop_config import LoopSetUp
         from hils.control.loop_config import profile as profile_of
+        from hils.monitor.stream_address import read_stream_address
         from hils.monitor.terminal import has_own_terminal
         from hils.procedure.procedure import Procedure, ZeroAt
         from hils.series import Series, file_names, make_series
@@ -150,6 +158,7 @@ def run(
         loop.tuner.build(tick)
         if not port.lower().startswith(WITHOUT_BAUD):
             require_baud(baud, tick)
+        streamed = None if stream is None else read_stream_address(stream)
         procedure = Procedure(
             loop=loop,
             free=mode == "free",
@@ -160,7 +169,9 @@ def run(
             title=title,
         )
     view = has_own_terminal() and not no_ui
-    series = Series(port, baud, file_names(output, repeat), between, fifo, view, not no_plot)
+    series = Series(
+        port, baud, file_names(output, repeat), between, fifo, view, not no_plot, streamed
+    )
     code = make_series(procedure, series, UnattendedPrompts() if yes else TerminalPrompts())
     if code:
         raise typer.Exit(code)

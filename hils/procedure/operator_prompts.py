@@ -19,7 +19,7 @@ POLL_INTERVAL = 0.05
 
 # From one sign of life to the next while something takes long [s]: with the time that Python takes
 # to start, no second passes in silence.
-LIFE_INTERVAL = 0.7
+LIFE_INTERVAL = 0.5
 
 
 def _do_nothing() -> None:
