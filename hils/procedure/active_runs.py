@@ -47,7 +47,7 @@ def registered(port: str, outputs: Sequence[Path]) -> Iterator[ActiveRun]:
     entry = _folder() / f"{pid}.json"
     ends = dict.fromkeys([outputs[0], outputs[-1]])
     run = ActiveRun(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
-    entry.write_text(json.dumps(run._asdict()))
+    entry.write_text(json.dumps(run._asdict(), separators=(",", ":")))
     try:
         yield run
     finally:
