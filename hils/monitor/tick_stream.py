@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import isfinite
 from typing import Final, Protocol
 
 import msgspec
@@ -185,10 +186,10 @@ class TickStream:
         return _StreamedRows(rows, link, self)
 
     def send(self, numbers: dict[str, float]) -> None:
-        """Send a tick's numbers, or count it as lost; those that are NaN are left out."""
+        """Send a tick's numbers, or count it as lost; one that is not finite is left out."""
         self.ticks += 1
         try:
-            known = {name: value for name, value in numbers.items() if value == value}
+            known = {name: value for name, value in numbers.items() if isfinite(value)}
             self._line.send(self._encode(known))
         except OSError as error:
             self.lost[_cause(error)] += 1

@@ -1,6 +1,7 @@
 """`drft hils run --stream` against a virtual rig, in processes of their own.
 
-The control period is long, so that a busy machine, which lets processes wait, is no watchdog's case.
+The control period is long, so that a busy machine, which lets processes wait, is no watchdog's
+case.
 """
 
 import json

@@ -139,7 +139,7 @@ def test_a_free_carriage_sends_what_it_has(ear):
 
 def test_a_number_that_is_not_known_is_left_out(ear):
     stream = TickStream(UdpLine(read_stream_address(ear.url)))
-    stream.send({"time": 1.0, "omega_measured": float("nan"), "flags": 3})
+    stream.send({"time": 1.0, "omega_measured": float("nan"), "fx": float("inf"), "flags": 3})
     ear.close()
     assert ear.messages == [{"time": 1.0, "flags": 3}]
 
