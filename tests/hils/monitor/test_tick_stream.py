@@ -4,13 +4,13 @@ The receivers are others' programs, or nothing but a socket and Python's own JSO
 """
 
 import asyncio
+import contextlib
 import json
 import os
 import re
 import signal
 import socket
 import struct
-import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -38,33 +38,41 @@ NOBODY, NO_ROOM = "nobody listened there", "there was no room for it"
 
 
 class Ear:
-    """A UDP receiver that keeps every message."""
+    """A UDP receiver that keeps every message; over the loopback they are there once sent."""
 
     def __init__(self, port: int = 0):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", port))
-        self._socket.settimeout(0.2)
-        self.port, self.messages, self._open = self._socket.getsockname()[1], [], True
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
+        self._socket.setblocking(False)
+        self.port, self.messages = self._socket.getsockname()[1], []
 
     @property
     def url(self) -> str:
         return f"udp://127.0.0.1:{self.port}"
 
-    def _listen(self) -> None:
-        while True:
-            try:
+    def take(self) -> None:
+        """Take what has come; a socket has room for a hundred messages or so."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
                 self.messages.append(json.loads(self._socket.recv(4096)))
-            except TimeoutError:
-                if not self._open:
-                    return
 
     def close(self) -> None:
         """Take what has come, and leave the port to nobody."""
-        self._open = False
-        self._thread.join()
-        self._socket.close()
+        if self._socket.fileno() >= 0:
+            self.take()
+            self._socket.close()
+
+
+class HeardSink(InMemorySink):
+    """Keeps a run's rows, and lets the receiver take what was sent before each."""
+
+    def __init__(self, ear: Ear):
+        super().__init__()
+        self._ear = ear
+
+    def command(self, time, omega, vx=None):
+        self._ear.take()
+        super().command(time, omega, vx)
 
 
 @pytest.fixture
@@ -80,11 +88,11 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
-def streamed(url: str, free: bool = False) -> tuple[InMemorySink, list[str]]:
+def streamed(ear: Ear, free: bool = False) -> tuple[InMemorySink, list[str]]:
     """A run in virtual time that is streamed; its rows, and what was said at the end."""
     _, link, clock = soft_rig()
-    rows, said = InMemorySink(), []
-    with open_stream(read_stream_address(url), said.append) as stream:
+    rows, said = HeardSink(ear), []
+    with open_stream(read_stream_address(ear.url), said.append) as stream:
         assert stream is not None
         given = Procedure(loop=loop_setup(), countdown=0.3, free=free)
         prompts = UnattendedPrompts(quiet=True)
@@ -97,7 +105,7 @@ def streamed(url: str, free: bool = False) -> tuple[InMemorySink, list[str]]:
 
 
 def test_each_tick_arrives_with_the_numbers_that_are_recorded(ear):
-    rows, said = streamed(ear.url)
+    rows, said = streamed(ear)
     ear.close()
     assert len(ear.messages) == len(rows.ticks) >= TICKS
     assert said == [f"Stream to {ear.url}: {len(rows.ticks)} ticks sent."]
@@ -129,7 +137,7 @@ def test_each_tick_arrives_with_the_numbers_that_are_recorded(ear):
 
 
 def test_a_free_carriage_sends_what_it_has(ear):
-    rows, _ = streamed(ear.url, free=True)
+    rows, _ = streamed(ear, free=True)
     ear.close()
     assert len(ear.messages) == len(rows.commands)
     assert [m["omega_commanded"] for m in ear.messages] == [each[1] for each in rows.commands]
