@@ -6,6 +6,17 @@ import time
 from typing import Protocol
 
 
+def time_suspended() -> float:
+    """Time for which this computer has slept since it was booted [s].
+
+    It is what the clock since the boot is ahead of the monotonic clock, which stands still
+    meanwhile; 0 where the system has no such clock.
+    """
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        return 0.0
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
 class AbstractClock(abc.ABC):
     """Seconds that never go back, from an origin of its own."""
 

@@ -26,6 +26,7 @@ class Event(IntEnum):
     # The loop.
     OVERRUN = 20  # arg: time over the deadline [s]
     TICKS_SKIPPED = 21  # arg: how many
+    HOST_SLEPT = 25  # arg: time for which the host's computer slept during the run [s]
     # Readings and commands.
     READING_REFUSED = 30  # arg: the height read [m], or the travel where that jumped
     READINGS_REFUSED_IN_A_ROW = 31  # arg: how many
@@ -43,6 +44,7 @@ class Event(IntEnum):
     RIG_RESET = 42  # arg: the new boot_id
     EMERGENCY_STOP = 43  # arg: the reason's number
     FRAMES_DROPPED = 44  # arg: how many since the last such event
+    RIG_CLOCK_JUMPED = 45  # arg: by how much, against the host's clock [s]
     # What the rig measures, against what it was told (hils.control.safety).
     RUNAWAY = 70  # arg: the angular velocity measured [rad/s]
     DRIVE_DEVIATES = 71  # arg: the same

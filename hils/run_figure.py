@@ -1,6 +1,7 @@
 """A run in the loop as a figure: sinkage real and simulated, zeta, slip, lateness."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,6 +9,24 @@ from matplotlib.figure import Figure
 
 from drftjax.runlog.figure import plot_run
 from drftjax.runlog.record import Online, RunLog
+from hils.events import Event, TickFlag
+
+
+class TickCounts(NamedTuple):
+    """Ticks of a recorded run, counted as in the report at its end.
+
+    Attributes:
+        ticks: Ticks made.
+        missed: Deadlines missed, those of skipped ticks included.
+        skipped: Ticks that passed unused.
+        without_reading: Ticks that had no reading not seen before.
+    """
+
+    ticks: int
+    missed: int
+    skipped: int
+    without_reading: int
+
 
 # A wheel that rolls slower has no slip worth drawing [m/s].
 ROLLING = 2e-3
@@ -24,7 +43,7 @@ def plot_hils(run: RunLog) -> Figure:
     axes[1].plot(online.time, online.zeta, color="C1")
     axes[1].set_ylabel("zeta [-]")
     _slip(axes[2], run)
-    _lateness(axes[3], online)
+    _lateness(axes[3], online, count_ticks(run))
     for each in axes:
         each.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
@@ -33,6 +52,21 @@ def plot_hils(run: RunLog) -> Figure:
     # A title is any text: a dollar sign in it is no formula.
     figure.suptitle(title.replace("$", r"\$"), fontsize="medium")
     return figure
+
+
+def count_ticks(run: RunLog) -> TickCounts:
+    """Count the ticks of a run in the loop, its missed deadlines and its missing readings."""
+    online, events = run.online, run.events
+    assert online is not None
+    overruns = skips = skipped = 0
+    if events is not None:
+        overruns = int((events.code == Event.OVERRUN).sum())
+        skips = int((events.code == Event.TICKS_SKIPPED).sum())
+        skipped = int(events.arg[events.code == Event.TICKS_SKIPPED].sum())
+    fresh = int(((online.flags & TickFlag.FRESH) != 0).sum())
+    # Ticks that were skipped together are one overrun, but a deadline each.
+    missed = overruns - skips + skipped
+    return TickCounts(online.time.size, missed, skipped, online.time.size - fresh)
 
 
 def sinkage_error(run: RunLog) -> np.ndarray:
@@ -68,7 +102,7 @@ def _slip(axes: Axes, run: RunLog) -> None:
     axes.plot(command.time, 1 - slip, color="C2")
 
 
-def _lateness(axes: Axes, online: Online) -> None:
+def _lateness(axes: Axes, online: Online, counts: TickCounts) -> None:
     axes.plot(online.time, online.age * 1e3, color="C7", linewidth=0.8, label="age of the reading")
     missed = online.late > 0
     axes.plot(
@@ -76,7 +110,15 @@ def _lateness(axes: Axes, online: Online) -> None:
         online.late[missed] * 1e3,
         "x",
         color="C3",
-        label=f"over the deadline ({int(missed.sum())} of {online.time.size} ticks)",
+        label=f"over the deadline ({counts.missed} in {counts.ticks} ticks)",
+    )
+    unread = (online.flags & TickFlag.FRESH) == 0
+    axes.plot(
+        online.time[unread],
+        np.zeros(int(unread.sum())),
+        "|",
+        color="C1",
+        label=f"without a reading ({counts.without_reading} of {counts.ticks} ticks)",
     )
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small")

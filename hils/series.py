@@ -12,7 +12,6 @@ import psutil
 
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import require_folder
-from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.recording_lock import part_path, require_free
 from hils.clock import MonotonicClock
 from hils.control.stop_request import StopReason, StopRequest
@@ -20,8 +19,10 @@ from hils.events import Event
 from hils.link.port_link import PortLink
 from hils.link.ports import open_port
 from hils.monitor.observer import with_live_view, without_observer
+from hils.monitor.stream_address import StreamAddress
+from hils.monitor.tick_stream import open_stream
 from hils.procedure.active_runs import ActiveRun, registered
-from hils.procedure.operator_prompts import AbstractPrompts
+from hils.procedure.operator_prompts import AbstractPrompts, signs_of_life
 from hils.procedure.procedure import Procedure, RunReport, run
 from hils.realtime import timely
 from hils.recording.recorder import Recorder
@@ -43,6 +44,7 @@ class Series(NamedTuple):
         fifo: True to ask the system for SCHED_FIFO.
         view: True to show the live view.
         plot: True to draw each run beside its run log.
+        stream: Address to which each tick is streamed; None for no stream.
         clearing_time: Time that the command between runs, and all that it has started, may take
             to end when it is interrupted [s].
     """
@@ -54,6 +56,7 @@ class Series(NamedTuple):
     fifo: bool
     view: bool = False
     plot: bool = False
+    stream: StreamAddress | None = None
     clearing_time: float = 10.0
 
 
@@ -136,16 +139,19 @@ def make_run(
 ) -> RunReport:
     """Open the port, make a run, close everything."""
     with ExitStack() as opened:
+        stream = opened.enter_context(open_stream(series.stream, prompts.say))
         # Before the port and before any priority: it must outlive the one and not have the other.
-        recorder = Recorder(path)
+        with signs_of_life("Starting the recorder", prompts.say):
+            recorder = Recorder(path)
         opened.callback(recorder.close, "not begun")
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
-        seen = without_observer(recorder, prompts)
+        rows = recorder if stream is None else stream.rows(recorder, link)
+        seen = without_observer(rows, prompts)
         if series.view:
             seen = opened.enter_context(
-                with_live_view(under_way, path, procedure, link, clock, recorder, prompts, stop)
+                with_live_view(under_way, path, procedure, link, clock, rows, prompts, stop)
             )
 
         def before_motion() -> None:
@@ -215,6 +221,7 @@ def _is_run_log(path: Path) -> bool:
 def _draw_figure(path: Path) -> str:
     """Draw the run; a sentence that says where, or why not."""
     from drftjax.common.figures import save_figure
+    from drftjax.runlog.hdf5.api import read_run
     from hils.run_figure import plot_hils
 
     picture = path.with_suffix(".png")
@@ -249,7 +256,8 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
             )
         lines.append(
             f"{ticks.ticks} ticks, {ticks.overruns} deadlines missed, {ticks.skipped} ticks "
-            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused."
+            f"skipped; {ticks.fresh} fresh readings, {ticks.refused} refused; "
+            f"{ticks.ticks - ticks.fresh} ticks without a reading."
         )
         if ticks.old:
             lines.append(

@@ -72,9 +72,7 @@ def refused_readings(run: RunLog, settings: RefusalSettings = DEFAULT_REFUSAL) -
     return found
 
 
-def _since_last_change(
-    stuck: NDArray[np.bool_], values: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _since_last_change(stuck: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Rows that are stuck, and those before them with the same value; shape (samples,)."""
     piece = np.cumsum(np.r_[0, np.diff(values) != 0])
     return np.isin(piece, piece[stuck])

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
-import optimistix as optx
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
@@ -187,6 +186,7 @@ def _sinkage_under(
     settings: StaticsSettings,
 ) -> Float[Array, ""]:
     """Sinkage [m] by bisection of the support less the load, as a share of the load."""
+    import optimistix as optx  # here, for a run in the loop needs none of it and starts sooner
 
     def missing(sinkage: Float[Array, ""], given) -> Float[Array, ""]:
         simulator, zeta, load, angle = given

@@ -98,6 +98,13 @@ def run(
         float, typer.Option(help="From rest to the start [s].", min=0.1, max=60.0)
     ] = 3.0,
     title: Annotated[str, typer.Option(help="Of the run log.")] = "",
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            help="Send each tick's numbers: udp://HOST:PORT (JSON, for PlotJuggler), or serve them "
+            "at foxglove://HOST:PORT."
+        ),
+    ] = None,
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live view.")] = False,
     no_plot: Annotated[
         bool, typer.Option("--no-plot", help="No picture of the run beside the run log.")
@@ -116,53 +123,55 @@ def run(
         refuse_options(context, ("between",), "one run has none after it; give --repeat")
     if not port:
         raise InputError("--port is empty, must be a device or a URL; drft hils ports lists them")
-    from drftjax.common.jax_config import configure_jax
+    from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts, signs_of_life
 
-    configure_jax()
-    from hils.realtime import answer_at_once
+    with signs_of_life("Loading the simulator"):
+        from drftjax.common.jax_config import configure_jax
 
-    answer_at_once()
-    from drftjax.setups.chosen_step import choose_setup_step
-    from drftjax.setups.setup import read_setup
-    from drftjax.tuning.registry import TunerSetUp
-    from hils.control.limits import CommandLimits
-    from hils.control.loop import Overruns
-    from hils.control.loop_config import LoopSetUp
-    from hils.control.loop_config import profile as profile_of
-    from hils.monitor.terminal import has_own_terminal
-    from hils.procedure.operator_prompts import TerminalPrompts, UnattendedPrompts
-    from hils.procedure.procedure import Procedure, ZeroAt
-    from hils.series import Series, file_names, make_series
+        configure_jax()
+        from hils.realtime import answer_at_once
 
-    given = {"zeta_step": zeta_step, "tolerance": tolerance}
-    named = [f"{name}={value}" for name, value in given.items() if value is not None]
-    numbers = _numbers([*named, *(number or [])])
-    loop = LoopSetUp(
-        setup=read_setup(profile),
-        commands=CommandLimits(omega_max, vx_max),
-        tuner=TunerSetUp(tuner, numbers),
-        tick=tick,
-        tuning_ticks=tuning_ticks,
-    )
-    # What can be refused is refused before anything is opened.
-    profile_of(loop, 1)
-    loop.tuner.build(tick)
-    if not port.lower().startswith(WITHOUT_BAUD):
-        require_baud(baud, tick)
-    if mode != "free" and (choice := choose_setup_step(loop.setup)) is not None:
-        # The step is kept in the run log with the loop; the estimate is for the operator.
-        typer.echo(str(choice))
-    procedure = Procedure(
-        loop=loop,
-        free=mode == "free",
-        zero=ZeroAt(zero),
-        zeta=zeta,
-        overruns=Overruns(policy),
-        countdown=countdown,
-        title=title,
-    )
+        answer_at_once()
+        from drftjax.setups.setup import read_setup
+        from drftjax.tuning.registry import TunerSetUp
+        from hils.control.limits import CommandLimits
+        from hils.control.loop import Overruns
+        from hils.control.loop_config import LoopSetUp
+        from hils.control.loop_config import profile as profile_of
+        from hils.monitor.stream_address import read_stream_address
+        from hils.monitor.terminal import has_own_terminal
+        from hils.procedure.procedure import Procedure, ZeroAt
+        from hils.series import Series, file_names, make_series
+
+        given = {"zeta_step": zeta_step, "tolerance": tolerance}
+        named = [f"{name}={value}" for name, value in given.items() if value is not None]
+        numbers = _numbers([*named, *(number or [])])
+        loop = LoopSetUp(
+            setup=read_setup(profile),
+            commands=CommandLimits(omega_max, vx_max),
+            tuner=TunerSetUp(tuner, numbers),
+            tick=tick,
+            tuning_ticks=tuning_ticks,
+        )
+        # What can be refused is refused before anything is opened.
+        profile_of(loop, 1)
+        loop.tuner.build(tick)
+        if not port.lower().startswith(WITHOUT_BAUD):
+            require_baud(baud, tick)
+        streamed = None if stream is None else read_stream_address(stream)
+        procedure = Procedure(
+            loop=loop,
+            free=mode == "free",
+            zero=ZeroAt(zero),
+            zeta=zeta,
+            overruns=Overruns(policy),
+            countdown=countdown,
+            title=title,
+        )
     view = has_own_terminal() and not no_ui
-    series = Series(port, baud, file_names(output, repeat), between, fifo, view, not no_plot)
+    series = Series(
+        port, baud, file_names(output, repeat), between, fifo, view, not no_plot, streamed
+    )
     code = make_series(procedure, series, UnattendedPrompts() if yes else TerminalPrompts())
     if code:
         raise typer.Exit(code)

@@ -70,7 +70,9 @@ class ResponseSettings:
         clock_window: Time over which the least delay of a reading is looked for, which tells the
             rig's clock from the host's [s]; short, so that a rig's clock may be slow by a tenth, as
             a virtual rig's on a busy computer, and its readings do not count as old.
-        clock_jump: Change of that delay from one reading to the next that is the clock's [s].
+        clock_jump: Difference between the rig's clock and the host's from one reading to the next
+            that is worth an event [s]; as long as a line can hold a reading back before the rig
+            counts as silent.
     """
 
     silent_time: float = 0.25
@@ -78,7 +80,7 @@ class ResponseSettings:
     stale_time: float = 0.03
     stale_ticks: int = 5
     clock_window: float = 0.5
-    clock_jump: float = 0.1
+    clock_jump: float = 0.25
 
     def longest_silence(self, period: float) -> float:
         """Time without a measurement after which a run is ended [s], by the control period [s]."""
@@ -185,18 +187,20 @@ class MeasurementTracker:
         self._link, self._log, self._zero, self._ack = link, log, zero, ack
         self._longest_silence = settings.longest_silence(period)
         self._stale_age = settings.stale_age(period)
+        self._clock_jump = settings.clock_jump
         self._start = self._reading_time = self._age = 0.0
         self._samples = SampleClock(settings)
         self._seen: Arrival | None = None
         self._stale = False
-        self._rig_us: int | None = None
+        self._clocked: Arrival | None = None
+        self._rig_us = 0
 
     def begin(self, start: float) -> None:
         """Begin the run at this time [s]; what came before is no reading of it."""
         self._start = start
         self._seen = self._link.newest()
         if self._seen is not None:
-            self._rig_us = self._seen.frame.t_us
+            self._follow_rig_clock(self._seen)
 
     def poll(self, now: float) -> PolledReading:
         """The newest measurement at this time [s].
@@ -235,7 +239,7 @@ class MeasurementTracker:
 
     @property
     def _rig_time(self) -> float:
-        return (self._rig_us or 0) * 1e-6
+        return self._rig_us * 1e-6
 
     def _require_recent(self, age: float) -> None:
         if age > self._longest_silence:
@@ -269,11 +273,23 @@ class MeasurementTracker:
             self._log.note(Event.RIG_FAULT, measurement.fault)
             raise RigUnresponsive(f"the rig reports fault {measurement.fault}")
         self._require_ready(measurement.state)
-        t_us, before = arrival.frame.t_us, self._rig_us
-        self._rig_us = t_us if before is None else before + (t_us - before) % 2**32
+        self._follow_rig_clock(arrival)
         # Two may arrive at one reading of a coarse clock; a run log's times increase.
         self._reading_time = max(time, math.nextafter(self._reading_time, math.inf))
         return self._zero.reading(measurement, self._reading_time)
+
+    def _follow_rig_clock(self, arrival: Arrival) -> None:
+        """Take over the rig's clock, which wraps on the wire; it may be set or restart."""
+        before, self._clocked = self._clocked, arrival
+        if before is None:
+            self._rig_us = arrival.frame.t_us
+            return
+        # The nearer way round: a clock that goes back is no clock that ran for an hour.
+        step = (arrival.frame.t_us - before.frame.t_us + 2**31) % 2**32 - 2**31
+        self._rig_us += step
+        jump = step * 1e-6 - (arrival.time - before.time)
+        if abs(jump) > self._clock_jump:
+            self._log.event(Event.RIG_CLOCK_JUMPED, jump)
 
     def _command_time(self, arrival: Arrival | None, now: float) -> float:
         """Time at which the command that a measurement answers was sent [s]; now if not known."""

@@ -54,6 +54,7 @@ class LinkQuality(msgspec.Struct, frozen=True):
         sent, received: Frames, only those that count.
         bytes_sent, bytes_received: All bytes.
         replaced: Commands that a newer one replaced before they were sent.
+        longest_pause: Longest time without a command of this session, since its first [s].
         drops: Count of packets that did not count, by cause.
         foreign_state: Last state that came intact from another session or out of order.
         foreign_stop: Last emergency stop that came so.
@@ -65,6 +66,7 @@ class LinkQuality(msgspec.Struct, frozen=True):
     bytes_sent: int
     bytes_received: int
     replaced: int
+    longest_pause: float
     drops: dict[Drop, int]
     foreign_state: HelloAck | StateReport | None
     foreign_stop: EmergencyStop | None
@@ -208,10 +210,16 @@ def quality_of(time: float, inbox: Inbox, outbox: SendQueue) -> LinkQuality:
         outbox.bytes_sent,
         inbox.bytes_received,
         outbox.replaced,
+        _longest_pause(time, outbox),
         receiver.drops,
         receiver.foreign_state,
         receiver.foreign_stop,
     )
+
+
+def _longest_pause(time: float, outbox: SendQueue) -> float:
+    last = outbox.last_command
+    return outbox.longest_pause if last is None else max(outbox.longest_pause, time - last)
 
 
 class SteppedRig(Protocol):

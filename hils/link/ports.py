@@ -143,6 +143,25 @@ def _cause(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+def _close_to_others(descriptor: int) -> None:
+    """Let no other program open a terminal as long as it is open here.
+
+    pyserial's own lock stops only those programs that ask for one too. A pseudo-terminal is left
+    alone: it would stay closed after a kill, for as long as its other end lives. On Linux a
+    program with the rights of root opens it all the same.
+    """
+    import fcntl
+    import termios
+
+    with suppress(OSError, AttributeError):  # not every driver or system has it
+        if not _is_pseudo_terminal(descriptor):
+            fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+
+def _is_pseudo_terminal(descriptor: int) -> bool:
+    return os.ttyname(descriptor).startswith("/dev/pts/")
+
+
 class SerialPort(AbstractPort):
     """A serial device that pyserial has opened and set up, used by its descriptor."""
 
@@ -349,6 +368,8 @@ def open_port(
         # A URL that cannot be ends in whatever its handler stumbles over: KeyError, re.error.
         raise LinkLost(f"{name} cannot be opened: {_cause(error)}") from error
     if os.name == "posix" and isinstance(device, serial.Serial):
+        if exclusive:
+            _close_to_others(device.fileno())
         return _closed_on_failure(device, name, SerialPort, settings)
     return UrlPort(device, name, settings)
 

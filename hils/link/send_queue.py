@@ -26,6 +26,8 @@ class SendQueue:
         sent: Frames taken so far.
         bytes_sent: Their length.
         replaced: Commands that gave way to a newer one, or to an emergency stop.
+        longest_pause: Longest time from one command of this session to the next [s].
+        last_command: Time of its last command [s]; None before the first.
     """
 
     def __init__(self, first: int = 1):
@@ -34,6 +36,8 @@ class SendQueue:
         self._waiting: deque[_Waiting] = deque()
         self._commands: dict[int, float] = {}
         self.sent = self.bytes_sent = self.replaced = 0
+        self.longest_pause = 0.0
+        self.last_command: float | None = None
 
     def begin(self, session: int) -> None:
         """Stamp this session on all that follows, and forget what was not sent."""
@@ -42,6 +46,7 @@ class SendQueue:
         self._session = session
         self._waiting.clear()
         self._commands.clear()
+        self.longest_pause, self.last_command = 0.0, None
 
     def put(self, message: Message, now: float) -> Frame:
         """Add a message at this time [s], as it will go out."""
@@ -51,7 +56,9 @@ class SendQueue:
         data = encode(frame)
         self._next = (frame.seq + 1) & U32
         if isinstance(message, Drive):
-            self._commands[frame.seq] = now
+            if self.last_command is not None:
+                self.longest_pause = max(self.longest_pause, now - self.last_command)
+            self.last_command = self._commands[frame.seq] = now
             self._commands.pop((frame.seq - TIMES_KEPT) & U32, None)
         self._drop_superseded_by(message)
         self._waiting.append(_Waiting(message, data))

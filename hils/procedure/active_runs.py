@@ -1,5 +1,9 @@
-"""Registry of the runs under way on this computer, so that `drft hils stop` finds them."""
+"""Registry of the runs under way on this computer, so that `drft hils stop` finds them.
 
+It stands on Python's own library alone: an emergency stop reads it before all else.
+"""
+
+import json
 import os
 import signal
 import time
@@ -7,8 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from stat import S_ISDIR
-
-import msgspec
+from typing import NamedTuple
 
 from drftjax.common.errors import InputError
 
@@ -16,7 +19,7 @@ from drftjax.common.errors import InputError
 REGISTRY_PARENT = Path("/tmp")
 
 
-class ActiveRun(msgspec.Struct, frozen=True):
+class ActiveRun(NamedTuple):
     """Process that runs a rig.
 
     Attributes:
@@ -44,7 +47,7 @@ def registered(port: str, outputs: Sequence[Path]) -> Iterator[ActiveRun]:
     entry = _folder() / f"{pid}.json"
     ends = dict.fromkeys([outputs[0], outputs[-1]])
     run = ActiveRun(pid, _born(pid), port, " to ".join(str(each.absolute()) for each in ends))
-    entry.write_bytes(msgspec.json.encode(run))
+    entry.write_text(json.dumps(run._asdict(), separators=(",", ":")))
     try:
         yield run
     finally:
@@ -55,8 +58,9 @@ def runs_under_way() -> list[ActiveRun]:
     """All living runs of this user; the entries of dead ones are removed."""
     found = []
     for entry in sorted(_folder().glob("*.json")):
-        with suppress(OSError, msgspec.DecodeError):
-            run = msgspec.json.decode(entry.read_bytes(), type=ActiveRun)
+        # One that is still being written, or that somebody else has put there, is passed over.
+        with suppress(OSError, ValueError, TypeError):
+            run = ActiveRun(**json.loads(entry.read_bytes()))
             if is_alive(run):
                 found.append(run)
             else:

@@ -5,8 +5,10 @@ import math
 import os
 import select
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drftjax.common.errors import InputError
@@ -14,6 +16,10 @@ from hils.events import Phase
 
 # From one look at the rig to the next while a question is open [s].
 POLL_INTERVAL = 0.05
+
+# From one sign of life to the next while something takes long [s]: with the time that Python takes
+# to start, no second passes in silence.
+LIFE_INTERVAL = 0.5
 
 
 def _do_nothing() -> None:
@@ -81,6 +87,32 @@ def _print_if_free(text: str) -> None:
         if not select.select([], [sys.stdout], [], 0.0)[1]:
             return
     _print(text)
+
+
+@contextmanager
+def signs_of_life(
+    text: str, say: Callable[[str], None] = _print, interval: float = LIFE_INTERVAL
+) -> Iterator[None]:
+    """Context in which a sentence is said again and again, with the time that has passed.
+
+    Args:
+        text: The work that takes long.
+        say: Takes the sentence; called from a thread.
+        interval: From one sentence to the next [s]; work that is done sooner is not mentioned.
+    """
+    ended, begun = threading.Event(), time.monotonic()
+
+    def repeat() -> None:
+        while not ended.wait(interval):
+            say(f"{text} ({time.monotonic() - begun:.1f} s)")
+
+    speaker = threading.Thread(target=repeat, name="signs of life", daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        speaker.join()
 
 
 class TerminalPrompts(AbstractPrompts):

@@ -20,27 +20,28 @@ from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
 from hils.control.loop import Overruns, TickLoop
-from hils.control.loop_config import LoopSetUp, Start, shared_physics
+from hils.control.loop_config import LoopSetUp, Start
 from hils.control.loop_report import LoopReport
 from hils.control.measurements import DEFAULT_RESPONSE, ResponseSettings, TouchdownZero
 from hils.control.run_end import DEFAULT_RAMP, RampSettings
 from hils.control.safety import DEFAULT_SAFETY, MotionAtRest, SafetySettings
 from hils.control.stop_request import StopReason, StopRequest
-from hils.control.tick import AbstractTick, FreeTick, TunedTick
+from hils.control.tick import AbstractTick
 from hils.events import Event, Phase
 from hils.link.link import AbstractLink, LinkLost, LinkQuality
 from hils.link.messages import Drive, Hello, HelloAck, Measurement, RigState
 from hils.link.timing import watchdog_ms
+from hils.procedure.compilation import await_compilation, compiled_meanwhile
+from hils.procedure.host_watch import HostWatch
 from hils.procedure.initial_state import (
     DEFAULT_START_LIMITS,
     StartLimits,
     apply_rig_limits,
     run_log_head,
     starting_point,
-    zeta_by_sinkage,
     zeta_doubt,
 )
-from hils.procedure.operator_prompts import AbstractPrompts
+from hils.procedure.operator_prompts import AbstractPrompts, signs_of_life
 from hils.procedure.session import (
     DEFAULT_SESSION,
     STOPPED,
@@ -247,7 +248,7 @@ class _Ready(NamedTuple):
 
     Attributes:
         ack: Answer of the rig to HELLO.
-        loop: Within the rig's limits.
+        loop: Within the rig's limits, with its integrator step.
         tick: Work of a tick, compiled.
         statics: zeta [-] by the sinkage at rest [m].
         zero: Counts at touch-down.
@@ -286,7 +287,10 @@ class _Run:
     def make(self, before_motion: Callable[[], None]) -> RunReport:
         """Make the run."""
         hello = Hello(self._tick_us, watchdog_ms(self._tick_us))
-        ack = self._session.connect(hello, self._settings.connect_time)
+        with signs_of_life("Waiting for the rig to answer HELLO", self._prompts.say):
+            ack = self._session.connect(hello, self._settings.connect_time)
+        if late := self._session.late_answer:
+            self._prompts.say(f"{late}.")
         self._log.event(Event.CONNECTED, ack.boot_id)
         try:
             ready = self._prepare(ack)
@@ -296,6 +300,7 @@ class _Run:
                 self._session.bye()
             raise
         standing, shutdown = self._standing_wheel(ready), self._shutdown(ready)
+        host = HostWatch(self._link, self._log, self._stop)
         reason, rested = "failed", False
         try:
             self._stop.uninterruptible = True
@@ -305,10 +310,12 @@ class _Run:
         except LinkLost as lost:
             reason = f"link lost: {lost}"
         finally:
+            completed = self._looped is not None and self._looped.completed
+            reason = host.explain(reason, completed, ack.watchdog_ms)
             rested = self._bring_to_rest(shutdown)
         return RunReport(
             reason,
-            self._looped is not None and self._looped.completed,
+            completed,
             rested,
             self._settled,
             self._start,
@@ -328,26 +335,29 @@ class _Run:
         expected = Start(loop.setup.start.sinkage, 1.0)
         head = run_log_head(loop, expected, ack, self._title, procedure.free, True)
         self._rows.require_room(head)
-        statics = zeta_by_sinkage(msgspec.json.encode(loop.setup))
-        tick = _compiled_tick(loop, procedure.free, expected)
-        if procedure.zero is ZeroAt.HELD:
+        with compiled_meanwhile(loop, procedure.free, expected) as compilation:
+            if procedure.zero is ZeroAt.HELD:
+                prompts.confirm(
+                    "Hold the wheel where its rim just touches the undisturbed sand",
+                    session.require_no_rig_stop,
+                )
+            touchdown, safety = self._settings.touchdown, self._settings.safety
+            zero = touch_down(session, self._link, self._clock, ack, touchdown, safety)
+            if procedure.zero is ZeroAt.POWER_UP:
+                zero = zero._replace(z=0.0)
+            self._log.event(Event.TOUCHED_DOWN, zero.z)
             prompts.confirm(
-                "Hold the wheel where its rim just touches the undisturbed sand",
+                "Let the wheel down, so that it rests on the sand by its own weight",
                 session.require_no_rig_stop,
             )
-        touchdown, safety = self._settings.touchdown, self._settings.safety
-        zero = touch_down(session, self._link, self._clock, ack, touchdown, safety)
-        if procedure.zero is ZeroAt.POWER_UP:
-            zero = zero._replace(z=0.0)
-        self._log.event(Event.TOUCHED_DOWN, zero.z)
-        prompts.confirm(
-            "Let the wheel down, so that it rests on the sand by its own weight",
-            session.require_no_rig_stop,
-        )
+            compiled = await_compilation(compilation, prompts.say, session.require_no_rig_stop)
+        if compiled.step_choice is not None:
+            prompts.say(str(compiled.step_choice))
         session.require_no_rig_stop()
-        self._ask_about_zeta(loop, zero, statics)
+        self._ask_about_zeta(compiled.loop, zero, compiled.statics)
+        head = run_log_head(compiled.loop, expected, ack, self._title, procedure.free, True)
         self._rows.require_room(head)  # again: a question may stay open for long
-        return _Ready(ack, loop, tick, statics, zero)
+        return _Ready(ack, compiled.loop, compiled.tick, compiled.statics, zero)
 
     def _ask_about_zeta(
         self, loop: LoopSetUp, zero: TouchdownZero, statics: Callable[[float], float]
@@ -482,14 +492,6 @@ def _stopped_before(state: RigState) -> str:
     if state is RigState.FAULT:
         return "The rig says FAULT: it cannot be armed until that is mended."
     return "The rig was SAFE before this run; ARM lets it move again."
-
-
-def _compiled_tick(loop: LoopSetUp, free: bool, expected: Start) -> AbstractTick:
-    if free:
-        return FreeTick(loop)
-    tick = TunedTick(shared_physics(loop))
-    tick.precompile(expected)
-    return tick
 
 
 def _at_rest(procedure: Procedure, start: Start) -> str:

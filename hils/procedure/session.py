@@ -80,14 +80,17 @@ class Session:
         self._armed_by: Arrival | None = None
         self._last_state: StateReport | None = None
         self._rig_stop: EmergencyStop | None = None
+        self._answer_time = 0.0
 
     def connect(self, hello: Hello, patience: float = 0.0) -> HelloAck:
         """Open a session: HELLO up to five times, 50 ms apart (docs/reference/wire.md).
 
+        All tries have one session number, so that an answer counts however late it comes.
+
         Args:
             hello: The first message of the session.
             patience: Time [s] over which the five tries are made again, for a rig that restarts
-                when its port is opened.
+                when its port is opened, or answers late.
 
         Returns:
             Identity, scales and limits of the rig.
@@ -96,21 +99,26 @@ class Session:
             InputError: nothing answers, or what answers cannot be driven safely.
             LinkLost: the line broke.
         """
-        self._rig_stop = None
-        until = self._clock.now() + patience
-        before = self._link.quality()
-        while True:
-            self._link.begin(self._number())
-            self._armed_by = None
-            answer = self._ask(hello, lambda each: isinstance(each.frame.message, HelloAck))
-            if answer is not None:
-                break
-            if self._clock.now() >= until:
+        self._rig_stop = self._armed_by = None
+        begun, before = self._clock.now(), self._link.quality()
+        number, answer = self._number(), None
+        while answer is None:
+            self._link.begin(number)  # again: a rig that restarts counts its frames anew
+            answer = self._ask(hello, _is_hello_ack)
+            if answer is None and self._clock.now() >= begun + patience:
                 raise InputError(self._no_answer(before))
         assert isinstance(answer.frame.message, HelloAck)
         self._hello, self._ack = hello, answer.frame.message
+        self._answer_time = answer.time - begun
         _require_usable(self._link.name, hello, self._ack, self._settings.max_scale)
         return self._ack
+
+    @property
+    def late_answer(self) -> str:
+        """Sentence on an answer to HELLO that came after the first five tries; else empty."""
+        if self._answer_time <= self._settings.tries * self._settings.interval:
+            return ""
+        return f"the rig on {self._link.name} answered HELLO after {self._answer_time:.1f} s"
 
     def arm(self, hold: Drive) -> None:
         """Make the rig ready to move: ARM until it says that it is, with commands behind.
@@ -329,6 +337,8 @@ class Session:
                 "counts on over sessions drops a host whose clock was set back: switch it off and "
                 "on"
             )
+        if isinstance(after.foreign_state, HelloAck):
+            return f"{asked} in time, but one answers late: an answer to an earlier HELLO came"
         new = {cause: count - before.drops.get(cause, 0) for cause, count in after.drops.items()}
         causes = ", ".join(f"{count} {cause.value}" for cause, count in new.items() if count)
         listed = f" ({causes})" if causes else ""
@@ -339,13 +349,21 @@ class Session:
         name, state = self._link.name, self._last_state
         if state is None:
             tries, interval = self._settings.tries, self._settings.interval * 1e3
-            return f"the rig on {name} does not answer ARM ({tries} tries, {interval:.0f} ms apart)"
+            late = f"; {self.late_answer}" if self.late_answer else ""
+            return (
+                f"the rig on {name} does not answer ARM ({tries} tries, {interval:.0f} ms apart)"
+                f"{late}"
+            )
         reason = reason_in_words(ack.rig_id, state.reason)
         return f"the rig on {name} is not armed: it says {state.state.name}, {reason}"
 
 
 def _state(arrival: Arrival) -> RigState | None:
     return getattr(arrival.frame.message, "state", None)
+
+
+def _is_hello_ack(arrival: Arrival) -> bool:
+    return isinstance(arrival.frame.message, HelloAck)
 
 
 def _is_ready(arrival: Arrival) -> bool:

@@ -56,7 +56,7 @@ def test_the_wheel_holds_modules_types_templates_and_data(wheel):
 def test_the_wheel_names_its_commands_and_licence(wheel):
     (info,) = {each.partition("/")[0] for each in wheel.namelist() if ".dist-info/" in each}
     points = wheel.read(f"{info}/entry_points.txt").decode()
-    assert "drft = drftjax.commands.main:main" in points
+    assert "drft = drftjax.commands.entry:main" in points
     metadata = wheel.read(f"{info}/METADATA").decode()
     assert "License-Expression: Apache-2.0" in metadata
     assert "Classifier: Typing :: Typed" in metadata

@@ -21,8 +21,8 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run, survey_run
 from drftjax.runlog.record import RunLog
-from hils.commands.stop import stop_runs
 from hils.procedure.active_runs import ActiveRun, is_alive, registered, runs_under_way
+from hils.procedure.stop_runs import stop_runs
 from tests.helpers.recording_host import committed
 
 DRFT = [sys.executable, "-m", "drftjax.commands.main"]
@@ -255,6 +255,8 @@ def test_killed_rig_ends_the_run_with_its_file_closed(bench, tmp_path):
         (["--zeta0", "nan"], "zeta0 is nan, must lie between 0.05 and 20"),
         (["--zeta0", "0"], "zeta0 is 0, must lie between 0.05 and 20"),
         (["--omega-max", "0.1"], "the loop allows 0.1 rad/s at most"),
+        (["--stream", "udp:/x"], "--stream is 'udp:/x', must be udp://HOST:PORT or foxglove://"),
+        (["--stream", "udp://127.0.0.1:70000"], "the port from 1 to 65535"),
         (["-o", "run.csv"], "a run log's name must end in .h5"),
         (["-o", "run.csv", "--repeat", "3"], "run.csv: a run log's name must end in .h5"),
     ],

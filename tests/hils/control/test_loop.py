@@ -375,7 +375,7 @@ def test_policy_stop_ends_the_run_at_the_first_missed_deadline():
 def test_sleep_longer_than_the_watchdog_finds_the_rig_safe():
     made = make(at=2.0, late=0.2)
     watchdog = "reason 1 (watchdog: no valid command in time)"
-    assert made.report.reason == f"the rig went SAFE, {watchdog}"
+    assert made.report.reason.startswith(f"the rig went SAFE, {watchdog}; this computer sent no ")
     assert not made.report.completed
     assert resting(made)
 

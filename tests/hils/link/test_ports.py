@@ -6,6 +6,7 @@ may be busy; nothing is asserted to be quick but what would otherwise never retu
 
 import os
 import socket
+import sys
 import termios
 import threading
 import time
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 from drftjax.common.errors import InputError
+from hils.link import ports
 from hils.link.link import LinkLost
 from hils.link.messages import Arm, Drop, Frame, Measurement, RigState, encode
 from hils.link.port_link import PortLink
@@ -36,6 +38,34 @@ def ends():
     ends = Ends()
     yield ends
     ends.hang_up()
+
+
+def is_closed_to_others(descriptor: int) -> bool:
+    """True where the system lets no other program open this terminal."""
+    import fcntl
+
+    get_exclusive = 0x80045440  # TIOCGEXCL, Linux
+    return int.from_bytes(fcntl.ioctl(descriptor, get_exclusive, bytes(4)), sys.byteorder) != 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="TIOCGEXCL is Linux's")
+def test_a_device_is_closed_to_programs_that_ask_for_no_lock(ends, monkeypatch):
+    monkeypatch.setattr(ports, "_is_pseudo_terminal", lambda descriptor: False)
+    for exclusive in (False, True):
+        other = os.open(ends.name, os.O_RDWR | os.O_NOCTTY)
+        port = open_port(ends.name, BAUD, exclusive=exclusive)
+        assert is_closed_to_others(other) is exclusive
+        port.close()
+        os.close(other)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="TIOCGEXCL is Linux's")
+def test_a_pseudo_terminal_can_be_opened_again_after_a_kill(ends):
+    port = open_port(ends.name, BAUD)
+    other = os.open(ends.name, os.O_RDWR | os.O_NOCTTY)
+    assert not is_closed_to_others(other)
+    os.close(other)
+    port.close()
 
 
 def test_every_byte_passes_a_terminal_unchanged(ends):

@@ -387,3 +387,62 @@ def test_session_numbers_are_drawn_and_never_zero():
     assert len(numbers) > 1500
     assert min(numbers) >= 1
     assert max(numbers) <= 65_535
+
+
+# Late answers ------------------------------------------------------------------------------------
+
+
+class Late(OtherRig):
+    """Its words are on the way for so long [s]."""
+
+    delay = 0.9
+
+    def __init__(self, **ways):
+        super().__init__(**ways)
+        self._way: list[tuple[float, bytes]] = []
+
+    def advance(self, now, data):
+        self._way.append((now + self.delay, super().advance(now, data)))
+        arrived = b"".join(said for due, said in self._way if due <= now)
+        self._way = [each for each in self._way if each[0] > now]
+        return arrived
+
+
+def late_session(delay: float) -> tuple[Session, list[int]]:
+    """A session with a rig that answers so late, and the session numbers that it drew."""
+    table, drawn = Table(Late(delay=delay)), []
+
+    def number() -> int:
+        drawn.append(100 + len(drawn))
+        return drawn[-1]
+
+    return Session(table.link, table.clock, number), drawn
+
+
+def test_an_answer_later_than_five_tries_counts_and_is_told():
+    session, drawn = late_session(0.9)
+    assert session.connect(HELLO, patience=3.0).rig_id == 9
+    assert drawn == [100]
+    assert session.late_answer == "the rig on port 1 answered HELLO after 0.9 s"
+
+
+def test_an_answer_in_time_is_not_called_late():
+    session, _ = late_session(0.04)
+    session.connect(HELLO)
+    assert session.late_answer == ""
+
+
+def test_a_rig_too_late_to_be_armed_is_told_as_late():
+    session, _ = late_session(0.9)
+    session.connect(HELLO, patience=3.0)
+    with pytest.raises(InputError, match=r"not answer ARM .*; the rig .* answered HELLO after 0.9"):
+        session.arm(HOLD)
+
+
+def test_an_answer_to_an_earlier_hello_is_no_stranger():
+    session, _ = late_session(0.3)
+    for _ in range(2):
+        with pytest.raises(InputError) as refused:
+            session.connect(HELLO)
+    assert "one answers late: an answer to an earlier HELLO came" in str(refused.value)
+    assert "is it a rig?" not in str(refused.value)
