@@ -37,7 +37,7 @@ class Head:
         setup: Set-up of the rig as stated by the operator.
         source: Origin of the run, such as "measured" or "virtual rig".
         title: Title for people.
-        channels: Channels of /measured: names among x, z, fx, fz, torque and omega, in a row's order.
+        channels: Channels of /measured: some of x, z, fx, fz, torque, omega, in a row's order.
         driven: True where the carriage is driven, so that /command has vx.
         online: Numbers of the control loop; None where there is none.
         event_meanings: Words for each code of /events.
