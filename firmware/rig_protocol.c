@@ -212,8 +212,8 @@ static void command(rig *r, uint32_t seq, const uint8_t *payload) {
     if (is_ready(r)) { /* written so that NaN fails both */
         if (size_of(omega) <= r->identity.omega_max && size_of(vx) <= r->identity.vx_max) {
             r->driven = get16(payload + 8) & 1;
-            r->target_omega = omega;
-            r->target_vx = r->driven ? vx : 0.0f;
+            if (!r->driven) r->vx = vx = 0.0f;
+            r->target_omega = omega; r->target_vx = vx;
             r->starves = r->now + r->watchdog_us;
             r->lapses = r->now + get16(payload + 10) * 1000u;
             r->has_lapse = 1;
