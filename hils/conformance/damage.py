@@ -58,7 +58,7 @@ def broken_stuffing(probe: Probe) -> list[bytes]:
     """Packets whose COBS leads past their end, and a frame cut off in its middle."""
     frame = encode(probe.frame(Arm()))
     beyond = DELIMITER + bytes([0xFF]) + frame[2:-1] + DELIMITER
-    return [beyond, b"\x00\x05\x01\x00", frame[: len(frame) // 2] + DELIMITER]
+    return [beyond, frame[: len(frame) // 2], b"\x00\x05\x01\x00"]
 
 
 def overlong(probe: Probe) -> list[bytes]:

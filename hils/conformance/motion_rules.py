@@ -54,14 +54,12 @@ def _too_large(probe: Probe) -> RuleFinding:
 
 
 def _stop_ramps(probe: Probe) -> RuleFinding:
-    probe.make_turn()
+    probe.make_turn(probe.settings.long_tick_us)
     begun = probe.now()
     probe.send(Stop())
-    heard = probe.listen(REST_TIME)
-    before_watchdog = [each for each in heard if each.time - begun < 0.8 * watchdog(probe)]
-    states = [each.state for each in before_watchdog if each.state is not None]
-    armed = bool(states) and states[-1] is RigState.ARMED
-    return _rest(probe, heard, begun, armed, state_names(before_watchdog))
+    heard = probe.listen(0.9 * watchdog(probe))  # which would stop the wheel, too
+    armed = bool(heard) and heard[-1].state is RigState.ARMED
+    return _rest(probe, heard, begun, armed, state_names(heard))
 
 
 def _stop_feeds(probe: Probe) -> RuleFinding:

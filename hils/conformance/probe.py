@@ -43,6 +43,7 @@ class ConformanceSettings:
     Attributes:
         tick_us: Control period that HELLO tells [us]; its watchdog of 100 ms outlasts the pauses
             that an ordinary computer makes.
+        long_tick_us: For the rule whose ramp must end within the watchdog, 500 ms [us].
         short_tick_us: For the one rule that needs the shortest watchdog, 20 ms [us].
         command_interval: From one command to the next [s].
         patience: Longest wait for an answer that is due [s]: five intervals of a MEAS.
@@ -64,6 +65,7 @@ class ConformanceSettings:
     """
 
     tick_us: int = 20_000
+    long_tick_us: int = 100_000
     short_tick_us: int = 4_000
     command_interval: float = 0.01
     patience: float = 0.1
@@ -290,7 +292,8 @@ class Probe:
             NotPrepared: it does not get ready, or is not measured to turn.
         """
         self.make_ready(tick_us)
-        interval = None if tick_us is None else tick_us * 1e-6
+        interval = self.settings.command_interval
+        interval = interval if tick_us is None else min(interval, tick_us * 1e-6)
         heard = self.stream(self.turn(), self.settings.turn_time, interval)
         speed = omegas(heard)[-1:]
         if not speed or not speed[0] > self.settings.rest_omega:

@@ -156,16 +156,22 @@ def _estop(probe: Probe) -> RuleFinding:
     probe.make_ready()
     begun = len(probe.heard)
     probe.send(EmergencyStop(1))
-    answered = probe.listen(
-        probe.settings.patience,
-        lambda each: is_safe(each) or isinstance(each.message, EmergencyStop),
-    )
+    # At once, and before the watchdog would.
+    answered = probe.listen(0.5 * watchdog(probe), _is_stopped)
     after = len(probe.heard)
     probe.send(Arm())
     probe.stream(HOLD, 0.2)
     heard = probe.heard[after:]
-    keeps = bool(answered) and not any(map(is_ready, heard)) and any(map(is_safe, heard))
+    keeps = (
+        any(map(_is_stopped, answered))
+        and not any(map(is_ready, heard))
+        and any(map(is_safe, heard))
+    )
     return finding(keeps, f"{state_names(probe.heard[begun:])}, with ARM and CMD behind")
+
+
+def _is_stopped(each: Heard) -> bool:
+    return is_safe(each) or isinstance(each.message, EmergencyStop)
 
 
 def _hello_while_armed(probe: Probe) -> RuleFinding:
@@ -189,7 +195,7 @@ def _bye(probe: Probe) -> RuleFinding:
     probe.make_ready()
     probe.stream(HOLD, 0.1)
     probe.send(Bye())
-    heard = probe.listen(2.0 * watchdog(probe))
+    heard = probe.listen(0.5 * watchdog(probe))  # before it would make it SAFE
     after = probe.connect().state
     said = f"{state_names(heard)} after BYE, " if heard else ""
     return finding(after is RigState.IDLE, f"{said}{after.name} at the next HELLO")

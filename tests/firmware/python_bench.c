@@ -77,3 +77,5 @@ float bench_vx(const bench *b) { return b->protocol.vx; }
 int bench_stops(const bench *b) { return b->stops; }
 
 uint32_t bench_drops(const bench *b, int cause) { return b->protocol.drops[cause]; }
+
+void bench_late(bench *b, uint32_t now_us) { rig_poll(&b->protocol, now_us); }

@@ -57,7 +57,7 @@ def library(change: tuple[str, str] | None = None) -> ctypes.CDLL:
         for path, text in sources.items():
             written.append(Path(folder) / path.name)
             written[-1].write_text(text if change is None else text.replace(*change))
-        options = ("-O1", "-shared", "-fPIC", f"-I{FIRMWARE}")
+        options = ("-O0", "-shared", "-fPIC", f"-I{FIRMWARE}")
         built = ctypes.CDLL(str(compile_c(Path(folder) / "rig.so", *options, *written)))
     for name in ("bench_size", "bench_take"):
         getattr(built, name).restype = ctypes.c_size_t
