@@ -1,5 +1,7 @@
 """A rig held against rules of the wire, in virtual or in real time."""
 
+import math
+
 from hils.clock import MonotonicClock, VirtualClock
 from hils.conformance.catalogue import rules
 from hils.conformance.judging import judge
@@ -47,20 +49,23 @@ def stepped_verdicts(rig, names: tuple[str, ...] = ()) -> tuple[Verdicts, dict[s
 
 
 def port_verdicts(
-    name: str, names: tuple[str, ...], patient: bool
+    name: str, names: tuple[str, ...], known_broken: bool = False
 ) -> tuple[Verdicts, dict[str, str]]:
     """Verdicts on a rig at a real port.
 
     Args:
         name: Of the port.
         names: Of the rules.
-        patient: True to leave without a verdict what this computer was too busy to judge; False
-            where the rig is known to break the rules, however busy it is.
+        known_broken: True where the rig breaks the rules, however busy this computer is: each is
+            tried once, and judged.
     """
-    held_up = DEFAULT_CONFORMANCE.held_up_time if patient else float("inf")
+    settings = ConformanceSettings(held_up_time=math.inf, rule_tries=1)
     port = open_port(name, 921_600)
     try:
-        return verdicts(port, MonotonicClock(), names, ConformanceSettings(held_up_time=held_up))
+        return verdicts(
+            *(port, MonotonicClock(), names),
+            settings if known_broken else DEFAULT_CONFORMANCE,
+        )
     finally:
         port.close()
 
