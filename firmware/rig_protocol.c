@@ -215,7 +215,7 @@ static void command(rig *r, uint32_t seq, const uint8_t *payload) {
             if (!r->driven) r->vx = vx = 0.0f;
             r->target_omega = omega; r->target_vx = vx;
             r->starves = r->now + r->watchdog_us;
-            r->lapses = r->now + get16(payload + 10) * 1000u;
+            r->lapses = r->now + (uint32_t)get16(payload + 10) * 1000u;
             r->has_lapse = 1;
             if (r->target_omega != 0.0f || r->target_vx != 0.0f)
                 set_state(r, RIG_RUNNING, RIG_NO_REASON);

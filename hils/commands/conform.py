@@ -6,13 +6,10 @@ from typing import Annotated
 import typer
 
 from drftjax.common.errors import InputError
+from hils.commands.run import WITHOUT_BAUD
 from hils.link.timing import USUAL_BAUD, require_baud
 
 LONGEST_PATIENCE = 60.0  # [s]
-
-
-# Ports whose line has no baud rate.
-WITHOUT_BAUD = ("socket://", "loop://")
 
 
 EXAMPLES = """
@@ -61,7 +58,9 @@ def conform(
 
     require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")
     if not port.lower().startswith(WITHOUT_BAUD):
-        require_baud(baud, DEFAULT_CONFORMANCE.command_interval)
+        settings = DEFAULT_CONFORMANCE
+        shortest = settings.short_tick_us * 1e-6 if moving else settings.command_interval
+        require_baud(baud, shortest)
     if moving:
         prompts = UnattendedPrompts() if yes else TerminalPrompts()
         prompts.confirm(

@@ -56,19 +56,19 @@ def old_number(probe: Probe) -> list[bytes]:
 
 def broken_stuffing(probe: Probe) -> list[bytes]:
     """Packets whose COBS leads past their end, and a frame cut off in its middle."""
-    frame = encode(probe.frame(Arm()))
+    frame = encode(probe.next_frame(Arm()))
     beyond = DELIMITER + bytes([0xFF]) + frame[2:-1] + DELIMITER
     return [beyond, frame[: len(frame) // 2], b"\x00\x05\x01\x00"]
 
 
-def overlong(probe: Probe) -> list[bytes]:
+def overlong_packet(probe: Probe) -> list[bytes]:
     """Noise without a delimiter, longer than any buffer, then an ARM behind it without one."""
-    return [b"\x55" * 2000 + encode(probe.frame(Arm()))[1:]]
+    return [b"\x55" * 2000 + encode(probe.next_frame(Arm()))[1:]]
 
 
 def _body(probe: Probe, message: Message) -> bytearray:
     """Header and payload of the next frame."""
-    return bytearray(cobs.decode(encode(probe.frame(message))[1:-1])[:-4])
+    return bytearray(cobs.decode(encode(probe.next_frame(message))[1:-1])[:-4])
 
 
 def _changed(probe: Probe, message: Message, place: int, value: int) -> bytes:

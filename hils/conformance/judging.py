@@ -29,7 +29,7 @@ def judge(
         tell: Called with each judgement as it is made.
 
     Raises:
-        InputError: no rig answers.
+        InputError: no rig answers, or somebody pressed its own emergency stop.
         LinkLost: the line broke.
     """
     try:

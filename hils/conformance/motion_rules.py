@@ -1,9 +1,15 @@
 """Rules that turn the wheel or move the carriage, or that a broken rig might answer by motion."""
 
-from hils.conformance.heard import Heard, is_safe, measurements, omegas, state_names
 from hils.conformance.probe import HOLD, Probe
+from hils.conformance.received_frame import (
+    ReceivedFrame,
+    is_safe,
+    measurements,
+    omegas,
+    state_names,
+)
 from hils.conformance.rule import Rule, RuleFinding, finding, no_verdict
-from hils.conformance.safety_rules import starved, watchdog
+from hils.conformance.safety_rules import refusal_finding, watchdog
 from hils.link.messages import Arm, Drive, EmergencyStop, Hello, RigState, Stop
 from hils.link.timing import watchdog_ms
 
@@ -50,7 +56,7 @@ def _travel(probe: Probe, command: Drive) -> float:
 
 def _too_large(probe: Probe) -> RuleFinding:
     probe.make_ready()
-    return starved(probe, Drive(1.25 * probe.ack.omega_max, 0.0, False, HOLD.valid_ms))
+    return refusal_finding(probe, Drive(1.25 * probe.ack.omega_max, 0.0, False, HOLD.valid_ms))
 
 
 def _stop_ramps(probe: Probe) -> RuleFinding:
@@ -104,14 +110,16 @@ def _foreign_stops(probe: Probe) -> RuleFinding:
 
 def _hello_stops(probe: Probe) -> RuleFinding:
     probe.make_turn()
-    begun, fresh = probe.now(), len(probe.heard)
+    begun, fresh = probe.now(), len(probe.frames)
     probe.ask(Hello(probe.settings.tick_us, watchdog_ms(probe.settings.tick_us)))
     probe.stream(probe.turn(), REST_TIME)
-    heard = probe.heard[fresh:]
+    heard = probe.frames[fresh:]
     return _rest(probe, heard, begun, any(map(is_safe, heard)), state_names(heard))
 
 
-def _rest(probe: Probe, heard: list[Heard], begun: float, keeps: bool, states: str) -> RuleFinding:
+def _rest(
+    probe: Probe, heard: list[ReceivedFrame], begun: float, keeps: bool, states: str
+) -> RuleFinding:
     """Finding on a wheel that must have come to rest since `begun`, where the states are right."""
     limit = probe.settings.rest_omega
     turning = [each.time for each, meas in measurements(heard) if abs(meas.omega) > limit]

@@ -6,8 +6,9 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from drftjax.common.errors import InputError
 from hils.clock import AbstractClock
-from hils.conformance.heard import Heard, is_ready, omegas
+from hils.conformance.received_frame import ReceivedFrame, is_ready, omegas
 from hils.link.framing import FrameSplitter
 from hils.link.link import LinkLost
 from hils.link.messages import (
@@ -97,6 +98,10 @@ class NotPrepared(Exception):
     """The rig could not be brought to where a rule begins; the message says why."""
 
 
+class RigsOwnStop(InputError):
+    """Somebody pressed the rig's own emergency stop; nothing more may be tried."""
+
+
 class WheelTurns(Exception):
     """The wheel is measured to turn when, or faster than, it may; the message says how fast."""
 
@@ -111,8 +116,8 @@ class Probe:
         patience: Time [s] for which a rig that restarts when its port opens is asked again.
 
     Attributes:
-        heard: All intact frames of the rig's since its first HELLO_ACK, in order.
-        drops: What else came since then, by cause.
+        frames: All intact frames of the rig's, in order.
+        drops: What else came since the first HELLO_ACK, by cause.
         session: Number of the present session.
         seq: Sequence number of the last frame sent.
         ack: The last HELLO_ACK.
@@ -131,12 +136,13 @@ class Probe:
         self._patience = patience
         self._splitter = FrameSplitter()
         self._sent: deque[bytes] = deque(maxlen=64)  # a line that echoes returns them
-        self.heard: list[Heard] = []
+        self.frames: list[ReceivedFrame] = []
         self.drops: Counter[Drop] = Counter()
         self.session, self.seq = 0, first_number(time.time())
         self._ack: HelloAck | None = None
         self.speed_limit = 2.0 * settings.rest_omega
         self.held_up = 0.0
+        self._has_stopped = False  # an ESTOP may be answered by one
 
     @property
     def name(self) -> str:
@@ -178,7 +184,7 @@ class Probe:
             if data:
                 self._port.wait(False, True, self.now() + self.settings.command_interval)
 
-    def frame(self, message: Message, session: int | None = None) -> Frame:
+    def next_frame(self, message: Message, session: int | None = None) -> Frame:
         """The next frame of this session, or of another."""
         self.seq = (self.seq + 1) & U32
         session = self.session if session is None else session
@@ -186,35 +192,45 @@ class Probe:
 
     def send(self, message: Message, session: int | None = None) -> int:
         """Send a message once; its sequence number."""
-        frame = self.frame(message, session)
+        frame = self.next_frame(message, session)
+        self._has_stopped = self._has_stopped or isinstance(message, EmergencyStop)
         self.transmit(encode(frame))
         return frame.seq
 
     # Hearing ---------------------------------------------------------------------------------
 
-    def listen(self, duration: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
-        """Frames that come in this time [s], or up to the first for which `until` holds."""
-        begun, deadline = len(self.heard), self.now() + duration
+    def listen(
+        self, duration: float, until: Callable[[ReceivedFrame], bool] | None = None
+    ) -> list[ReceivedFrame]:
+        """Frames that come in this time [s], or up to the first for which `until` holds.
+
+        Raises:
+            WheelTurns: the wheel is measured to turn faster than `speed_limit`.
+            RigsOwnStop: the rig made an emergency stop; it is answered.
+        """
+        begun, deadline = len(self.frames), self.now() + duration
         while True:
-            fresh = len(self.heard)
+            fresh = len(self.frames)
             self._take(self._port.read(4096))
             if until is not None:
-                for place, each in enumerate(self.heard[fresh:], start=fresh):
+                for place, each in enumerate(self.frames[fresh:], start=fresh):
                     if until(each):
-                        return self.heard[begun : place + 1]
+                        return self.frames[begun : place + 1]
             if (late := self.now() - deadline) >= 0.0:
                 self.held_up = max(self.held_up, late)
-                return self.heard[begun:]
+                return self.frames[begun:]
             self._port.wait(True, False, deadline)
 
-    def stream(self, command: Drive, duration: float, interval: float | None = None) -> list[Heard]:
+    def stream(
+        self, command: Drive, duration: float, interval: float | None = None
+    ) -> list[ReceivedFrame]:
         """Send a command again and again for this time [s]; the frames that come meanwhile."""
-        begun, start = len(self.heard), self.now()
+        begun, start = len(self.frames), self.now()
         interval = interval or self.settings.command_interval
         for number in range(1, round(duration / interval) + 1):
             self.send(command)
             self.listen(start + number * interval - self.now())
-        return self.heard[begun:]
+        return self.frames[begun:]
 
     # Sessions --------------------------------------------------------------------------------
 
@@ -230,7 +246,7 @@ class Probe:
         """
         tick_us = tick_us or self.settings.tick_us
         hello = Hello(tick_us, watchdog_ms(tick_us) if asked_ms is None else asked_ms)
-        until = self.now() + self._patience
+        until, self._has_stopped = self.now() + self._patience, False
         while True:
             self.session = 1 + (self.session + secrets.randbelow(0xFFFE)) % 0xFFFF
             for _ in range(self.settings.tries):
@@ -319,10 +335,10 @@ class Probe:
         self.send(Bye())
         self.listen(self.settings.try_interval)
 
-    def _is_ack(self, each: Heard) -> bool:
+    def _is_ack(self, each: ReceivedFrame) -> bool:
         return isinstance(each.message, HelloAck) and each.frame.session == self.session
 
-    def _is_rest(self, each: Heard) -> bool:
+    def _is_rest(self, each: ReceivedFrame) -> bool:
         """True for a measurement of a wheel that rests, or whose speed is not measured."""
         return (
             isinstance(each.message, Measurement)
@@ -342,7 +358,13 @@ class Probe:
                 continue
             if not isinstance(found.message, FROM_RIG):
                 continue
-            self.heard.append(Heard(found, now))
+            self.frames.append(ReceivedFrame(found, now))
+            if isinstance(found.message, EmergencyStop) and not self._has_stopped:
+                self.send(found.message)
+                raise RigsOwnStop(
+                    f"the rig on {self.name} made an emergency stop, reason "
+                    f"{found.message.reason}: release it and start again"
+                )
             if (
                 isinstance(found.message, Measurement)
                 and abs(found.message.omega) > self.speed_limit

@@ -2,8 +2,15 @@
 
 import math
 
-from hils.conformance.heard import Heard, is_ready, is_safe, measurements, omegas, state_names
 from hils.conformance.probe import HOLD, MEAS_INTERVAL, Probe
+from hils.conformance.received_frame import (
+    ReceivedFrame,
+    is_ready,
+    is_safe,
+    measurements,
+    omegas,
+    state_names,
+)
 from hils.conformance.rule import Rule, RuleFinding, finding, no_verdict
 from hils.link.messages import (
     READY,
@@ -26,7 +33,7 @@ def watchdog(probe: Probe) -> float:
 
 def _arm(probe: Probe) -> RuleFinding:
     probe.make_idle()
-    heard: list[Heard] = []
+    heard: list[ReceivedFrame] = []
     for number in range(1, probe.settings.tries + 1):
         probe.send(Arm())
         heard = probe.listen(probe.settings.try_interval, is_ready)
@@ -48,10 +55,10 @@ def _watchdog(probe: Probe) -> RuleFinding:
     probe.make_ready()
     probe.stream(HOLD, 0.2)
     probe.send(HOLD)
-    return silence(probe)
+    return silence_finding(probe)
 
 
-def silence(probe: Probe) -> RuleFinding:
+def silence_finding(probe: Probe) -> RuleFinding:
     """Finding on the watchdog of a rig whose last command has just been sent."""
     # A MEAS tells of SAFE at the latest 20 ms after it began.
     rule, allowance = watchdog(probe), MEAS_INTERVAL + probe.settings.allowance
@@ -98,17 +105,17 @@ def _hello_leaves_safe(probe: Probe) -> RuleFinding:
 def _not_finite(probe: Probe) -> RuleFinding:
     nan, infinite = math.nan, math.inf
     probe.make_ready()
-    begun = len(probe.heard)
+    begun = len(probe.frames)
     for omega, vx in ((nan, 0.0), (infinite, 0.0), (-infinite, 0.0), (0.0, nan), (0.0, infinite)):
         probe.send(Drive(omega, vx, False, HOLD.valid_ms))
         probe.send(HOLD)  # what it would do by mistake ends here
         probe.listen(probe.settings.command_interval)
-    if not probe.heard[begun:] or any(map(is_safe, probe.heard[begun:])):
-        return finding(False, f"{state_names(probe.heard[begun:])} at a refused command")
-    return starved(probe, Drive(nan, 0.0, False, HOLD.valid_ms))
+    if not probe.frames[begun:] or any(map(is_safe, probe.frames[begun:])):
+        return finding(False, f"{state_names(probe.frames[begun:])} at a refused command")
+    return refusal_finding(probe, Drive(nan, 0.0, False, HOLD.valid_ms))
 
 
-def starved(probe: Probe, refused: Drive) -> RuleFinding:
+def refusal_finding(probe: Probe, refused: Drive) -> RuleFinding:
     """Finding on commands that must be refused: the watchdog must act as if none came."""
     time = watchdog(probe) + MEAS_INTERVAL + 2.0 * probe.settings.allowance
     heard = probe.stream(refused, time)
@@ -120,13 +127,13 @@ def starved(probe: Probe, refused: Drive) -> RuleFinding:
 
 def _foreign_while_armed(probe: Probe) -> RuleFinding:
     probe.make_ready()
-    foreign, begun = probe.session % 0xFFFF + 1, len(probe.heard)
+    foreign, begun = probe.session % 0xFFFF + 1, len(probe.frames)
     probe.send(Stop(), foreign)
     probe.stream(HOLD, probe.settings.patience)
-    return _ends_session(probe.heard[begun:], foreign)
+    return _ends_session(probe.frames[begun:], foreign)
 
 
-def _ends_session(heard: list[Heard], session: int) -> RuleFinding:
+def _ends_session(heard: list[ReceivedFrame], session: int) -> RuleFinding:
     """Finding on a rig that has got a frame of this other session."""
     told = any(
         isinstance(each.message, StateReport) and each.frame.session == session and is_safe(each)
@@ -154,23 +161,23 @@ def _stop(probe: Probe) -> RuleFinding:
 
 def _estop(probe: Probe) -> RuleFinding:
     probe.make_ready()
-    begun = len(probe.heard)
+    begun = len(probe.frames)
     probe.send(EmergencyStop(1))
     # At once, and before the watchdog would.
     answered = probe.listen(0.5 * watchdog(probe), _is_stopped)
-    after = len(probe.heard)
+    after = len(probe.frames)
     probe.send(Arm())
     probe.stream(HOLD, 0.2)
-    heard = probe.heard[after:]
+    heard = probe.frames[after:]
     keeps = (
         any(map(_is_stopped, answered))
         and not any(map(is_ready, heard))
         and any(map(is_safe, heard))
     )
-    return finding(keeps, f"{state_names(probe.heard[begun:])}, with ARM and CMD behind")
+    return finding(keeps, f"{state_names(probe.frames[begun:])}, with ARM and CMD behind")
 
 
-def _is_stopped(each: Heard) -> bool:
+def _is_stopped(each: ReceivedFrame) -> bool:
     return is_safe(each) or isinstance(each.message, EmergencyStop)
 
 
@@ -178,17 +185,17 @@ def _hello_while_armed(probe: Probe) -> RuleFinding:
     probe.make_ready()
     heard = probe.stream(HOLD, 0.1)
     before = heard[-1].state if heard else None
-    begun = len(probe.heard)
+    begun = len(probe.frames)
     settings = probe.settings
     ack = probe.ask(Hello(settings.tick_us, watchdog_ms(settings.tick_us)))
     if ack is None:
         return finding(False, "no HELLO_ACK")
-    after = len(probe.heard)
+    after = len(probe.frames)
     probe.stream(HOLD, 0.2)
-    moves = any(map(is_ready, probe.heard[after:]))
+    moves = any(map(is_ready, probe.frames[after:]))
     # The rule is of a rig that runs; one that was only armed may be IDLE at once.
-    safe = any(map(is_safe, probe.heard[begun:])) or before is not RigState.RUNNING
-    return finding(safe and not moves, f"{state_names(probe.heard[begun:])}, with CMD behind")
+    safe = any(map(is_safe, probe.frames[begun:])) or before is not RigState.RUNNING
+    return finding(safe and not moves, f"{state_names(probe.frames[begun:])}, with CMD behind")
 
 
 def _bye(probe: Probe) -> RuleFinding:
@@ -241,5 +248,5 @@ SAFETY_RULES = (
         _hello_while_armed,
         timed=False,
     ),
-    Rule("BYE", "BYE ends the session; a rig at rest is then IDLE.", _bye, timed=False),
+    Rule("BYE", "BYE from a host; read here as the end of the session, IDLE.", _bye, timed=False),
 )

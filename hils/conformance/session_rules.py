@@ -9,14 +9,20 @@ from hils.conformance.damage import (
     Damage,
     broken_stuffing,
     old_number,
-    overlong,
+    overlong_packet,
     wrong_checksum,
     wrong_length,
     wrong_type,
     wrong_version,
 )
-from hils.conformance.heard import Heard, is_ready, measurements, omegas, state_names
 from hils.conformance.probe import HOLD, MEAS_INTERVAL, NotPrepared, Probe
+from hils.conformance.received_frame import (
+    ReceivedFrame,
+    is_ready,
+    measurements,
+    omegas,
+    state_names,
+)
 from hils.conformance.rule import Rule, RuleFinding, finding, no_verdict
 from hils.link.messages import (
     SCHEMA,
@@ -81,12 +87,12 @@ def _measurement_pace(probe: Probe) -> RuleFinding:
 
 def _answer_per_command(probe: Probe) -> RuleFinding:
     probe.make_idle()
-    begun, seqs = len(probe.heard), []
+    begun, seqs = len(probe.frames), []
     for _ in range(20):
         seqs.append(probe.send(HOLD))
         probe.listen(probe.settings.command_interval)
     probe.listen(probe.settings.patience)
-    acks = {meas.ack_seq for _, meas in measurements(probe.heard[begun:])}
+    acks = {meas.ack_seq for _, meas in measurements(probe.frames[begun:])}
     answered = sum(seq in acks for seq in seqs)
     return finding(answered == len(seqs), f"{answered} of {len(seqs)} acknowledged by number")
 
@@ -139,12 +145,12 @@ def _drops(damage: Damage) -> Callable[[Probe], RuleFinding]:
 
 def _command_in_idle(probe: Probe) -> RuleFinding:
     probe.make_idle()
-    begun, seqs = len(probe.heard), []
+    begun, seqs = len(probe.frames), []
     for _ in range(10):
         seqs.append(probe.send(probe.turn()))
         probe.listen(probe.settings.command_interval)
     probe.listen(probe.settings.patience)
-    heard = probe.heard[begun:]
+    heard = probe.frames[begun:]
     acks = {meas.ack_seq for _, meas in measurements(heard)}
     answered = sum(seq in acks for seq in seqs)
     keeps = answered == len(seqs) and not any(map(is_ready, heard))
@@ -155,11 +161,11 @@ def _command_in_idle(probe: Probe) -> RuleFinding:
 
 def _foreign_frames(probe: Probe) -> RuleFinding:
     probe.make_idle()
-    foreign, begun = probe.session % 0xFFFF + 1, len(probe.heard)
+    foreign, begun = probe.session % 0xFFFF + 1, len(probe.frames)
     for _ in range(50):
         probe.send(Arm(), foreign)
         probe.listen(MEAS_INTERVAL)
-    heard = probe.heard[begun:]
+    heard = probe.frames[begun:]
     states = [each for each in heard if isinstance(each.message, StateReport)]
     right = [each for each in states if each.frame.session == foreign]
     if any(map(is_ready, heard)):
@@ -181,7 +187,7 @@ def _answers(probe: Probe) -> RuleFinding:
 def _boot_id(probe: Probe) -> RuleFinding:
     told = {
         each.message.boot_id
-        for each in probe.heard
+        for each in probe.frames
         if isinstance(each.message, HelloAck | StateReport)
     }
     return finding(len(told) == 1, "boot " + ", ".join(f"{each:08x}" for each in sorted(told)))
@@ -190,17 +196,17 @@ def _boot_id(probe: Probe) -> RuleFinding:
 def _frames(probe: Probe) -> RuleFinding:
     disordered = 0
     last: dict[int, int] = {}
-    for each in probe.heard:
+    for each in probe.frames:
         session, seq = each.frame.session, each.frame.seq
         disordered += session in last and not is_newer(seq, last[session])
         last[session] = seq
     causes = [f"{count} {cause.value}" for cause, count in probe.drops.items()]
     if disordered:
         causes.append(f"{disordered} not newer than the one before")
-    return finding(not causes, ", ".join(causes) or f"all {len(probe.heard)} intact and in order")
+    return finding(not causes, ", ".join(causes) or f"all {len(probe.frames)} intact and in order")
 
 
-def _worded(each: Heard) -> str:
+def _worded(each: ReceivedFrame) -> str:
     state = "" if each.state is None else f" that says {each.state.name}"
     return f"{type(each.message).__name__}{state}"
 
@@ -236,7 +242,7 @@ HELLO_RULES = (
     Rule("wrong length", f"The length is exactly its type's. {ALL_ELSE}", _drops(wrong_length)),
     Rule("old sequence number", f"0 < new - last < 2^31. {ALL_ELSE}", _drops(old_number)),
     Rule("broken COBS", f"COBS decodes. {ALL_ELSE}", _drops(broken_stuffing)),
-    Rule("overlong packet", "The receive buffer is bounded.", _drops(overlong)),
+    Rule("overlong packet", "The receive buffer is bounded.", _drops(overlong_packet)),
     Rule(
         "CMD in IDLE",
         "A CMD in IDLE or SAFE moves nothing and is answered by a MEAS.",

@@ -1,7 +1,7 @@
 /* Random frames into the reference firmware, with its invariants asserted after each.
  *
  *     cc -std=c99 -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all -Ifirmware \
- *         firmware/rig_protocol.c tests/firmware/fuzz.c -o fuzz && ./fuzz 10000000 1
+ *         firmware/rig_protocol.c tests/firmware/fuzz.c -o fuzz -lm && ./fuzz 10000000 1
  *
  * Arguments: how many frames, and the seed. COBS and CRC are written here anew.
  */
@@ -147,7 +147,8 @@ static void feed(const uint8_t *bytes, size_t count, int type, const uint8_t *pa
     frames++;
     MUST(r.state >= RIG_IDLE && r.state <= RIG_FAULT);
     MUST(r.state != RIG_RUNNING || before.state == RIG_RUNNING || type == CMD);
-    MUST(is_ready(before.state) || !is_ready(r.state) || type == ARM);
+    MUST(is_ready(before.state) || !is_ready(r.state) || (type == ARM && before.greeted));
+    MUST(r.greeted <= before.greeted || type == HELLO);
     MUST(!is_ready(r.state) || is_ready(before.state) || driven_omega == 0.0f);
     MUST(before.state != RIG_SAFE || r.state == RIG_SAFE || type == HELLO || type == ARM);
     MUST(fabsf(driven_omega) <= size); /* no time has passed since the poll */
