@@ -3,6 +3,8 @@
 import typer
 
 from drftjax.commands.options import CommandGroup
+from hils.commands.conform import EXAMPLES as CONFORM_EXAMPLES
+from hils.commands.conform import conform
 from hils.commands.paper import EXAMPLES as PAPER_EXAMPLES
 from hils.commands.paper import paper
 from hils.commands.ports import EXAMPLES as PORTS_EXAMPLES
@@ -24,6 +26,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+
+
+app.command(epilog=CONFORM_EXAMPLES)(conform)
 
 
 app.command(epilog=PAPER_EXAMPLES)(paper)

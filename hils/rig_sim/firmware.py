@@ -233,6 +233,9 @@ class RigProtocol:
             case Stop():
                 self._target, self._command_expires = self._rest(), math.inf
                 if self.state is RigState.RUNNING:
+                    # The watchdog is fed for the time of this ramp.
+                    ramp = abs(self.demand.omega) / self._identity.omega_slew
+                    self._last_command = self._now + ramp
                     self._set_state(RigState.ARMED, Reason.HOST_STOPPED)
                 self._send_state()
             case EmergencyStop():
@@ -242,7 +245,8 @@ class RigProtocol:
                 self._end_session()
 
     def _open(self, frame: Frame, hello: Hello) -> None:
-        if self.state in READY:
+        was_ready = self.state in READY
+        if was_ready:
             self._go_safe(Reason.HELLO_WHILE_ARMED)
         understood = hello.schema == SCHEMA
         possible = hello.tick_us > 0 and watchdog_ms(hello.tick_us) <= U16
@@ -250,6 +254,8 @@ class RigProtocol:
             self._send(StateReport(self.state, Reason.HELLO_REFUSED, self._identity.boot_id), frame)
             return
         if understood:
+            if self.state is RigState.SAFE and not was_ready and self.demand.omega == 0.0:
+                self._set_state(RigState.IDLE, Reason.NONE)
             self._session, self._last_heard, self._hello_received = frame.session, frame.seq, True
             self._watchdog = watchdog_us(hello.tick_us) * 1e-6
             self._measured, self._ack_seq = self._now, 0
@@ -266,12 +272,12 @@ class RigProtocol:
 
     def _arm(self) -> None:
         if self.state in (RigState.IDLE, RigState.SAFE):
-            if self._hello_received:
+            if not self._hello_received:
+                self.reason = Reason.HELLO_NEEDED
+            elif self.demand.omega == 0.0:  # SAFE is not left before the wheel rests
                 self._set_state(RigState.ARMED, Reason.NONE)
                 self._target, self._command_expires = self._rest(), math.inf
                 self._last_command = self._now
-            else:
-                self.reason = Reason.HELLO_NEEDED
         self._send_state()
 
     def _command(self, command: Drive, seq: int) -> None:

@@ -23,7 +23,7 @@ from hils.procedure.procedure import Procedure, ProcedureSettings, RunReport, ru
 from hils.procedure.settling import SettlingSettings
 from hils.realtime import timely
 from hils.recording.sinks import InMemorySink
-from tests.helpers.c_firmware import build, needs_firmware, running
+from tests.helpers.other_firmware import build, needs_firmware, running
 
 pytestmark = needs_firmware
 

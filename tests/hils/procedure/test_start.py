@@ -12,7 +12,7 @@ from drftjax.runlog.hdf5.api import survey_run, write_run
 from hils.clock import VirtualClock
 from hils.control.measurements import ResponseSettings
 from hils.control.stop_request import StopRequest
-from hils.link.messages import Bye, Drive, EmergencyStop, Hello, RigState
+from hils.link.messages import Arm, Bye, Drive, EmergencyStop, Hello, RigState
 from hils.procedure.initial_state import StartLimits
 from hils.procedure.operator_prompts import POLL_INTERVAL, UnattendedPrompts
 from hils.procedure.procedure import Procedure, ProcedureSettings, run
@@ -176,7 +176,7 @@ def test_rigs_own_emergency_stop_ends_an_open_question():
     assert [message for _, message in link.said[1:]] == [EmergencyStop(12), Bye()]
 
 
-def test_rig_that_is_safe_from_before_is_told_of_and_driven():
+def test_rig_that_hello_finds_armed_is_told_of_and_driven():
     told = []
 
     class Listener(UnattendedPrompts):
@@ -185,7 +185,7 @@ def test_rig_that_is_safe_from_before_is_told_of_and_driven():
 
     soft, given = soft_rig(), Procedure(loop=loop_setup(), countdown=0.3)
     soft.link.begin(7)
-    for message in (Hello(10_000, 50), EmergencyStop(1)):
+    for message in (Hello(10_000, 50), Arm()):  # another host's, that has left
         soft.link.send(message)
     run(given, soft.link, soft.clock, rows := InMemorySink(), Listener(quiet=True), StopRequest())
     assert rows.end_reason == "completed"

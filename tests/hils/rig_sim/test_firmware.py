@@ -284,6 +284,16 @@ def test_stop_ramps_to_rest_and_stays_armed_while_commands_come():
     assert bench.rig.state is RigState.ARMED
 
 
+def test_stop_feeds_the_watchdog_for_the_time_of_one_ramp():
+    bench = Bench(omega_slew=5.0).running()  # at 1 rad/s: 0.2 s
+    bench.say(Stop())
+    bench.pause(0.2 + WATCHDOG - 2e-3)
+    assert bench.rig.state is RigState.ARMED
+    bench.say(Stop())  # at rest it feeds no more
+    bench.pause(3e-3)
+    assert bench.rig.state is RigState.SAFE
+
+
 # SAFE is latched ---------------------------------------------------------------------------------
 
 
@@ -301,14 +311,24 @@ def test_safe_is_not_left_by_commands_or_arm_alone():
     assert bench.rig.demand[:2] == (0.0, 0.0)
 
 
-def test_safe_is_not_left_by_hello_alone():
+def test_hello_leads_from_safe_to_idle_where_nothing_moves():
     bench = safe(Bench())
     (answer,) = bench.say(Hello(10_000, 50), session=6)
-    assert answer.state is RigState.SAFE
+    assert answer.state is RigState.IDLE
     bench.session = 6
     bench.drive(GO, 0.2)
-    assert bench.rig.state is RigState.SAFE
+    assert bench.rig.state is RigState.IDLE
     assert bench.rig.demand[:2] == (0.0, 0.0)
+
+
+def test_safe_is_not_left_before_the_wheel_rests():
+    bench = Bench(omega_slew=5.0).running()
+    bench.pause(WATCHDOG + 0.02)  # its ramp takes 0.2 s
+    (answer,) = bench.say(Hello(10_000, 50))
+    assert answer.state is RigState.SAFE
+    assert states(bench.say(Arm())) == [(RigState.SAFE, Reason.WATCHDOG)]
+    bench.pause(0.2)
+    assert states(bench.say(Arm())) == [(RigState.ARMED, 0)]
 
 
 @pytest.mark.parametrize("session", [5, 6])
