@@ -147,7 +147,7 @@ def make_run(
         clock = MonotonicClock()
         link = PortLink(open_port(series.port, series.baud), clock)
         opened.callback(link.close)
-        rows = recorder if stream is None else stream.rows(recorder, link)
+        rows = recorder if stream is None else stream.rows(recorder)
         seen = without_observer(rows, prompts)
         if series.view:
             seen = opened.enter_context(

@@ -70,9 +70,10 @@ class ResponseSettings:
         clock_window: Time over which the least delay of a reading is looked for, which tells the
             rig's clock from the host's [s]; short, so that a rig's clock may be slow by a tenth, as
             a virtual rig's on a busy computer, and its readings do not count as old.
+        clock_step: Change of that delay from one reading to the next that is the clock's [s]; a
+            line that holds a reading back for longer is a silent one.
         clock_jump: Difference between the rig's clock and the host's from one reading to the next
-            that is worth an event [s]; as long as a line can hold a reading back before the rig
-            counts as silent.
+            that is worth an event [s].
     """
 
     silent_time: float = 0.25
@@ -80,7 +81,8 @@ class ResponseSettings:
     stale_time: float = 0.03
     stale_ticks: int = 5
     clock_window: float = 0.5
-    clock_jump: float = 0.25
+    clock_step: float = 0.25
+    clock_jump: float = 0.5
 
     def longest_silence(self, period: float) -> float:
         """Time without a measurement after which a run is ended [s], by the control period [s]."""
@@ -155,7 +157,7 @@ class SampleClock:
             self._first = sampled
         if sampled == self._first:  # a clock that has not moved yet may be none
             return line
-        if abs(delay - self._last) > settings.clock_jump and math.isfinite(self._last):
+        if abs(delay - self._last) > settings.clock_step and math.isfinite(self._last):
             self._least = self._before = math.inf  # the rig's clock was set
         if arrival - self._begin > settings.clock_window:
             self._before, self._least, self._begin = self._least, math.inf, arrival

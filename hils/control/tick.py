@@ -249,7 +249,8 @@ def step_tick(
     else:
         if stuck and not state.watch.stuck:  # what z said since it last changed was no reading
             packed = step.with_tuner_of(packed, state.moved)
-        zeta_held = stuck or max(abs(state.demand.omega), abs(wanted[-1])) <= hold.standing_omega
+        fastest = max(abs(state.demand.omega), abs(float(wanted[-1])))
+        zeta_held = stuck or fastest <= hold.standing_omega
     due = number - state.tuned >= loop.tuning_ticks and not (given.ramping or given.old)
     usable = given.reading is not None and verdict is Verdict.USED and due
     sinkage, tuned = NO_READING, state.tuned

@@ -406,5 +406,5 @@ def _start_of(report: RunReport, seed: int) -> Start:
 
 
 def _measured(rows: InMemorySink, time: Values) -> Trajectory:
-    times, x, z = np.array(rows.readings).T
+    times, x, z, *_ = np.array(rows.readings).T
     return Trajectory(np.interp(time, times, x), np.interp(time, times, z))

@@ -26,8 +26,6 @@ import msgspec
 from drftjax.common.child_process import program
 from drftjax.common.errors import InputError
 from drftjax.runlog.header import Head
-from hils.link.link import AbstractLink
-from hils.link.messages import Measurement
 from hils.monitor.stream_address import StreamAddress, StreamKind
 from hils.recording.row_stream import OnlineRow
 from hils.recording.sinks import RowSink
@@ -181,9 +179,9 @@ class TickStream:
         self.ticks = 0
         self.lost: Counter[str] = Counter()
 
-    def rows(self, rows: RowSink, link: AbstractLink) -> RowSink:
+    def rows(self, rows: RowSink) -> RowSink:
         """Wrap a sink: rows are recorded as before, and each tick is sent."""
-        return _StreamedRows(rows, link, self)
+        return _StreamedRows(rows, self)
 
     def send(self, numbers: dict[str, float]) -> None:
         """Send a tick's numbers, or count it as lost; one that is not finite is left out."""
@@ -230,10 +228,12 @@ def open_stream(
 class _StreamedRows:
     """Row sink that sends the numbers of each tick."""
 
-    def __init__(self, rows: RowSink, link: AbstractLink, stream: TickStream):
-        self._rows, self._link, self._stream = rows, link, stream
+    def __init__(self, rows: RowSink, stream: TickStream):
+        self._rows, self._stream = rows, stream
         self._driven = True
-        self._x = self._sinkage = self._omega = self._vx = float("nan")
+        self._omega = self._vx = float("nan")
+        self._names: tuple[str, ...] = ()
+        self._newest: dict[str, float] = {}
 
     @property
     def alive(self) -> bool:
@@ -248,6 +248,7 @@ class _StreamedRows:
 
     def begin(self, head: Head) -> None:
         self._driven = head.online is not None
+        self._names = head.channels
         self._rows.begin(head)
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
@@ -260,8 +261,7 @@ class _StreamedRows:
 
     def measured(self, time: float, *values: float) -> None:
         self._rows.measured(time, *values)
-        *x, z = values
-        self._sinkage, self._x = -z, x[0] if x else self._x
+        self._newest = dict(zip(self._names, values, strict=True))
 
     def online(self, row: OnlineRow) -> None:
         self._rows.online(row)
@@ -291,19 +291,11 @@ class _StreamedRows:
     def _measured(self) -> dict[str, float]:
         """Numbers that every run has."""
         return {
-            "sinkage_measured": self._sinkage,
-            "x_measured": self._x,
+            "sinkage_measured": -self._newest.get("z", float("nan")),
+            "x_measured": self._newest.get("x", float("nan")),
             "omega_commanded": self._omega,
-            "omega_measured": self._measured_omega(),
+            "omega_measured": self._newest.get("omega", float("nan")),
         }
-
-    def _measured_omega(self) -> float:
-        try:
-            arrival = self._link.newest()
-        except InputError:  # the line is lost, as the loop will see for itself
-            return float("nan")
-        message = None if arrival is None else arrival.frame.message
-        return message.omega if isinstance(message, Measurement) else float("nan")
 
     def _send(self, numbers: dict[str, float]) -> None:
         self._stream.send({"timestamp": time.time(), **numbers})

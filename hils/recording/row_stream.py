@@ -44,7 +44,16 @@ class Kind(IntEnum):
     EVENTS = 4
 
 
-OnlineRow = namedtuple("OnlineRow", [each.name for each in COLUMNS["online"]])
+_ONLINE: Final = COLUMNS["online"]
+
+
+# The last ones came later, and may be left out.
+_LATER: Final = [place for place, each in enumerate(_ONLINE) if not each.optional][-1] + 1
+
+
+OnlineRow = namedtuple(
+    "OnlineRow", [each.name for each in _ONLINE], defaults=(0.0,) * (len(_ONLINE) - _LATER)
+)
 OnlineRow.__doc__ = """One tick of the loop: a row of `drftjax.runlog.record.Online`, by name."""
 
 

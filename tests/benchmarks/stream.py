@@ -52,13 +52,12 @@ def main() -> None:
         opened.callback(udp.close)
         foxglove = FoxgloveLine(read_stream_address(f"foxglove://127.0.0.1:{port}"))
         opened.callback(foxglove.close)
-        link = opened.enter_context(_link())
         recorder = Recorder(folder / "run.h5", _head(loop, start))
         opened.callback(recorder.close, "completed")
         ways = {
             "no stream": recorder,
-            "udp": TickStream(udp).rows(recorder, link),
-            "foxglove": TickStream(foxglove).rows(recorder, link),
+            "udp": TickStream(udp).rows(recorder),
+            "foxglove": TickStream(foxglove).rows(recorder),
         }
         found: dict[str, list[float]] = {name: [] for name in ways}
         state, number = tick.begin(start), 0
@@ -89,7 +88,7 @@ def _make_tick(tick, state, rows, number: int):
     state, output = tick.step(state, TickInput(reading))
     before, after = output.before, output.after
     rows.command(time + TICK, output.asked.omega, output.asked.vx)
-    rows.measured(time + 1e-6, reading.x, reading.z)
+    rows.measured(time + 1e-6, reading.x, reading.z, 0.0)
     numbers = (before.x, before.z, before.vx, before.fx, before.fz)
     rows.online(OnlineRow(time, after.zeta, *numbers, 0, 0.0, 1e-3, 1, number, number, time))
     return state
@@ -100,31 +99,7 @@ def _head(loop, start):
     from hils.procedure.initial_state import run_log_head
 
     ack = HelloAck(9, 7, 1e-5, 1e-5, 2.0, 0.3, 50, RigState.IDLE)
-    return run_log_head(loop, start, ack, "stream", False)
-
-
-def _link():
-    """A link whose newest measurement is always the same one."""
-    from contextlib import contextmanager
-
-    from hils.link.messages import Frame, Measurement, RigState, encode
-    from hils.link.port_link import PortLink
-    from hils.link.ports import SocketPort
-
-    @contextmanager
-    def linked():
-        here, there = socket.socketpair()
-        with there:
-            link = PortLink(SocketPort(here))
-            link.begin(7)
-            measured = Measurement(1, 0, 0, 0.25, RigState.RUNNING, 0)
-            there.sendall(encode(Frame(measured, 7, 1, 0)))
-            while link.newest() is None:
-                time.sleep(1e-3)
-            yield link
-            link.close()
-
-    return linked()
+    return run_log_head(loop, start, ack, "stream", False, True)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,10 @@ class Told(AbstractPrompts):
     def confirm(self, text: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         self.lines.append(text)
 
+    def accept(self, doubt: str) -> bool:
+        self.lines.append(doubt)
+        return False
+
     def enter_phase(self, phase: Phase, lasts: float = math.nan) -> None:
         pass
 

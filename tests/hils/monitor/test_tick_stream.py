@@ -20,14 +20,12 @@ from tornado.websocket import websocket_connect
 
 from drftjax.common.errors import InputError
 from hils.control.stop_request import StopRequest
-from hils.link.link import LinkLost
 from hils.monitor import stream_address
 from hils.monitor.stream_address import StreamKind, read_stream_address
 from hils.monitor.tick_numbers import TICK_NUMBERS
 from hils.monitor.tick_stream import FoxgloveLine, TickStream, UdpLine, open_stream
 from hils.procedure.operator_prompts import UnattendedPrompts
 from hils.procedure.procedure import Procedure, run
-from hils.recording.row_stream import OnlineRow
 from hils.recording.sinks import InMemorySink
 from hils.rig_sim.in_process import soft_rig
 from tests.helpers.hils_runs import TICKS, loop_setup
@@ -96,7 +94,7 @@ def streamed(ear: Ear, free: bool = False) -> tuple[InMemorySink, list[str]]:
         assert stream is not None
         given = Procedure(loop=loop_setup(), countdown=0.3, free=free)
         prompts = UnattendedPrompts(quiet=True)
-        report = run(given, link, clock, stream.rows(rows, link), prompts, StopRequest())
+        report = run(given, link, clock, stream.rows(rows), prompts, StopRequest())
     assert report.completed, report.reason
     return rows, said
 
@@ -130,6 +128,7 @@ def test_each_tick_arrives_with_the_numbers_that_are_recorded(ear):
             newest = next(readings)
         assert message.get("sinkage_measured") == (None if newest is None else -newest[2])
         assert message.get("x_measured") == (None if newest is None else newest[1])
+        assert message.get("omega_measured") == (None if newest is None else newest[3])
     # A turning wheel follows its commands, within a tick's slew.
     turning = [m for m in ear.messages if m["omega_commanded"] > 0.4]
     assert all(m["omega_measured"] == pytest.approx(m["omega_commanded"], 0.1) for m in turning)
@@ -150,21 +149,6 @@ def test_a_number_that_is_not_known_is_left_out(ear):
     stream.send({"time": 1.0, "omega_measured": float("nan"), "fx": float("inf"), "flags": 3})
     ear.close()
     assert ear.messages == [{"time": 1.0, "flags": 3}]
-
-
-class LostLink:
-    """A line that is down."""
-
-    def newest(self):
-        raise LinkLost("the cable was pulled")
-
-
-def test_a_line_that_is_down_is_no_fault_of_the_stream(ear):
-    rows = TickStream(UdpLine(read_stream_address(ear.url))).rows(InMemorySink(), LostLink())
-    rows.online(OnlineRow(*range(len(OnlineRow._fields))))
-    ear.close()
-    (message,) = ear.messages
-    assert "omega_measured" not in message
 
 
 # Nobody there, no room ----------------------------------------------------------------------------
