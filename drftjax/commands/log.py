@@ -156,7 +156,7 @@ def import_(
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
         typer.echo(f"wrote {path}: {each.run.title}")
-        for doubt in plausibility_warnings(each.run):
+        for doubt in (*each.losses, *plausibility_warnings(each.run)):
             typer.echo(f"note: {path}: {doubt}", err=True)
 
 
