@@ -137,12 +137,31 @@ def import_(
             help="A TOML file, or the name of a mapping that ships with drft; a table needs one."
         ),
     ] = None,
+    guess: Annotated[
+        bool,
+        typer.Option(
+            "--guess", help="Propose a mapping instead, to the screen or to the .toml of -o."
+        ),
+    ] = False,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="A .h5 or .hdf5 file for one run, or a folder.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="A .h5 or .hdf5 file for one run, or a folder; needed but with --guess.",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
-    """Make run logs from a CSV or TSV table, by a mapping that says what its columns mean."""
+    """Make run logs from a table, by a mapping that says what its columns mean."""
+    if guess:
+        if mapping is not None:
+            raise InputError("--guess proposes a mapping; leave out --mapping")
+        _propose(table, output, force)
+        return
+    if output is None:
+        raise InputError("give -o, a .h5 or .hdf5 file for one run, or a folder")
     from drftjax.runlog.hdf5.api import write_run
     from drftjax.runlog.importers.registry import importer_for
     from drftjax.runlog.plausibility import plausibility_warnings
@@ -158,6 +177,28 @@ def import_(
         typer.echo(f"wrote {path}: {each.run.title}")
         for doubt in (*each.losses, *plausibility_warnings(each.run)):
             typer.echo(f"note: {path}: {doubt}", err=True)
+
+
+def _propose(table: Path, output: Path | None, force: bool) -> None:
+    """Print or write the mapping proposed for a table, and say what is unsure."""
+    from drftjax.common.output_files import put_new_file, replace_file
+    from drftjax.runlog.importers.guess.proposal import propose_mapping
+
+    if output is not None and output.suffix.lower() != ".toml":
+        raise InputError(f"{output}: the name of a mapping must end in .toml")
+    if output is not None and output.exists() and not force:
+        raise InputError(f"{output} is already there; give --force to replace")
+    proposal = propose_mapping(table)
+    for doubt in proposal.doubts:
+        typer.echo(f"unsure: {doubt}", err=True)
+    if output is None:
+        typer.echo(proposal.text, nl=False)
+        return
+    put = replace_file if force else put_new_file
+    put(output, proposal.text.encode())
+    typer.echo(
+        f"wrote {output}; look at it, then: drft log import {table} --mapping {output} -o runs"
+    )
 
 
 def _mapping(given: str) -> Path:

@@ -51,7 +51,7 @@ def read_delimited(path: Path, layout: Layout = DEFAULT_LAYOUT) -> list[Table]:
     """
     text = read_text(path, layout.encoding)
     if layout.separator is None:
-        layout = _with_separator(path, text, layout)
+        layout = with_separator(path, text, layout)
     assert layout.separator is not None
     lines = StringIO(text, newline="")
     for line in range(layout.skip_lines):
@@ -102,8 +102,14 @@ def read_text(path: Path, encoding: str | None = None) -> str:
         ) from error
 
 
-def _with_separator(path: Path, text: str, layout: Layout) -> Layout:
-    """Layout with the separator that stands between the headings."""
+def with_separator(path: Path, text: str, layout: Layout) -> Layout:
+    """Layout with the separator that stands between the headings.
+
+    Args:
+        path: File of the text; its suffix decides where two signs are as frequent.
+        text: The text.
+        layout: Layout without a separator.
+    """
     plain = path.name.lower().removesuffix(".gz")
     usual = "\t" if plain.endswith((".tsv", ".txt")) else ","
     lines = text.splitlines()[layout.skip_lines : layout.skip_lines + 1]

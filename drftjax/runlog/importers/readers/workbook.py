@@ -1,7 +1,7 @@
 """Sheets of a workbook (.xlsx), read by openpyxl."""
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
@@ -15,6 +15,16 @@ from drftjax.runlog.importers.table import ISO, Table
 from drftjax.runlog.validation import nearest
 
 
+def sheet_rows(path: Path, layout: Layout) -> list[list[str]]:
+    """All rows of a sheet as text, by the sheet and decimal sign of a layout.
+
+    Raises:
+        InputError: as for `read_workbook`.
+    """
+    with _sheet(path, layout) as sheet:
+        return [cells for _, cells in _rows(sheet, replace(layout, skip_lines=0), set())]
+
+
 def read_workbook(path: Path, layout: Layout) -> list[Table]:
     """Read one sheet of a workbook, with the values that formulas had when it was saved.
 
@@ -25,6 +35,16 @@ def read_workbook(path: Path, layout: Layout) -> list[Table]:
     Raises:
         InputError: names the file, the sheet or the row, and what must hold.
     """
+    with _sheet(path, layout) as sheet:
+        dated: set[int] = set()
+        table = table_of_rows(path, _rows(sheet, layout, dated), layout, row_word="row")
+    stamps = {name: ISO for at, name in enumerate(table.headings) if at in dated}
+    return [replace(table, units=stamps)]
+
+
+@contextmanager
+def _sheet(path: Path, layout: Layout) -> Iterator[Any]:
+    """Open sheet of a workbook."""
     openpyxl = required_package("openpyxl", "openpyxl", path)
     try:
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
@@ -38,11 +58,7 @@ def read_workbook(path: Path, layout: Layout) -> list[Table]:
             )
         if not names:
             raise InputError(f"{path}: has no sheet with cells")
-        sheet = book[layout.sheet or names[0]]
-        dated: set[int] = set()
-        table = table_of_rows(path, _rows(sheet, layout, dated), layout, row_word="row")
-        stamps = {name: ISO for at, name in enumerate(table.headings) if at in dated}
-        return [replace(table, units=stamps)]
+        yield book[layout.sheet or names[0]]
 
 
 def _rows(sheet: Any, layout: Layout, dated: set[int]) -> Iterator[Row]:
