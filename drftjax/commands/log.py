@@ -1,4 +1,4 @@
-"""`drft log`: check, show, draw, repair and import run logs."""
+"""`drft log`: check, show, draw, repair, import and export run logs."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from drftjax.common.errors import InputError
 app = typer.Typer(
     name="log",
     cls=CommandGroup,
-    help="Check, show, draw, repair and import run logs.",
+    help="Check, show, draw, repair, import and export run logs.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -114,6 +114,47 @@ def repair(
     rows = f"{run.command.time.size} commands, {run.measured.time.size} readings"
     ticks = "" if run.online is None else f", {run.online.time.size} ticks"
     typer.echo(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(metavar="RUN", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="File to write: .csv, .tsv, .parquet, .mat, .nc or .mcap."
+        ),
+    ],
+    derived: Annotated[
+        bool,
+        typer.Option(
+            "--derived", help="Add slip, sinkage, wheel angle, drawbar coefficient and power."
+        ),
+    ] = False,
+    groups: Annotated[
+        bool, typer.Option("--groups", help="Write a table for each group, at its own times.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+) -> None:
+    """Write a run for a spreadsheet, MATLAB, xarray or a viewer of logs."""
+    from drftjax.common.output_files import put_new_file, replace_file
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.export.writers import exported_files
+
+    run = read_run_guarded(file)
+    try:
+        files = exported_files(run, output, groups=groups, derived=derived)
+    except InputError as problem:
+        named = str(problem).startswith(str(output))
+        raise InputError(str(problem) if named else f"{file}: {problem}") from None
+    for path in files:
+        if path.exists() and not force:
+            raise InputError(f"{path} is already there; give --force to replace")
+        if path.exists() and path.samefile(file):
+            raise InputError(f"{path} is read here and would be replaced; give another name")
+    for path, data in files.items():
+        (replace_file if force else put_new_file)(path, data)
+        typer.echo(f"wrote {path}")
 
 
 class ImportCommand(TyperCommand):

@@ -87,10 +87,16 @@ def propose_mapping(path: Path) -> Proposal:
     lines.note(*placed.doubts, *told)
     lines.head(group)
     lines.time(roles.get("time"))
+    used = {id(each) for each in roles.values()}
+    left = [each for each in columns if id(each) not in used and each.heading not in group]
+    if "omega" not in roles:
+        speed = units.unit("m/s").powers
+        stated = [each for each in left if each.named.unit is not None]
+        rims = [each for each in stated if units.unit(each.named.unit or "").powers == speed]
+        lines.rim_speed = next(iter(rims), None)
     lines.channels("command", {name: roles.get(name) for name in ("omega", "vx")})
     lines.channels("measured", {name: roles.get(name) for name in ("x", "z", "fx", "fz", "torque")})
-    used = {id(each) for each in roles.values()}
-    lines.unused([each for each in columns if id(each) not in used and each.heading not in group])
+    lines.unused(left)
     lines.setup()
     return Proposal("\n".join(lines.lines) + "\n", tuple(lines.doubts))
 
@@ -203,6 +209,7 @@ class _Lines:
         self._several = several
         self._time: _Column | None = None
         self.doubts: list[str] = []
+        self.rim_speed: _Column | None = None
         self.lines = [
             f"# Proposed by drft log import --guess for {path.name}; look at the lines marked "
             "unsure."
@@ -249,8 +256,17 @@ class _Lines:
                 if role == "omega":
                     self.note("no column looks like the wheel's speed; omega must be given")
                     self.lines.append('# omega = { column = "?", unit = "rad/s" }')
+                    if self.rim_speed is not None:
+                        rim, unit = self._name(self.rim_speed), self.rim_speed.named.unit
+                        self.lines += [
+                            "# or, from the speed of the rim, over your wheel's radius:",
+                            f"# omega = {{ column = {_toml(rim)}, unit = {_toml(unit)}, "
+                            'divide_by = "150 mm" }',
+                        ]
                 continue
             self.note(*(f"{column.heading!r}: {each}" for each in column.guessed.doubts))
+            if role == "vx":
+                self.note(f"{column.heading!r}: leave vx out where the carriage runs free")
             entries: dict[str, object] = {"column": self._name(column)}
             entries |= {"unit": column.guessed.unit, **column.guessed.keys}
             inside = ", ".join(f"{key} = {_toml(value)}" for key, value in entries.items())
