@@ -12,15 +12,18 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.importers.base import ImportedRun
+from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.importers.mapped_runs import import_named_runs
 from drftjax.runlog.importers.readers import registry as readers
 from drftjax.runlog.importers.readers.registry import READERS
 from drftjax.runlog.importers.registry import GROUP, importer_for, suffixes
+from drftjax.runlog.importers.table import Table
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 
 BAG_IMPORTER = """
 import numpy as np
 from drftjax.runlog.importers.base import ImportedRun
+from drftjax.runlog.importers.table import Table
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 
 def read_bag(path, mapping):
@@ -43,6 +46,11 @@ def read_bag(path: Path, mapping: Path | None) -> list[ImportedRun]:
 
 
 NO_FUNCTION = "a bag"
+
+
+def read_dump(path: Path, layout: Layout) -> list[Table]:
+    columns = (np.array([0.0, 0.1]), np.array([60.0, 60.0]), np.array([-1.0, -2.0]))
+    return [Table(path, ("t", "w", "z"), columns, [1, 2], row_word="record", units={"z": "mm"})]
 
 
 @pytest.fixture
@@ -68,6 +76,24 @@ def test_a_package_adds_an_importer(install, name):
     assert imported.run.title == "a bag"
     assert importer_for(Path("run.csv")) is import_named_runs
     assert suffixes() == [*READERS, ".rig"]
+
+
+def test_a_package_adds_a_reader_whose_columns_a_mapping_explains(install, tmp_path):
+    install(("dump", "read_dump"), to=readers.GROUP)
+    (tmp_path / "run.dump").write_text("")
+    (tmp_path / "map.toml").write_text(
+        'rows = "samples"\ntitle = "{file}"\n[time]\ncolumn = "t"\n'
+        '[command]\nomega = { column = "w", unit = "rpm" }\n[measured]\nz = { column = "z" }\n'
+    )
+    path = tmp_path / "run.dump"
+    ((run, name),) = [(r.run, r.name) for r in importer_for(path)(path, tmp_path / "map.toml")]
+    assert name == "run"
+    np.testing.assert_allclose(run.command.omega, 2 * np.pi)
+    np.testing.assert_allclose(run.measured.z, [-0.001, -0.002])
+    assert suffixes()[-1] == ".dump"
+    install(("mat", "read_dump"), to=readers.GROUP)
+    with pytest.raises(InputError, match=r"files \.mat are claimed by drftjax and .*:read_dump"):
+        readers.reader_for(tmp_path / "run.mat")
 
 
 def test_an_importer_that_cannot_be_used_is_named(install):

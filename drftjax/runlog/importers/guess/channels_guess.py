@@ -20,7 +20,7 @@ KINDS = {"time": "s", "omega": "rad/s", "vx": "m/s", "x": "m", "z": "m"} | {
 
 
 @dataclass(frozen=True)
-class RangeSettings:
+class UnitRanges:
     """Ranges by which an unstated unit is told.
 
     Attributes:
@@ -45,7 +45,7 @@ class RangeSettings:
     max_start: float = 0.1
 
 
-DEFAULT_RANGES = RangeSettings()
+DEFAULT_RANGES = UnitRanges()
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class GuessedChannel:
 
 
 def guess_time(
-    named: NamedColumn, time: Reals, settings: RangeSettings = DEFAULT_RANGES
+    named: NamedColumn, time: Reals, settings: UnitRanges = DEFAULT_RANGES
 ) -> GuessedChannel:
     """Unit and zero of a clock.
 
@@ -96,7 +96,7 @@ def guess_omega(
     omega: Reals,
     time: Reals | None,
     x: Reals | None,
-    settings: RangeSettings = DEFAULT_RANGES,
+    settings: UnitRanges = DEFAULT_RANGES,
 ) -> GuessedChannel:
     """Unit of a wheel speed: by the radius on which the wheel would roll its travel.
 
@@ -138,7 +138,7 @@ def guess_omega(
 
 
 def guess_channel(
-    role: str, named: NamedColumn, values: Reals, settings: RangeSettings = DEFAULT_RANGES
+    role: str, named: NamedColumn, values: Reals, settings: UnitRanges = DEFAULT_RANGES
 ) -> GuessedChannel:
     """Unit, sign and zero of a speed, a path, a height, a force or a torque.
 

@@ -1,14 +1,15 @@
 """MAT files: format 5 by scipy, format 7.3, which is HDF5, by this project's door to it."""
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.matlab import read_mat_variables
 from drftjax.runlog.importers.layout import Layout
-from drftjax.runlog.importers.readers.nested import variable_columns
 from drftjax.runlog.importers.readers.packages import unreadable
 from drftjax.runlog.importers.table import Cells, Table, named_tables
 
@@ -42,6 +43,40 @@ def read_mat(path: Path, layout: Layout) -> list[Table]:
         for length in ordered
         for table in named_tables(path, {"": lengths[length]}, "element")
     ]
+
+
+def variable_columns(name: str, value: Any) -> Iterator[tuple[str, Cells]]:
+    """Columns of a variable: fields by a dot, elements and columns by a number from 1.
+
+    Args:
+        name: Name of the variable.
+        value: Number, text, array, or a mapping of them.
+    """
+    if isinstance(value, Mapping):
+        for field, inner in value.items():
+            yield from variable_columns(f"{name}.{field}" if name else str(field), inner)
+    elif isinstance(value, str):
+        yield name, [value]
+    elif isinstance(value, list | np.ndarray):
+        array = np.asarray(value)
+        if array.dtype.kind == "O":
+            for place, inner in enumerate(array.ravel(), 1):
+                yield from variable_columns(f"{name}({place})", inner)
+        else:
+            yield from _array_columns(name, array)
+    elif np.isscalar(value):
+        yield name, np.atleast_1d(np.asarray(value))
+
+
+def _array_columns(name: str, array: NDArray[Any]) -> Iterator[tuple[str, Cells]]:
+    """Columns of an array of numbers or texts; a wide one is taken as rows of columns."""
+    if array.dtype.kind not in "biufUS" or array.ndim > 2 or not array.size:
+        return
+    plain = array.reshape(-1, 1) if array.ndim < 2 or 1 in array.shape else array
+    for place in range(plain.shape[1]):
+        column = plain[:, place]
+        heading = name if plain.shape[1] == 1 else f"{name}(:,{place + 1})"
+        yield heading, [str(each) for each in column] if column.dtype.kind in "US" else column
 
 
 def _variables(path: Path) -> dict[str, Any]:

@@ -6,9 +6,13 @@ from typing import Any
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.importers.layout import Layout
-from drftjax.runlog.importers.readers.nested import message_columns, message_fields
+from drftjax.runlog.importers.readers.messages import (
+    LOG_TIME,
+    message_columns,
+    message_fields,
+    topic_tables,
+)
 from drftjax.runlog.importers.readers.packages import required_package, unreadable
-from drftjax.runlog.importers.readers.topics import LOG_TIME, topic_tables
 from drftjax.runlog.importers.table import Table
 
 

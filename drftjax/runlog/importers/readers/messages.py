@@ -1,49 +1,21 @@
-"""Columns from nested values: the variables of a MAT file, the messages of a topic."""
+"""Messages of a robot's log as columns: the topics of an MCAP file or a bag."""
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drftjax.runlog.importers.table import Cells
+from drftjax.runlog.importers.table import Cells, Table, named_tables
 
 MAX_ELEMENTS: Final = 64
 """Most elements of an array inside a message: a list of joints, not an image."""
 
+LOG_TIME: Final = "log_time"
+"""Heading of the time at which a message was recorded [ns since 1970]."""
 
-def variable_columns(name: str, value: Any) -> Iterator[tuple[str, Cells]]:
-    """Columns of a variable: fields by a dot, elements and columns by a number from 1.
-
-    Args:
-        name: Name of the variable.
-        value: Number, text, array, or a mapping of them.
-    """
-    if isinstance(value, Mapping):
-        for field, inner in value.items():
-            yield from variable_columns(f"{name}.{field}" if name else str(field), inner)
-    elif isinstance(value, str):
-        yield name, [value]
-    elif isinstance(value, list | np.ndarray):
-        array = np.asarray(value)
-        if array.dtype.kind == "O":
-            for place, inner in enumerate(array.ravel(), 1):
-                yield from variable_columns(f"{name}({place})", inner)
-        else:
-            yield from _array_columns(name, array)
-    elif np.isscalar(value):
-        yield name, np.atleast_1d(np.asarray(value))
-
-
-def _array_columns(name: str, array: NDArray[Any]) -> Iterator[tuple[str, Cells]]:
-    """Columns of an array of numbers or texts; a wide one is taken as rows of columns."""
-    if array.dtype.kind not in "biufUS" or array.ndim > 2 or not array.size:
-        return
-    plain = array.reshape(-1, 1) if array.ndim < 2 or 1 in array.shape else array
-    for place in range(plain.shape[1]):
-        column = plain[:, place]
-        heading = name if plain.shape[1] == 1 else f"{name}(:,{place + 1})"
-        yield heading, [str(each) for each in column] if column.dtype.kind in "US" else column
+STAMP: Final = "header.stamp"
+"""Heading of the time that a message itself states [ns since 1970]."""
 
 
 def message_fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -102,3 +74,13 @@ def _column(values: list[Any]) -> Cells:
         except OverflowError:
             pass
     return np.array([np.nan if each is None else float(each) for each in values])
+
+
+def topic_tables(path: Path, topics: Mapping[str, Mapping[str, Cells]]) -> list[Table]:
+    """Tables by topic; a sole one needs no name.
+
+    Args:
+        path: The file.
+        topics: Cells by heading, by topic.
+    """
+    return named_tables(path, topics, "message", units={LOG_TIME: "ns", STAMP: "ns"})
