@@ -114,11 +114,14 @@ class Table:
     def _cause(self, row: int, cell: str) -> str:
         """Likely cause of a text among numbers, with the remedy; "" where there is none."""
         if self.decimal == "." and _DECIMAL_COMMA.fullmatch(cell):
-            return 'for a decimal comma write decimal = "," in the mapping'
+            return 'for a decimal comma write decimal = "," in the mapping; --guess proposes one'
         if _DATE.search(cell):
             return 'for a date or a time of day write unit = "iso8601", or a pattern with %'
         if row == 0 and units.is_unit(cell):
-            return "for a line of units below the headings write skip_below = 1 in the mapping"
+            return (
+                "for a line of units below the headings write skip_below = 1 in the mapping; "
+                "--guess proposes one"
+            )
         first = next((each for each in (str(column[row]) for column in self.columns) if each), "")
         if row > 0 and number(first, self.decimal) != number(first, self.decimal):
             start = first.strip().replace("\\", "\\\\").replace('"', '\\"')

@@ -184,5 +184,6 @@ def _require_increasing(table: Table, rows: "np.ndarray", time: Reals) -> None:
         raise InputError(
             f"{table.place(at)}: time must increase from row to row, but is {time[wrong[0] + 1]:g} "
             f"s after {time[wrong[0]]:g} s in {table.row_word} {table.lines[before]} "
-            f"({wrong.size} such rows); if several runs follow one another, give group_by"
+            f"({wrong.size} such rows); mend them, or, if several runs follow one another, give "
+            "group_by"
         )

@@ -31,7 +31,7 @@ class LayoutSettings:
         last_rows: Rows from the end; a footer is a few lines.
         number_share: Least share of a row's filled cells that are numbers or times, of a row of
             data: one of a stamp and one of a number.
-        filled_share: Least share of a row's cells that are filled, of a row of headings.
+        filled_share: Least count of headings, over the filled cells of a row of data.
         unit_share: Least share of a row's filled cells that are units, of a row of units.
     """
 
@@ -136,7 +136,7 @@ def _placed(path: Path, rows: Cells, layout: Layout, settings: LayoutSettings) -
     first = next(pairs, None)
     if first is None:
         raise InputError(f"{path}: no row of numbers is found; is this a table?")
-    width = len(rows[first])
+    width = _filled(rows[first])
     named = [
         at
         for at in range(first - 1, -1, -1)

@@ -3,6 +3,7 @@
 import codecs
 import csv
 import gzip
+import re
 import zlib
 from dataclasses import replace
 from io import StringIO
@@ -17,6 +18,11 @@ from drftjax.runlog.importers.table import Table
 
 SEPARATORS: Final = (";", "\t", ",", "|")
 """Characters that usually stand between cells."""
+
+SIZE_LIMIT: Final = 2_000_000_000
+"""Most bytes of text, unpacked: a small .gz may hold more than the memory does."""
+
+_STATED: Final = re.compile(r"sep=(.)\r?\n")
 
 _MARKS: Final = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -50,6 +56,7 @@ def read_delimited(path: Path, layout: Layout = DEFAULT_LAYOUT) -> list[Table]:
         InputError: names the file, the line and what must hold.
     """
     text = read_text(path, layout.encoding)
+    layout = _with_stated_separator(text, layout)
     if layout.separator is None:
         layout = with_separator(path, text, layout)
     assert layout.separator is not None
@@ -77,12 +84,14 @@ def read_text(path: Path, encoding: str | None = None) -> str:
     try:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rb") as file:
-            data = file.read()
+            data = file.read(SIZE_LIMIT + 1)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{path}: the table cannot be read: {reason}") from error
     except (EOFError, zlib.error) as error:
         raise InputError(f"{path}: the table is damaged: {error}") from error
+    if len(data) > SIZE_LIMIT:
+        raise InputError(f"{path}: holds more than {SIZE_LIMIT / 1e9:g} GB of text; split it")
     for start, kind in _FIRST_BYTES:
         if data.startswith(start):
             raise InputError(f"{path}: is {kind}; a file of this name must be CSV or TSV")
@@ -100,6 +109,14 @@ def read_text(path: Path, encoding: str | None = None) -> str:
             f"{path}, line {line}: is not a table of UTF-8 text; a spreadsheet on Windows writes "
             'encoding = "cp1252", which then stands in the mapping'
         ) from error
+
+
+def _with_stated_separator(text: str, layout: Layout) -> Layout:
+    """Layout with the separator of a first line such as sep=; that some spreadsheets write."""
+    stated = _STATED.match(text)
+    if stated is None or layout.skip_lines:
+        return layout
+    return replace(layout, separator=layout.separator or stated[1], skip_lines=1)
 
 
 def with_separator(path: Path, text: str, layout: Layout) -> Layout:

@@ -5,6 +5,7 @@ function, a `drftjax.runlog.importers.readers.base.Reader`. The mapping gives it
 meaning, as for a table of text.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -58,7 +59,10 @@ def read_tables_of(path: Path, layout: Layout) -> Sequence[Table]:
             f"{path}: {', '.join(keys)} in the mapping is for text and workbooks; leave it out "
             "for this file"
         )
-    return reader(path, layout)
+    with warnings.catch_warnings():
+        # What a format's package finds odd in a file is not in the user's words.
+        warnings.simplefilter("ignore")
+        return reader(path, layout)
 
 
 def reader_for(path: Path) -> tuple[str | None, Reader]:

@@ -32,6 +32,10 @@ def read_ros_bag(path: Path, layout: Layout) -> list[Table]:
     highlevel = required_package("rosbags.highlevel", "rosbags", path)
     typesys = required_package("rosbags.typesys", "rosbags", path)
     folder = path.parent if path.suffix.lower() == ".db3" else path
+    if path.suffix.lower() != ".bag" and not (folder / "metadata.yaml").is_file():
+        raise InputError(
+            f"{path}: cannot be read as a bag of ROS 2: its folder must hold metadata.yaml, too"
+        )
     topics: dict[str, list[dict[str, Any]]] = {}
     unknown: set[str] = set()
     try:

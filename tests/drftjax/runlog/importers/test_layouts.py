@@ -93,6 +93,7 @@ DEGREE = MAPPING.replace("speed", "speed °")
         (PLAIN.encode("utf-16-be"), 'encoding = "utf-16-be"\n' + MAPPING),
         (PLAIN.replace("speed", "speed °").encode("cp1252"), 'encoding = "cp1252"\n' + DEGREE),
         (PLAIN.replace("\n", ",\n"), MAPPING),
+        ("sep=;\r\n" + PLAIN.replace(",", ";"), MAPPING),
         (PLAIN.replace("\n", "\r\n") + ",,,\r\n,,,\r\n", MAPPING),
     ],
 )  # fmt: skip

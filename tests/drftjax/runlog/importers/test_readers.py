@@ -214,7 +214,7 @@ def test_a_bag_of_ros_2_is_read_without_ros(read, tmp_path, storage):
         assert_whole(read("bare.mcap", OMEGA="velocity[0]", **columns))
 
 
-@pytest.mark.parametrize("suffix", ["xlsx", "mat", "parquet", "tdms", "mcap", "bag", "db3"])
+@pytest.mark.parametrize("suffix", ["xlsx", "mat", "parquet", "tdms", "mcap", "bag"])
 def test_a_file_of_another_kind_is_refused_in_one_sentence(read, tmp_path, suffix):
     (tmp_path / f"run.{suffix}").write_bytes(b"t,w,x,depth\n0,0,0,0\n" * 20)
     with pytest.raises(InputError, match=rf"run\.{suffix}: cannot be read as a") as caught:
@@ -242,3 +242,9 @@ def test_a_missing_package_is_named_with_its_extra(
     wanted = rf"run\.{suffix}: reading \.{suffix} needs {distribution}: pip install 'drftjax\[form"
     with pytest.raises(InputError, match=wanted):
         read(f"run.{suffix}", **NAMES)
+
+
+def test_a_folder_that_is_no_bag_is_refused(read, tmp_path):
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(InputError, match=r"runs: .* its folder must hold metadata\.yaml, too"):
+        read("runs", **NAMES)
