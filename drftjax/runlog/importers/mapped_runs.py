@@ -192,7 +192,8 @@ def _rows(tables: Tables, mapping: Mapping) -> tuple[RecordedCommand, Measured, 
         return *_steady(tables, command, measured, _duration(mapping)), []
     columns = TimedColumns(tables, mapping)
     measured_time, channels, losses = columns.together("measured", measured, mapping.clock)
-    time, commands, _ = columns.together("command", command, None, measured_time)
+    time, commands, more = columns.together("command", command, None, measured_time)
+    losses += [f"command.{each}" for each in more]
     return RecordedCommand(time, **commands), Measured(measured_time, **channels), losses
 
 

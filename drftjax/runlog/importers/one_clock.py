@@ -73,6 +73,27 @@ def on_one_clock(
     return time[known], values, _losses(kept, channels, int(known.sum()))
 
 
+def pauses(
+    channels: Mapping[str, TimedChannel], settings: ClockSettings = DEFAULT_CLOCK
+) -> list[str]:
+    """Sentence on the longest pause of each channel that pauses for longer than is bridged.
+
+    Args:
+        channels: Channels by name.
+        settings: Longest gap that is bridged.
+    """
+    told = []
+    for name, each in channels.items():
+        steps = np.diff(each.time)
+        if steps.size and steps.max() > settings.max_gap * np.median(steps):
+            at = int(steps.argmax())
+            told.append(
+                f"{name} has no value for {steps[at]:.3g} s after {each.time[at]:.4g} s; it is "
+                "taken to change evenly there"
+            )
+    return told
+
+
 def _at(
     time: Reals, channel: TimedChannel, settings: ClockSettings
 ) -> tuple[Reals, NDArray[np.bool_]]:

@@ -7,7 +7,7 @@ import numpy as np
 from drftjax.common.errors import InputError
 from drftjax.runlog.importers import units
 from drftjax.runlog.importers.mapping import Clock, Mapping, Source, clock_of, sources
-from drftjax.runlog.importers.one_clock import TimedChannel, on_one_clock
+from drftjax.runlog.importers.one_clock import TimedChannel, on_one_clock, pauses
 from drftjax.runlog.importers.table import Reals, Table
 from drftjax.runlog.importers.tables import Tables
 from drftjax.runlog.importers.timestamps import Stamps, in_seconds, stamps
@@ -66,6 +66,8 @@ class TimedColumns:
         losses: list[str] = []
         if timed:
             time, values, losses = on_one_clock(timed, clock)
+            # A command holds between its rows, so its pauses are bridged by every reader.
+            losses += pauses(timed) if title == "command" else []
         elif constants_at is not None:
             time, values = constants_at, {}
         else:

@@ -1,5 +1,6 @@
 """Time axes of tables: clocks in any unit from any zero, dates, and rows at an even interval."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, time
@@ -15,7 +16,10 @@ from drftjax.runlog.importers.table import GAPS, ISO, Reals, Table
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
-_MICROSECOND: Final = 1e-6
+_NANOSECOND: Final = 1e-9
+
+_FRACTION: Final = re.compile(r"[.,]\d{6}(\d{1,3})")
+"""Digits of a second beyond the six that `datetime` keeps."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ def stamps(table: Table, clock: Clock, heading: str | None) -> Stamps:
     unit = clock.unit or table.units.get(heading) or "s"
     if unit == ISO or "%" in unit:
         counts, valid = _dates(table, heading, unit)
-        return Stamps(counts, _MICROSECOND, valid, clock)
+        return Stamps(counts, _NANOSECOND, valid, clock)
     of = units.unit(unit)
     if of.powers != units.unit("s").powers:
         raise InputError(f"time comes out in {units.describe(of.powers)}, it must come out in s")
@@ -121,13 +125,13 @@ def _counts(table: Table, heading: str) -> tuple[NDArray[Any], NDArray[np.bool_]
 
 
 def _dates(table: Table, heading: str, unit: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Microseconds since 1970, or since midnight, and the rows that have a date."""
+    """Nanoseconds since 1970, or since midnight, and the rows that have a date."""
     cells = [cell.strip() for cell in table.cells(heading)]
     valid = np.array([cell.lower() not in GAPS for cell in cells], dtype=bool)
     counts = np.zeros(len(cells), dtype=np.int64)
     for row in np.flatnonzero(valid):
         try:
-            counts[row] = _microseconds(cells[row], unit)
+            counts[row] = _nanoseconds(cells[row], unit)
         except ValueError:
             form = "an ISO 8601 date" if unit == ISO else f"a time of the form {unit}"
             where = table.place(int(row))
@@ -135,9 +139,12 @@ def _dates(table: Table, heading: str, unit: str) -> tuple[NDArray[Any], NDArray
     return counts, valid
 
 
-def _microseconds(cell: str, unit: str) -> int:
-    """One date as microseconds since 1970 in UTC, or a time of day as those since midnight."""
+def _nanoseconds(cell: str, unit: str) -> int:
+    """One date as nanoseconds since 1970 in UTC, or a time of day as those since midnight."""
+    beyond = 0
     if unit == ISO:
+        match = _FRACTION.search(cell)
+        beyond = int(match[1].ljust(3, "0")) if match else 0
         try:
             moment = datetime.fromisoformat(cell)
         except ValueError:
@@ -147,4 +154,5 @@ def _microseconds(cell: str, unit: str) -> int:
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)
     past = moment - _EPOCH
-    return (past.days * 86400 + past.seconds) * 1_000_000 + past.microseconds
+    seconds = past.days * 86400 + past.seconds
+    return (seconds * 1_000_000 + past.microseconds) * 1000 + beyond

@@ -191,6 +191,18 @@ def test_channels_with_time_columns_of_their_own_are_interpolated_inside_their_t
     np.testing.assert_allclose(other.run.measured.time, TIME[1:12], rtol=0, atol=CLOCK)
 
 
+def test_a_long_pause_of_the_command_is_told(read):
+    lines = PLAIN.splitlines()
+    for row in range(5, 12):
+        t, _, *rest = lines[row + 1].split(",")
+        lines[row + 1] = ",".join([t, "", *rest])
+    (imported,) = read("\n".join(lines))
+    assert imported.run.command.time.size == 13
+    assert imported.run.measured.time.size == 20
+    (loss,) = imported.losses
+    assert loss.startswith("command.omega has no value for 0.4 s after 0.2 s; it is taken to")
+
+
 def test_no_value_is_made_up_across_a_gap():
     fast = TimedChannel(TIME, TRAVEL)
     away = np.r_[0:5, 12:20]

@@ -244,6 +244,54 @@ def test_a_missing_package_is_named_with_its_extra(
         read(f"run.{suffix}", **NAMES)
 
 
+def test_a_bag_of_ros_1_is_read_by_the_same_mapping(read, tmp_path):
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds, kind = store.types, "sensor_msgs/msg/JointState"
+    with Writer(tmp_path / "run.bag") as writer:
+        joints = writer.add_connection("/joints", kind, typestore=store)
+        for at, stamp in enumerate(NANOSECONDS.tolist()):
+            time = kinds["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+            header = kinds["std_msgs/msg/Header"](at, time, "rig")
+            position = np.array([TRAVEL[at], SINKAGE[at]])
+            speed = np.array([OMEGA[at]])
+            message = kinds[kind](header, ["x", "z"], position, speed, np.zeros(0))
+            writer.write(joints, stamp, store.serialize_ros1(message, kind))
+    columns = {"TRAVEL": "position[0]", "SINKAGE": "position[1]", "TIME": "header.stamp"}
+    assert_whole(read("run.bag", OMEGA="velocity[0]", **columns))
+
+
+def test_stamps_of_tdms_and_gaps_of_parquet_are_read(read, tmp_path):
+    import pyarrow
+    import pyarrow.parquet
+    from nptdms import ChannelObject, TdmsWriter
+
+    stamps = NANOSECONDS.astype("datetime64[ns]")
+    columns = {"t": stamps.astype("datetime64[us]"), "w": OMEGA, "x": TRAVEL, "depth": SINKAGE}
+    with TdmsWriter(tmp_path / "run.tdms") as writer:
+        writer.write_segment([ChannelObject("log", name, each) for name, each in columns.items()])
+    run = read("run.tdms", **NAMES)
+    # A stamp of a TDMS file has microseconds here.
+    np.testing.assert_allclose(run.measured.time, TIME, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(run.measured.z, -SINKAGE * 1e-3, rtol=ROUNDING)
+
+    gaps = [None if at % 3 else each for at, each in enumerate(SINKAGE.tolist())]
+    whole = {"t": NANOSECONDS, "w": OMEGA, "x": pyarrow.array(TRAVEL), "depth": gaps}
+    late = [None if gap is None else each for gap, each in zip(gaps, stamps, strict=True)]
+    whole["t2"] = pyarrow.array(late, pyarrow.timestamp("ns"))
+    pyarrow.parquet.write_table(pyarrow.table(whole), tmp_path / "run.parquet")
+    text = (tmp_path / "map.toml").read_text().replace('"depth", ', '"depth", time = "t2", ')
+    assert "t2" in text
+    text = text.replace('column = "t"', 'column = "t"\nunit = "ns"')
+    text = text.replace('time = "t2"', 'time = { column = "t2", zero_at_first_row = true }')
+    (tmp_path / "gaps.toml").write_text(text)
+    (run,) = import_table(tmp_path / "run.parquet", tmp_path / "gaps.toml")
+    np.testing.assert_allclose(run.measured.time, TIME[::3], rtol=0, atol=CLOCK)
+    np.testing.assert_allclose(run.measured.z, -SINKAGE[::3] * 1e-3, rtol=ROUNDING)
+
+
 def test_a_folder_that_is_no_bag_is_refused(read, tmp_path):
     (tmp_path / "runs").mkdir()
     with pytest.raises(InputError, match=r"runs: .* its folder must hold metadata\.yaml, too"):
