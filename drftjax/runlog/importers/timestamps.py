@@ -132,7 +132,7 @@ def _dates(table: Table, heading: str, unit: str) -> tuple[NDArray[Any], NDArray
     for row in np.flatnonzero(valid):
         try:
             counts[row] = _nanoseconds(cells[row], unit)
-        except ValueError:
+        except (ValueError, OverflowError):
             form = "an ISO 8601 date" if unit == ISO else f"a time of the form {unit}"
             where = table.place(int(row))
             raise InputError(f"{where}: {heading} is {cells[row]!r}, it must be {form}") from None

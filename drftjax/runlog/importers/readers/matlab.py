@@ -1,17 +1,26 @@
 """MAT files: format 5 by scipy, format 7.3, which is HDF5, by this project's door to it."""
 
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.common.child_process import program
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.matlab import read_mat_variables
 from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.importers.readers.packages import unreadable
 from drftjax.runlog.importers.table import Cells, Table, named_tables
+
+TIME_LIMIT: Final = 120.0
+"""Time that one file may take [s]; one of 100 MB takes one."""
+
+_READ: Final = program("drftjax.runlog.importers.readers.matlab", "print_columns")
 
 
 def read_mat(path: Path, layout: Layout) -> list[Table]:
@@ -28,7 +37,7 @@ def read_mat(path: Path, layout: Layout) -> list[Table]:
         InputError: the file cannot be read, or has no vector.
     """
     del layout
-    columns = dict(variable_columns("", _variables(path)))
+    columns = _columns_by_child(path)
     lengths: dict[int, dict[str, Cells]] = {}
     for name, cells in columns.items():
         lengths.setdefault(len(cells), {})[name] = cells
@@ -43,6 +52,44 @@ def read_mat(path: Path, layout: Layout) -> list[Table]:
         for length in ordered
         for table in named_tables(path, {"": lengths[length]}, "element")
     ]
+
+
+def _columns_by_child(path: Path) -> dict[str, Cells]:
+    """Columns of a MAT file, read in a child process: a damaged one can crash either library."""
+    command = [sys.executable, "-I", "-c", _READ, str(path)]
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT
+        )
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{path}: could not be read in {TIME_LIMIT:g} s; is it damaged?") from None
+    if done.returncode:
+        raise InputError(f"{path}: cannot be read as a MAT file; it is damaged")
+    reason, packed = msgspec.msgpack.decode(done.stdout)
+    if reason:
+        raise InputError(reason)
+    return {
+        name: np.frombuffer(values, np.dtype(kind)) if kind else values
+        for name, kind, values in packed
+    }
+
+
+def print_columns() -> None:
+    """Write the columns of the MAT file named by the first argument to stdout, packed."""
+    path = Path(sys.argv[1])
+    try:
+        columns = dict(variable_columns("", _variables(path)))
+        answer = "", [(name, *_packed(cells)) for name, cells in columns.items()]
+    except InputError as error:
+        answer = str(error), []
+    sys.stdout.buffer.write(msgspec.msgpack.encode(answer))
+
+
+def _packed(cells: Cells) -> tuple[str, bytes | list[str]]:
+    """Type and bytes of numbers; no type and the cells of text."""
+    if isinstance(cells, np.ndarray):
+        return cells.dtype.str, np.ascontiguousarray(cells).tobytes()
+    return "", list(cells)
 
 
 def variable_columns(name: str, value: Any) -> Iterator[tuple[str, Cells]]:

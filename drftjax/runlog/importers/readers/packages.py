@@ -1,5 +1,9 @@
 """Packages that read a format of their own, imported when such a file is read."""
 
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,6 +30,19 @@ def required_package(module: str, distribution: str, path: Path, what: str = "re
         raise InputError(
             f"{path}: {what} {suffix} needs {distribution}: pip install 'drftjax[formats]'"
         ) from None
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Keep packages from warning and logging, which would reach the user in their own words."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
 
 
 def unreadable(path: Path, kind: str, error: Exception) -> InputError:

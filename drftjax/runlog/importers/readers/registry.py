@@ -5,7 +5,6 @@ function, a `drftjax.runlog.importers.readers.base.Reader`. The mapping gives it
 meaning, as for a table of text.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -15,6 +14,7 @@ from typing import Final, cast
 from drftjax.common.errors import InputError
 from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.importers.readers.base import Reader
+from drftjax.runlog.importers.readers.packages import silenced
 from drftjax.runlog.importers.table import Table
 
 GROUP: Final = "drft.readers"
@@ -59,9 +59,7 @@ def read_tables_of(path: Path, layout: Layout) -> Sequence[Table]:
             f"{path}: {', '.join(keys)} in the mapping is for text and workbooks; leave it out "
             "for this file"
         )
-    with warnings.catch_warnings():
-        # What a format's package finds odd in a file is not in the user's words.
-        warnings.simplefilter("ignore")
+    with silenced():
         return reader(path, layout)
 
 

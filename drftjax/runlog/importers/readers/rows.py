@@ -68,7 +68,9 @@ def _headings(path: Path, place: str, cells: list[str], layout: Layout) -> tuple
         cells = cells[:-1]
     if not any(map(str.strip, cells)):
         raise InputError(f"{path}: {place} must hold the headings, but it is empty")
-    headings = tuple(cell.strip() or str(at + 1) for at, cell in enumerate(cells))
+    # Sheets have headings of several lines.
+    lines = (" ".join(filter(None, map(str.strip, cell.splitlines()))) for cell in cells)
+    headings = tuple(name or str(at + 1) for at, name in enumerate(lines))
     twice = next((name for name in headings if headings.count(name) > 1), None)
     if twice is not None:
         raise InputError(

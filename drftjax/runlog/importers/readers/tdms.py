@@ -19,7 +19,7 @@ def read_tdms(path: Path, layout: Layout) -> list[Table]:
 
     A waveform has no times of its own; its table gets a column `time`, in seconds from the earliest
     start in the file. Channels of other lengths or increments are a table of their own, named
-    "group/channel".
+    "group/channel". Of a file that was cut off, what is there is read.
 
     Args:
         path: The file.

@@ -1,7 +1,7 @@
 """Sheets of a workbook (.xlsx), read by openpyxl."""
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
@@ -21,8 +21,7 @@ def sheet_rows(path: Path, layout: Layout) -> list[list[str]]:
     Raises:
         InputError: as for `read_workbook`.
     """
-    with _sheet(path, layout) as sheet:
-        return [cells for _, cells in _rows(sheet, replace(layout, skip_lines=0), set())]
+    return [cells for _, cells in _rows(path, replace(layout, skip_lines=0), set())]
 
 
 def read_workbook(path: Path, layout: Layout) -> list[Table]:
@@ -35,35 +34,32 @@ def read_workbook(path: Path, layout: Layout) -> list[Table]:
     Raises:
         InputError: names the file, the sheet or the row, and what must hold.
     """
-    with _sheet(path, layout) as sheet:
-        dated: set[int] = set()
-        table = table_of_rows(path, _rows(sheet, layout, dated), layout, row_word="row")
+    dated: set[int] = set()
+    table = table_of_rows(path, _rows(path, layout, dated), layout, row_word="row")
     stamps = {name: ISO for at, name in enumerate(table.headings) if at in dated}
     return [replace(table, units=stamps)]
 
 
-@contextmanager
-def _sheet(path: Path, layout: Layout) -> Iterator[Any]:
-    """Open sheet of a workbook."""
+def _values(path: Path, layout: Layout) -> list[tuple[Any, ...]]:
+    """Values of all rows of a sheet."""
     openpyxl = required_package("openpyxl", "openpyxl", path)
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        # Sheets are unpacked while they are read, so damage is found as late as that.
+        with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            names = [sheet.title for sheet in book.worksheets]
+            wanted = layout.sheet or next(iter(names), None)
+            if wanted in names:
+                return list(book[wanted].iter_rows(values_only=True))
     except Exception as error:
         raise unreadable(path, "a workbook", error) from None
-    with closing(book):
-        names = [sheet.title for sheet in book.worksheets]
-        if layout.sheet is not None and layout.sheet not in names:
-            raise InputError(
-                f"{path}: there is no sheet {layout.sheet!r}; {nearest(layout.sheet, names)}"
-            )
-        if not names:
-            raise InputError(f"{path}: has no sheet with cells")
-        yield book[layout.sheet or names[0]]
+    if layout.sheet is None:
+        raise InputError(f"{path}: has no sheet with cells")
+    raise InputError(f"{path}: there is no sheet {layout.sheet!r}; {nearest(layout.sheet, names)}")
 
 
-def _rows(sheet: Any, layout: Layout, dated: set[int]) -> Iterator[Row]:
+def _rows(path: Path, layout: Layout, dated: set[int]) -> Iterator[Row]:
     """Rows below the skipped ones, as text; columns with dates are added to `dated`."""
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+    for number, row in enumerate(_values(path, layout), 1):
         if number > layout.skip_lines:
             dated.update(at for at, cell in enumerate(row) if isinstance(cell, datetime | time))
             yield number, [_text(cell, layout.decimal) for cell in row]

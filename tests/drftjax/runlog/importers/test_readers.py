@@ -8,6 +8,7 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.runlog.importers.mapped_runs import import_table
+from drftjax.runlog.importers.readers import matlab
 
 # Reading is a product of a value and a factor: a few roundings of a double.
 ROUNDING = 1e-14
@@ -73,7 +74,7 @@ def test_a_sheet_of_a_workbook_is_read_with_its_dates(read, tmp_path):
     book.active.append(["our rig", None, "2026"])
     sheet = book.create_sheet("run 3")
     sheet.append(["logger of ours"])
-    sheet.append(["t", "w", "x", "depth", None])
+    sheet.append(["t", "w", "x\nlaser", "depth", None])
     sheet.append(["date", "deg/s", "mm", "mm"])
     start = datetime.datetime(2026, 3, 1, 10, 0)
     for t, w, x, z in zip(TIME, OMEGA, TRAVEL, SINKAGE, strict=True):
@@ -82,12 +83,11 @@ def test_a_sheet_of_a_workbook_is_read_with_its_dates(read, tmp_path):
     book.save(tmp_path / "book.xlsx")
     layout = 'sheet = "run 3"\nskip_lines = 1\nskip_below = 1\nend_at = "End"\n'
     (tmp_path / "map.toml").write_text("")
-    run = read("book.xlsx", layout, **NAMES | {"TIME": "t"})
-    assert_whole(run)
+    assert_whole(read("book.xlsx", layout, **NAMES | {"TRAVEL": "x laser"}))
     with pytest.raises(InputError, match=r"no sheet 'run 4'; did you mean 'run 3'"):
         read("book.xlsx", layout.replace("run 3", "run 4"), **NAMES)
     with pytest.raises(InputError, match=r"book\.xlsx, row 54: t is 'End of file'"):
-        read("book.xlsx", layout.replace('end_at = "End"', ""), **NAMES)
+        read("book.xlsx", layout.replace('end_at = "End"', ""), **NAMES | {"TRAVEL": "x laser"})
 
 
 @pytest.fixture
@@ -111,6 +111,20 @@ def test_variables_of_a_mat_file_are_named_as_matlab_writes_them(read, mat, tmp_
     (tmp_path / "radius.toml").write_text(radius)
     (run,) = import_table(tmp_path / "run.mat", tmp_path / "radius.toml")
     assert run.setup.wheel_radius == 0.15
+
+
+@pytest.mark.parametrize(
+    ("child", "reason"),
+    [
+        ("import os; os.abort()", "cannot be read as a MAT file; it is damaged"),
+        ("import time; time.sleep(60)", "could not be read in 0.5 s; is it damaged"),
+    ],
+)
+def test_a_mat_file_that_brings_its_library_down_is_refused(read, mat, monkeypatch, child, reason):
+    monkeypatch.setattr(matlab, "_READ", child)
+    monkeypatch.setattr(matlab, "TIME_LIMIT", 0.5)
+    with pytest.raises(InputError, match=reason):
+        read("run.mat", **mat)
 
 
 def test_a_mat_file_of_the_newer_format_is_read_through_hdf5(read, tmp_path):
@@ -290,6 +304,22 @@ def test_stamps_of_tdms_and_gaps_of_parquet_are_read(read, tmp_path):
     (run,) = import_table(tmp_path / "run.parquet", tmp_path / "gaps.toml")
     np.testing.assert_allclose(run.measured.time, TIME[::3], rtol=0, atol=CLOCK)
     np.testing.assert_allclose(run.measured.z, -SINKAGE[::3] * 1e-3, rtol=ROUNDING)
+
+
+def test_a_tdms_file_that_was_cut_off_is_read_as_far_as_it_goes(read, tmp_path, capfd):
+    from nptdms import ChannelObject, TdmsWriter
+
+    columns = {"t": TIME, "w": OMEGA, "x": TRAVEL, "depth": SINKAGE}
+    for rows in (slice(0, 30), slice(30, 50)):
+        with TdmsWriter(tmp_path / "run.tdms", mode="w" if rows.start == 0 else "a") as writer:
+            parts = [ChannelObject("log", name, each[rows]) for name, each in columns.items()]
+            writer.write_segment(parts)
+    data = (tmp_path / "run.tdms").read_bytes()
+    # Less than the second segment's first channel is lost.
+    (tmp_path / "run.tdms").write_bytes(data[: -(4 * 20 * 8)])
+    run = read("run.tdms", **NAMES)
+    np.testing.assert_allclose(run.measured.time, TIME[:30], rtol=0, atol=CLOCK)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_folder_that_is_no_bag_is_refused(read, tmp_path):
