@@ -68,6 +68,12 @@ class Event(IntEnum):
     ROW_NOT_FINITE = 60  # arg: 1 a command, 2 a measurement; the row is left out
 
 
+# What a person must look at though the run may have gone on.
+FINDINGS: Final = frozenset(
+    {each for each in Event if 70 <= each < 81} | {Event.SENSOR_STUCK, Event.X_STUCK}
+)
+
+
 class TickFlag(IntFlag):
     """Bits of the flags of one tick."""
 

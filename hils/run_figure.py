@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from drftjax.runlog.figure import plot_run
 from drftjax.runlog.record import Online, RunLog
-from hils.events import Event, TickFlag
+from hils.events import FINDINGS, Event, TickFlag
 
 
 class TickCounts(NamedTuple):
@@ -48,7 +48,8 @@ def plot_hils(run: RunLog) -> Figure:
         each.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
     early = run.end_reason is not None and run.end_reason != "completed"
-    title = f"{run.title}\n{run.end_reason}" if early else run.title
+    lines = [run.title, *([str(run.end_reason)] if early else []), *_findings(run)]
+    title = "\n".join(lines)
     # A title is any text: a dollar sign in it is no formula.
     figure.suptitle(title.replace("$", r"\$"), fontsize="medium")
     return figure
@@ -67,6 +68,15 @@ def count_ticks(run: RunLog) -> TickCounts:
     # Ticks that were skipped together are one overrun, but a deadline each.
     missed = overruns - skips + skipped
     return TickCounts(online.time.size, missed, skipped, online.time.size - fresh)
+
+
+def _findings(run: RunLog) -> list[str]:
+    """One line that names the safety rules that fired and the sensors that were stuck, if any."""
+    if run.events is None:
+        return []
+    codes = dict.fromkeys(code for code in run.events.code.tolist() if code in FINDINGS)
+    words = [run.events.meanings.get(code, str(code)).replace("_", " ") for code in codes]
+    return [f"not all was well: {', '.join(words)}"] if words else []
 
 
 def sinkage_error(run: RunLog) -> np.ndarray:

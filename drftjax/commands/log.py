@@ -1,4 +1,4 @@
-"""`drft log`: check, show, draw, repair and import run logs."""
+"""`drft log`: check, show, draw, repair, import and export run logs."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from drftjax.common.errors import InputError
 app = typer.Typer(
     name="log",
     cls=CommandGroup,
-    help="Check, show, draw, repair and import run logs.",
+    help="Check, show, draw, repair, import and export run logs.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -116,6 +116,47 @@ def repair(
     typer.echo(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
 
 
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(metavar="RUN", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="File to write: .csv, .tsv, .parquet, .mat, .nc or .mcap."
+        ),
+    ],
+    derived: Annotated[
+        bool,
+        typer.Option(
+            "--derived", help="Add slip, sinkage, wheel angle, drawbar coefficient and power."
+        ),
+    ] = False,
+    groups: Annotated[
+        bool, typer.Option("--groups", help="Write a table for each group, at its own times.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+) -> None:
+    """Write a run for a spreadsheet, MATLAB, xarray or a viewer of logs."""
+    from drftjax.common.output_files import put_new_file, replace_file
+    from drftjax.runlog.check import read_run_guarded
+    from drftjax.runlog.export.writers import exported_files
+
+    run = read_run_guarded(file)
+    try:
+        files = exported_files(run, output, groups=groups, derived=derived)
+    except InputError as problem:
+        named = str(problem).startswith(str(output))
+        raise InputError(str(problem) if named else f"{file}: {problem}") from None
+    for path in files:
+        if path.exists() and not force:
+            raise InputError(f"{path} is already there; give --force to replace")
+        if path.exists() and path.samefile(file):
+            raise InputError(f"{path} is read here and would be replaced; give another name")
+    for path, data in files.items():
+        (replace_file if force else put_new_file)(path, data)
+        typer.echo(f"wrote {path}")
+
+
 class ImportCommand(TyperCommand):
     """`drft log import`: its help ends with the suffixes that are read."""
 
@@ -137,12 +178,31 @@ def import_(
             help="A TOML file, or the name of a mapping that ships with drft; a table needs one."
         ),
     ] = None,
+    guess: Annotated[
+        bool,
+        typer.Option(
+            "--guess", help="Propose a mapping instead, to the screen or to the .toml of -o."
+        ),
+    ] = False,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="A .h5 or .hdf5 file for one run, or a folder.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="A .h5 or .hdf5 file for one run, or a folder; needed but with --guess.",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
-    """Make run logs from a CSV or TSV table, by a mapping that says what its columns mean."""
+    """Make run logs from a table, by a mapping that says what its columns mean."""
+    if guess:
+        if mapping is not None:
+            raise InputError("--guess proposes a mapping; leave out --mapping")
+        _propose(table, output, force)
+        return
+    if output is None:
+        raise InputError("give -o, a .h5 or .hdf5 file for one run, or a folder")
     from drftjax.runlog.hdf5.api import write_run
     from drftjax.runlog.importers.registry import importer_for
     from drftjax.runlog.plausibility import plausibility_warnings
@@ -156,8 +216,30 @@ def import_(
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
         typer.echo(f"wrote {path}: {each.run.title}")
-        for doubt in plausibility_warnings(each.run):
+        for doubt in (*each.losses, *plausibility_warnings(each.run)):
             typer.echo(f"note: {path}: {doubt}", err=True)
+
+
+def _propose(table: Path, output: Path | None, force: bool) -> None:
+    """Print or write the mapping proposed for a table, and say what is unsure."""
+    from drftjax.common.output_files import put_new_file, replace_file
+    from drftjax.runlog.importers.guess.proposal import propose_mapping
+
+    if output is not None and output.suffix.lower() != ".toml":
+        raise InputError(f"{output}: the name of a mapping must end in .toml")
+    if output is not None and output.exists() and not force:
+        raise InputError(f"{output} is already there; give --force to replace")
+    proposal = propose_mapping(table)
+    for doubt in proposal.doubts:
+        typer.echo(f"unsure: {doubt}", err=True)
+    if output is None:
+        typer.echo(proposal.text, nl=False)
+        return
+    put = replace_file if force else put_new_file
+    put(output, proposal.text.encode())
+    typer.echo(
+        f"wrote {output}; look at it, then: drft log import {table} --mapping {output} -o runs"
+    )
 
 
 def _mapping(given: str) -> Path:

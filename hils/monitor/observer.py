@@ -16,7 +16,7 @@ from typing import NamedTuple
 from drftjax.runlog.header import Head
 from hils.clock import AbstractClock
 from hils.control.stop_request import StopRequest
-from hils.events import Event, Phase, TickFlag
+from hils.events import FINDINGS, Event, Phase, TickFlag
 from hils.link.link import AbstractLink, LinkQuality
 from hils.monitor.live_view import LiveView
 from hils.monitor.status import (
@@ -185,6 +185,9 @@ class RunObserver:
             self._latest = max(self._latest, arg)
         elif code == Event.TICKS_SKIPPED:
             self._missed += max(int(arg) - 1, 0)
+        elif code in FINDINGS:
+            self._words.append(f"{Event(code).name.lower().replace('_', ' ')} ({arg:.4g})")
+            self._publish()
 
     # Publication -------------------------------------------------------------------------------
 

@@ -117,6 +117,10 @@ def test_series_goes_on_while_runs_are_completed(runs):
     assert runs() == (0, 3)
 
 
+def test_series_ends_where_a_safety_rule_fired_though_the_run_was_completed(runs):
+    assert runs(findings=("the scale was stuck",)) == (ENDED_EARLY, 1)
+
+
 @pytest.mark.parametrize(("wish", "code"), [(CTRL_C, INTERRUPTED), (TERMINATED, ENDED_EARLY)])
 def test_series_ends_where_an_end_was_asked_for_though_the_run_was_completed(runs, wish, code):
     assert runs(stop_reason=wish) == (code, 1)

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drftjax.runlog.importers.table import import_table, read_table
+from drftjax.runlog.importers.mapped_runs import import_table
+from drftjax.runlog.importers.readers.delimited import read_delimited
 from drftjax.runlog.record import RunLog
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -118,13 +119,13 @@ class TableCount:
 
 def table_count(folder: Path, wheel: str) -> TableCount:
     """Count a table of steady means as it stands in the file."""
-    table = read_table(folder / f"all_{wheel}_data.csv")
+    table = read_delimited(folder / f"all_{wheel}_data.csv")[0]
     straight = table.numbers("beta") == 0
     labels = list(zip(*(table.cells(name) for name in ("Vry", "beta", "trial_num")), strict=True))
     of_straight = [label for label, keep in zip(labels, straight, strict=True) if keep]
-    numbers = [tuple(row[3:]) for row in table.rows]
+    numbers = list(zip(*(table.cells(name) for name in table.headings[3:]), strict=True))
     return TableCount(
-        rows=len(table.rows),
+        rows=len(table),
         straight=int(straight.sum()),
         identical=_repeats(numbers),
         same_label=_repeats(labels),
@@ -170,7 +171,7 @@ def intrusions(folder: Path) -> list[Intrusion]:
     """Every vertical intrusion, plates by size first, then the wheels."""
     found = []
     for path in sorted((folder / "processed_intrusion").glob("*.csv")):
-        table = read_table(path)
+        table = read_delimited(path)[0]
         words = path.stem.split("_")
         body = "_".join(words[-2:])
         name = "_".join(words[1:-2]).replace("force-displacement_", "")
@@ -246,7 +247,7 @@ def drive_line(runs: list[Series]) -> float:
 
 def series(folder: Path, wheel: str) -> list[Series]:
     """Every run in time of one wheel, in the order of the table."""
-    table = read_table(folder / "processed_timeseries" / f"beta0_{wheel}.csv.gz")
+    table = read_delimited(folder / "processed_timeseries" / f"beta0_{wheel}.csv.gz")[0]
     names = np.array(table.cells("run"))
     columns = {name: table.numbers(name) for name in table.headings if name != "run"}
     found = []

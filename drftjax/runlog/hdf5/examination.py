@@ -30,6 +30,7 @@ from drftjax.runlog.schema import (
     SCHEMA,
     SETUP_UNITS,
     TEXTS,
+    UNITS,
     Column,
     same_unit,
 )
@@ -244,6 +245,25 @@ def _examine_plausibility(content: Content, limits: PlausibilityLimits) -> Itera
                 yield where, reason, Level.FORMAT
         for reason in plausibility.unit_problems(title, name, values, setup, limits):
             yield where, reason, Level.NOTE
+    for where, reason in plausibility.motion_problems(_sound_columns(content), setup, limits):
+        yield where, reason, Level.NOTE
+
+
+def _sound_columns(content: Content) -> dict[tuple[str, str], NDArray[np.float64]]:
+    """Columns of /command and /measured; none where one of them cannot be used."""
+    found: dict[tuple[str, str], NDArray[np.float64]] = {}
+    for title in MANDATORY_GROUPS:
+        datasets = content.groups.get(title, Group()).datasets
+        for name in UNITS[title].keys() & datasets.keys():
+            values = real_column(datasets[name].values)
+            if values is None or values.ndim != 1 or not np.isfinite(values).all():
+                return {}
+            found[title, name] = values
+        axis = found.get((title, AXES[title]), np.zeros(0))
+        sizes = {values.size for (group, _), values in found.items() if group == title}
+        if sizes != {axis.size} or not axis.size or (np.diff(axis) <= 0).any():
+            return {}
+    return found
 
 
 def _integer_problems(values: NDArray[np.float64], kind: "np.iinfo[Any]") -> Iterator[str]:

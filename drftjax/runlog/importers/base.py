@@ -15,10 +15,12 @@ class ImportedRun:
     Attributes:
         name: Any text; it is made a safe file name.
         run: Run log.
+        losses: Sentences on samples of the file that the run does not keep.
     """
 
     name: str
     run: RunLog
+    losses: tuple[str, ...] = ()
 
 
 class Importer(Protocol):

@@ -1,59 +1,41 @@
-"""Importers by the suffix of a file; installed packages add theirs.
+"""Importers by the suffix of a file: the mapped import of tables, and those of installed packages.
 
-A package adds a format by the entry-point group `drft.importers`: the suffix without its dot, and
-the function, a `drftjax.runlog.importers.base.Importer`.
+A package adds a format whose runs need no mapping by the entry-point group `drft.importers`: the
+suffix without its dot, and the function, a `drftjax.runlog.importers.base.Importer`. A format whose
+columns a mapping explains is a reader (`drftjax.runlog.importers.readers.registry`).
 """
 
-from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Final, cast
 
-from drftjax.common.errors import InputError
 from drftjax.runlog.importers.base import Importer
-from drftjax.runlog.importers.table import import_named_runs
+from drftjax.runlog.importers.mapped_runs import import_named_runs
+from drftjax.runlog.importers.readers.registry import (
+    READERS,
+    added_by_suffix,
+    load_function,
+    reader_suffixes,
+    sole_entry,
+    suffix_of,
+)
 
 GROUP: Final = "drft.importers"
-
-IMPORTERS: Final[Mapping[str, Importer]] = {
-    ".csv": import_named_runs,
-    ".tsv": import_named_runs,
-    ".txt": import_named_runs,
-}
 
 
 def suffixes() -> list[str]:
     """Suffixes of all files that can be imported, this project's first."""
-    return [*IMPORTERS, *(suffix for suffix in _added() if suffix not in IMPORTERS)]
+    known = reader_suffixes()
+    return [*known, *(each for each in added_by_suffix(GROUP) if each not in known)]
 
 
 def importer_for(path: Path) -> Importer:
-    """Importer of a file by its suffix, a final .gz aside; a table's for an unknown suffix.
+    """Importer of a file by its suffix, a final .gz aside; the mapped one where no package has it.
 
     Raises:
         InputError: a package's importer fails to load, or two packages claim the suffix.
     """
-    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
-    added = _added().get(suffix, [])
-    if len(added) + (suffix in IMPORTERS) > 1:
-        others = " and ".join(each.value for each in added)
-        here = "drftjax and " if suffix in IMPORTERS else ""
-        raise InputError(f"files {suffix} are claimed by {here}{others}; remove one")
-    if not added:
-        return IMPORTERS.get(suffix, import_named_runs)
-    entry = added[0]
-    try:
-        importer = entry.load()
-    except Exception as error:
-        raise InputError(f"the importer {suffix} of {entry.value} fails: {error}") from None
-    if not callable(importer):
-        raise InputError(f"the importer {suffix} of {entry.value} is no function")
-    return cast(Importer, importer)
-
-
-def _added() -> dict[str, list[EntryPoint]]:
-    """Entry points of installed packages by suffix."""
-    found: dict[str, list[EntryPoint]] = {}
-    for entry in entry_points(group=GROUP):
-        found.setdefault(f".{entry.name.lower().lstrip('.')}", []).append(entry)
-    return found
+    suffix = suffix_of(path)
+    entry = sole_entry(suffix, added_by_suffix(GROUP).get(suffix, []), suffix in READERS)
+    if entry is None:
+        return import_named_runs
+    return cast(Importer, load_function(entry, f"the importer {suffix}"))

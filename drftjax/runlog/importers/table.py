@@ -1,367 +1,177 @@
-"""Import of CSV and TSV tables as run logs, by a mapping."""
+"""Tables of an experimenter: columns of equal length, with the place of each row in the file."""
 
-import csv
-import gzip
-import json
 import math
 import re
-import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from fnmatch import fnmatch
-from io import TextIOWrapper
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drftjax.common.errors import InputError
-from drftjax.common.structured_files import HDF5
 from drftjax.runlog.importers import units
-from drftjax.runlog.importers.base import ImportedRun
-from drftjax.runlog.importers.mapping import (
-    Condition,
-    Mapping,
-    MeasuredMap,
-    SetupMap,
-    Source,
-    read_mapping,
-    sources,
-)
-from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
-from drftjax.runlog.schema import SETUP_UNITS, UNITS
 from drftjax.runlog.validation import nearest
+
+Reals = NDArray[np.float64]
+
+Cells = Sequence[str] | NDArray[Any]
+"""Cells of a column: text, or an array of numbers in which NaN is a gap."""
 
 ROW_LIMIT: Final = 5_000_000
 """Most rows of a table."""
 
+ISO: Final = "iso8601"
+"""Unit of stamps such as 2026-03-01T10:00:00.125Z, or of times of day."""
 
-Reals = NDArray[np.float64]
+GAPS: Final = frozenset({"", "-", "--", "na", "n/a", "nan", "#n/a", "null", "none"})
+"""Cells, in small letters, that say that nothing was measured."""
 
+_DECIMAL_COMMA: Final = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
-_ENDING: Final = re.compile(r"(\.(csv|tsv|txt|dat))?(\.gz)?$", re.IGNORECASE)
+_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d|\d\d?:\d\d:\d\d|\d\d?[./]\d\d?[./]\d{4}")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a table as text, with the line of the file for each row."""
+    """Columns of equal length.
+
+    Attributes:
+        path: File that holds the table.
+        headings: Names of the columns, each once.
+        columns: Cells of each column.
+        lines: Number of each row, as the file's program counts: from 1, headings included.
+        name: Name among the tables of the file, such as a topic's; "" for the only one.
+        row_word: Word for a row: "line" of a text, "row" of a sheet, "message" of a topic.
+        units: Unit of a column, where the file itself states it.
+        decimal: Decimal sign of cells that are text.
+    """
 
     path: Path
     headings: tuple[str, ...]
-    rows: Sequence[Sequence[str]]
+    columns: tuple[Cells, ...]
     lines: Sequence[int]
+    name: str = ""
+    row_word: str = "line"
+    units: Mapping[str, str] = field(default_factory=dict)
+    decimal: str = "."
 
-    def position(self, column: str) -> int:
-        """Index of a column.
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def column(self, heading: str) -> Cells:
+        """Cells of a column.
 
         Raises:
             InputError: there is no such heading; names the nearest ones.
         """
-        if column not in self.headings:
+        if heading not in self.headings:
             raise InputError(
-                f"{self.path}: there is no column {column!r}; {nearest(column, self.headings)}"
+                f"{self.path}: there is no column {heading!r}; {nearest(heading, self.headings)}"
             )
-        return self.headings.index(column)
+        return self.columns[self.headings.index(heading)]
 
-    def cells(self, column: str) -> list[str]:
-        """Cells of a column as text."""
-        position = self.position(column)
-        return [row[position] for row in self.rows]
+    def cells(self, heading: str) -> list[str]:
+        """Cells of a column as text; numbers in their shortest form."""
+        return [each if isinstance(each, str) else _text(each) for each in self.column(heading)]
 
-    def numbers(self, column: str) -> Reals:
-        """Cells of a column as numbers, shape (rows,).
+    def numbers(self, heading: str) -> Reals:
+        """Cells of a column as numbers, NaN where there is a gap, shape (rows,).
 
         Raises:
-            InputError: names the line of the first cell that is not a finite number.
+            InputError: names the place of the first cell that is neither, and the likely cause.
         """
-        cells = self.cells(column)
-        values = np.array([_number(cell) for cell in cells])
-        bad = np.flatnonzero(~np.isfinite(values))
+        cells = self.column(heading)
+        if isinstance(cells, np.ndarray) and cells.dtype.kind in "biuf":
+            values = cells.astype(np.float64)
+            bad = np.flatnonzero(np.isinf(values))
+        else:
+            values = np.array([number(str(cell), self.decimal) for cell in cells], dtype=np.float64)
+            gaps = np.array([str(cell).strip().lower() in GAPS for cell in cells], dtype=bool)
+            bad = np.flatnonzero(~np.isfinite(values) & ~gaps)
         if bad.size:
-            place = f"{self.path}, line {self.lines[bad[0]]}"
-            cell = cells[bad[0]]
-            raise InputError(f"{place}: {column} is {cell!r}, it must be a finite number")
+            raise InputError(self.explain(int(bad[0]), heading))
         return values
 
-    def select_rows(self, rows: Sequence[int]) -> "Table":
-        """Table of some of the rows, in the given order."""
-        chosen = ([self.rows[i] for i in rows], [self.lines[i] for i in rows])
-        return Table(self.path, self.headings, *chosen)
+    def place(self, row: int) -> str:
+        """Place of a row in words: the file, and the line, row or message in it."""
+        where = f", {self.name}" if self.name else ""
+        return f"{self.path}{where}, {self.row_word} {self.lines[row]}"
 
+    def explain(self, row: int, heading: str, must: str = "be a finite number") -> str:
+        """Sentence on a cell that cannot be used, with its likely cause.
 
-def import_table(path: str | Path, mapping_path: str | Path) -> list[RunLog]:
-    """Read the runs of a CSV or TSV table (also .gz) by a mapping.
+        Args:
+            row: Its row in this table.
+            heading: Its column.
+            must: Rule that it breaks.
+        """
+        cell = self.cells(heading)[row].strip()
+        hint = self._cause(row, cell)
+        return f"{self.place(row)}: {heading} is {cell!r}, it must {must}{hint and '; ' + hint}"
 
-    Args:
-        path: The table.
-        mapping_path: The mapping, a TOML file; see docs/guide/import-data.md.
-
-    Raises:
-        InputError: names the file, and the line or the place in the mapping that is wrong.
-    """
-    return [each.run for each in import_named_runs(path, mapping_path)]
-
-
-def import_named_runs(path: str | Path, mapping_path: str | Path | None) -> list[ImportedRun]:
-    """`import_table`, with the name that the mapping gives the file of each run."""
-    if mapping_path is None:
-        raise InputError(f"{path}: give --mapping, which says what the columns of a table mean")
-    path, mapping_path = Path(path), Path(mapping_path)
-    mapping = read_mapping(mapping_path)
-    if mapping.files and not any(fnmatch(path.name, pattern) for pattern in mapping.files):
-        wanted = " or ".join(mapping.files)
-        raise InputError(f"{mapping_path} is for {wanted}, not for {path.name}")
-    table = read_table(path, mapping.separator, mapping.skip_lines)
-    for source in sources(mapping).values():
-        if source.column is not None:
-            table.position(source.column)
-    selected = _selected(table, mapping)
-    return [_run(each, mapping, mapping_path) for each in _runs(selected, mapping)]
-
-
-# What else may stand between cells than was taken.
-SEPARATORS = (";", "\t", ",", "|")
-
-
-def read_table(path: Path, separator: str | None = None, skip_lines: int = 0) -> Table:
-    """Read the headings and cells of a table.
-
-    Args:
-        path: CSV or TSV file, also packed as .gz.
-        separator: Character between cells; by the suffix where it is None.
-        skip_lines: Number of lines above the headings.
-
-    Raises:
-        InputError: names the file, the line and what must hold.
-    """
-    plain = path.name.removesuffix(".gz")
-    separator = separator or ("\t" if plain.endswith((".tsv", ".txt")) else ",")
-    opened = gzip.open if path.suffix == ".gz" else open
-    try:
-        with opened(path, "rb") as raw, TextIOWrapper(raw, "utf-8-sig", newline="") as text:
-            for line in range(skip_lines):
-                if not text.readline():
-                    raise InputError(
-                        f"{path}: has {line} lines, but skip_lines is {skip_lines}; "
-                        "the headings must come after it"
-                    )
-            return _parsed(path, csv.reader(text, delimiter=separator), skip_lines)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path}: the table cannot be read: {reason}") from error
-    except (EOFError, zlib.error) as error:
-        raise InputError(f"{path}: the table is damaged: {error}") from error
-    except UnicodeDecodeError as error:
-        what = (
-            "is an HDF5 file" if error.object.startswith(HDF5) else "is not a table of UTF-8 text"
-        )
-        raise InputError(f"{path}: {what}; must be CSV or TSV") from error
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a table of UTF-8 text: {error}") from error
-
-
-def _parsed(path: Path, reader: "Iterator[list[str]]", skipped: int) -> Table:
-    """Table from the rows of a reader, all of which must have a cell for each heading."""
-    headings = tuple(cell.strip() for cell in next(reader, []))
-    if not any(headings):
-        raise InputError(f"{path}: line {skipped + 1} must hold the headings, but it is empty")
-    other = next((each for each in SEPARATORS if each in headings[0]), None)
-    if len(headings) == 1 and other is not None:
-        raise InputError(
-            f"{path}: its headings are one cell, {headings[0]!r}; if {other!r} stands between "
-            f"cells, write separator = {json.dumps(other)} in the mapping"
-        )
-    twice = next((name for name in headings if headings.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"{path}: the heading {twice!r} stands over two columns")
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    for row in reader:
-        if not row:
-            continue
-        line = skipped + reader.line_num  # pyright: ignore[reportAttributeAccessIssue]
-        if len(row) != len(headings):
-            raise InputError(
-                f"{path}, line {line}: has {len(row)} cells under {len(headings)} headings"
+    def _cause(self, row: int, cell: str) -> str:
+        """Likely cause of a text among numbers, with the remedy; "" where there is none."""
+        if self.decimal == "." and _DECIMAL_COMMA.fullmatch(cell):
+            return 'for a decimal comma write decimal = "," in the mapping; --guess proposes one'
+        if _DATE.search(cell):
+            return 'for a date or a time of day write unit = "iso8601", or a pattern with %'
+        if row == 0 and units.is_unit(cell):
+            return (
+                "for a line of units below the headings write skip_below = 1 in the mapping; "
+                "--guess proposes one"
             )
-        if len(rows) == ROW_LIMIT:
-            raise InputError(f"{path}: has more than {ROW_LIMIT} rows; split it")
-        rows.append(row)
-        lines.append(line)
-    return Table(path, headings, rows, lines)
+        first = next((each for each in (str(column[row]) for column in self.columns) if each), "")
+        if row > 0 and number(first, self.decimal) != number(first, self.decimal):
+            start = first.strip().replace("\\", "\\\\").replace('"', '\\"')
+            return f'if the table ends there, write end_at = "{start}" in the mapping'
+        return ""
+
+    def select_rows(self, rows: "Sequence[int] | NDArray[np.intp]") -> "Table":
+        """Table of some of the rows, in the given order."""
+        taken = [
+            each[rows] if isinstance(each, np.ndarray) else [each[row] for row in rows]
+            for each in self.columns
+        ]
+        return replace(self, columns=tuple(taken), lines=[self.lines[row] for row in rows])
 
 
-def _selected(table: Table, mapping: Mapping) -> Table:
-    """Rows that meet all conditions of the mapping."""
-    keep = np.ones(len(table.rows), dtype=bool)
-    for column, condition in mapping.select.items():
-        keep &= _meets(table, column, condition)
-    if not keep.any():
-        chosen = " and ".join(mapping.select) or "any condition"
-        raise InputError(f"{table.path}: no row is selected by {chosen}")
-    return table.select_rows([int(row) for row in np.flatnonzero(keep)])
+def named_tables(
+    path: Path, tables: Mapping[str, Mapping[str, Cells]], row_word: str, **fixed: Any
+) -> list[Table]:
+    """Tables of a file without lines, whose rows are counted from 1.
+
+    Args:
+        path: The file.
+        tables: Cells by heading, by name of the table.
+        row_word: Word for a row.
+        **fixed: Other fields of every `Table`.
+    """
+    made = []
+    for name, columns in tables.items():
+        rows = len(next(iter(columns.values()), ()))
+        if rows > ROW_LIMIT:
+            raise InputError(f"{path}: {name} has more than {ROW_LIMIT} rows; split it")
+        cells = tuple(columns.values())
+        made.append(Table(path, tuple(columns), cells, range(1, rows + 1), name, row_word, **fixed))
+    return made
 
 
-def _meets(table: Table, column: str, condition: Condition) -> NDArray[np.bool_]:
-    """Truth of a condition by row."""
-    meets = np.ones(len(table.rows), dtype=bool)
-    wanted = list(condition.one_of or [])
-    if condition.equals is not None:
-        wanted.append(condition.equals)
-    if wanted:
-        meets &= np.logical_or.reduce([_equals(table, column, each) for each in wanted])
-    if condition.start is not None:
-        meets &= table.numbers(column) >= condition.start
-    if condition.to is not None:
-        meets &= table.numbers(column) <= condition.to
-    return meets
-
-
-def _equals(table: Table, column: str, wanted: float | str) -> NDArray[np.bool_]:
-    """Truth by row of equality to a text or a number."""
-    if isinstance(wanted, str):
-        return np.array([cell.strip() == wanted for cell in table.cells(column)], dtype=bool)
-    return table.numbers(column) == wanted
-
-
-def _runs(table: Table, mapping: Mapping) -> Iterator[Table]:
-    """Rows of each run, runs in the order of their first rows."""
-    if mapping.rows == "steady":
-        yield from (table.select_rows([row]) for row in range(len(table.rows)))
-        return
-    keys = zip(*(table.cells(column) for column in mapping.group_by), strict=True)
-    groups: dict[tuple[str, ...], list[int]] = {}
-    if not mapping.group_by:
-        groups[()] = list(range(len(table.rows)))
-    for row, key in enumerate(keys):
-        groups.setdefault(key, []).append(row)
-    yield from map(table.select_rows, groups.values())
-
-
-def _run(table: Table, mapping: Mapping, mapping_path: Path) -> ImportedRun:
-    """Run log of the rows of one run."""
-    try:
-        title = _filled(mapping.title, table)
-        made = RunLog(
-            setup=_setup(table, mapping.setup),
-            command=_command(table, mapping),
-            measured=_measured(table, mapping),
-            source=mapping.source,
-            title=title,
-            notes=mapping.notes,
-        )
-        return ImportedRun(_filled(mapping.name or mapping.title, table), made)
-    except InputError as error:
-        if str(error).startswith(str(table.path)):
-            raise
-        rows = f"{table.path}, lines {table.lines[0]}-{table.lines[-1]}"
-        raise InputError(f"{rows}, by {mapping_path.name}: {error}") from error
-
-
-def _filled(pattern: str, table: Table) -> str:
-    """Pattern with each {heading} replaced by the cell of the first row."""
-    cells = {name: table.rows[0][i].strip() for i, name in enumerate(table.headings)}
-    cells |= {"file": _ENDING.sub("", table.path.name)}
-
-    def cell(match: re.Match[str]) -> str:
-        """Cell of the heading in braces."""
-        if match[1] not in cells:
-            hint = nearest(match[1], tuple(cells))
-            raise InputError(f"{pattern!r} names no column {match[1]!r}; {hint}")
-        return cells[match[1]]
-
-    return re.sub(r"\{([^{}]*)\}", cell, pattern)
-
-
-def _command(table: Table, mapping: Mapping) -> RecordedCommand:
-    """Commands of a run; a steady one holds its command for its duration."""
-    given, wanted = mapping.command, UNITS["command"]
-    omega = _values(table, given.omega, "command.omega", wanted["omega"])
-    vx = given.vx and _values(table, given.vx, "command.vx", wanted["vx"])
-    if mapping.duration is None:
-        return RecordedCommand(_time(table, mapping), omega, vx)
-    held = np.array([0.0, _duration(mapping)])
-    return RecordedCommand(held, np.repeat(omega, 2), None if vx is None else np.repeat(vx, 2))
-
-
-def _measured(table: Table, mapping: Mapping) -> Measured:
-    """Measurements of a run; of a steady one, its mean at the end."""
-    steady = mapping.duration is not None
-    time = np.array([_duration(mapping)]) if steady else _time(table, mapping)
-    channels = {
-        name: _values(table, source, f"measured.{name}", UNITS["measured"][name])
-        for name in MeasuredMap.__struct_fields__
-        if (source := getattr(mapping.measured, name)) is not None
-    }
-    return Measured(time, **channels)
-
-
-def _setup(table: Table, given: SetupMap) -> RecordedSetup:
-    """Set-up of a run, columns averaged over its rows."""
-    known: dict[str, float] = {}
-    for name in SetupMap.__struct_fields__:
-        value = getattr(given, name)
-        if value is None:
-            continue
-        source = value if isinstance(value, Source) else Source(constant=value)
-        values = _values(table, source, f"setup.{name}", SETUP_UNITS[name])
-        known[name] = float(values.mean())
-    return RecordedSetup(**known)  # pyright: ignore[reportArgumentType]
-
-
-def _time(table: Table, mapping: Mapping) -> Reals:
-    """Time of each row [s]."""
-    assert mapping.time is not None
-    return _values(table, mapping.time, "time", "s")
-
-
-def _duration(mapping: Mapping) -> float:
-    """Duration of a steady run [s]."""
-    assert mapping.duration is not None
-    value = _in_unit("duration", units.quantity(mapping.duration), "s", mapping.duration)
-    if value <= 0:
-        raise InputError(f"duration is {value:g} s, it must be above 0")
-    return value
-
-
-def _values(table: Table, source: Source, place: str, wanted: str) -> Reals:
-    """Values of a source in SI, shape (rows,)."""
-    if source.column is not None:
-        raw, of = table.numbers(source.column), units.unit(source.unit or wanted)
-    else:
-        assert source.constant is not None
-        of = units.quantity(source.constant)
-        raw = np.ones(len(table.rows))
-        if not isinstance(source.constant, str) and source.divide_by is None:
-            of = units.Unit(of.factor, units.unit(wanted).powers)
-    if source.divide_by is not None:
-        of = units.divide(of, units.quantity(source.divide_by))
-    values = source.sign * raw * _in_unit(place, of, wanted, None)
-    if source.average:
-        values = np.full_like(values, values.mean())
-    if source.zero_at_first_row:
-        values = values - values[0]
-    if source.offset is not None:
-        offset = units.quantity(source.offset)
-        values = values + _in_unit(f"{place}.offset", offset, wanted, source.offset)
-    return values
-
-
-def _in_unit(place: str, given: units.Unit, wanted: str, written: float | str | None) -> float:
-    """Value of a quantity in SI; refused where its unit is of another kind than `wanted`."""
-    bare = written is not None and not isinstance(written, str)
-    powers = units.unit(wanted).powers
-    if not bare and given.powers != powers:
-        found = units.describe(given.powers)
-        raise InputError(f"{place} comes out in {found}, it must come out in {wanted}")
-    return given.factor
-
-
-def _number(cell: str) -> float:
+def number(cell: str, decimal: str = ".") -> float:
     """Cell as a number; NaN where it is none."""
+    if decimal == ",":
+        # 1.165 would be a thousand and more to the one, a fraction to the other.
+        cell = "" if "." in cell else cell.replace(",", ".")
     try:
         # Python would read 1_7 as 17.
         return math.nan if "_" in cell else float(cell)
     except ValueError:
         return math.nan
+
+
+def _text(value: object) -> str:
+    """Number as text, whole ones without a point."""
+    if isinstance(value, float | np.floating):
+        return "" if math.isnan(value) else f"{value:.15g}"
+    return str(value)

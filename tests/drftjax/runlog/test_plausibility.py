@@ -1,6 +1,7 @@
 """Runs whose numbers the format allows and that cannot be meant: a wrong sign, another unit."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.content import Level
 from drftjax.runlog.hdf5.api import read_run, survey_run, write_run
 from drftjax.runlog.plausibility import height_problems
-from drftjax.runlog.record import RunLog
+from drftjax.runlog.record import Measured, RecordedCommand, RunLog
 
 RUNS = Path(__file__).parents[3] / "data" / "runs"
 WHEEL = {"wheel_radius": 0.15, "wheel_width": 0.12, "mass_z": 18.837}
@@ -97,3 +98,72 @@ def test_a_static_sinkage_above_the_sand_is_refused_where_it_is_used(drft, tmp_p
         assert refusal.startswith(f"{path}: setup sinkage_static is -1")
     # A fit starts from the recorded sinkage.
     assert prepare_run("upward", dataclasses.replace(run, setup=upward)).setup.start.sinkage > 0
+
+
+def moved(
+    omega: float = 0.5,
+    x: float = 0.06,
+    z: tuple[float, float] = (-0.017, -0.02),
+    clock: float = 1.0,
+) -> RunLog:
+    """A free wheel of 150 mm that turns evenly for 20 s and goes x metres a second."""
+    run, time = read_run(RUNS / "fast.h5"), np.linspace(0.0, 20.0, 201)
+    return dataclasses.replace(
+        run,
+        command=RecordedCommand(clock * time, np.full_like(time, omega)),
+        measured=Measured(clock * time, x=x * time, z=np.linspace(*z, time.size)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("run", "where", "reason"),
+    [
+        (moved(clock=1000.0), "/measured/time", r"has 0\.01 readings a second; .* milliseconds"),
+        (moved(clock=200.0, x=3e-4), "/measured/time", "has 0.05 readings a second"),
+        (
+            moved(omega=0.5 * 30 / np.pi),
+            "/measured/x",
+            r"14\.3 m, 11\.9 .* perhaps omega is in rpm, unless",
+        ),
+        (
+            moved(omega=0.06, x=6e-4),
+            "/measured/x",
+            r"goes 0\.012 m while the rim goes 0\.18 m, 15\.0",
+        ),
+        (
+            moved(x=0.5),
+            "/measured/x",
+            r"goes 10 m while the rim goes 1\.5 m; a free wheel does not",
+        ),
+        (moved(z=(-0.017, 0.03)), "/measured/z", r"ends 27\.8 mm above touch-down while"),
+    ],
+)
+def test_time_path_and_height_that_do_not_fit_are_noted_once(tmp_path, run, where, reason):
+    ((found_at, said, level),) = found(tmp_path / "run.h5", run)
+    assert (found_at, level) == (where, Level.NOTE)
+    assert re.search(reason, said)
+
+
+def test_a_run_of_hours_is_noted(tmp_path):
+    time = np.linspace(0.0, 7200.0, 7300)
+    run = dataclasses.replace(
+        read_run(RUNS / "fast.h5"),
+        command=RecordedCommand(time, np.full_like(time, 0.002)),
+        measured=Measured(time, x=0.00025 * time, z=np.full_like(time, -0.02)),
+    )
+    ((where, said, level),) = found(tmp_path / "run.h5", run)
+    assert (where, level) == ("/measured/time", Level.NOTE)
+    assert said.startswith("is 2 h long; perhaps these are milliseconds")
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        moved(),
+        moved(x=0.03),  # half of it slips
+        moved(x=0.0, omega=0.005),  # it hardly turns
+        moved(z=(-0.01, 0.005)),  # on its grousers
+    ],
+)
+def test_a_run_that_fits_together_has_no_note(tmp_path, run):
+    assert not found(tmp_path / "run.h5", run)

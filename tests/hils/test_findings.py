@@ -1,0 +1,74 @@
+"""A run in which a safety rule fired says so everywhere: report, picture, run log, live view."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from drftjax.runlog.summary import show
+from hils.clock import VirtualClock
+from hils.control.stop_request import StopRequest
+from hils.events import Event, TickFlag
+from hils.link.link import LinkQuality
+from hils.monitor.observer import RunInfo, RunObserver
+from hils.recording.sinks import InMemorySink
+from hils.run_figure import plot_hils
+from hils.series import outcome_lines
+from tests.helpers.fault_matrix import FAULTS, Cell, cell
+
+QUIET = LinkQuality(0.0, 0, 0, 0, 0, 0, 0.0, {}, None, None)
+
+
+@pytest.fixture(scope="module")
+def stuck() -> Cell:
+    return cell(FAULTS["stuck scale"][0], "steady")
+
+
+def test_the_report_and_the_picture_say_so(stuck):
+    assert stuck.report is not None
+    first, second, *_ = outcome_lines(stuck.report, Path("run.h5"))
+    assert first == "Completed, but not all was well:"
+    assert second.startswith("- Z did not change while the wheel turned, from ")
+    title = plot_hils(stuck.rows.run()).get_suptitle()
+    assert title.endswith("not all was well: sensor stuck")
+    sound = cell(None)
+    assert sound.report is not None
+    assert outcome_lines(sound.report, Path("run.h5"))[0] == "Completed."
+    assert "not all" not in plot_hils(sound.rows.run()).get_suptitle()
+
+
+def test_the_run_log_lists_its_events_and_its_held_ticks(stuck):
+    log = stuck.rows.run()
+    console = Console(width=100)
+    with console.capture() as shown:
+        console.print(show("run.h5", log))
+    assert " s: sensor_stuck (" in shown.get()
+    assert " s: armed" in shown.get()
+    assert log.online is not None
+    flags = log.online.flags
+    # z stands still for 0.3 s, and is stuck after 0.1 s of it: ten ticks of 20 ms.
+    stood = (flags & TickFlag.STUCK) != 0
+    assert 8 <= stood.sum() <= 12
+    fresh = (flags & TickFlag.FRESH) != 0
+    assert (flags[stood & fresh] & TickFlag.HELD).mean() > 0.7  # the flag is of the tick before
+
+
+def test_the_live_view_says_so():
+    shown = []
+    run = RunInfo("title", "port", "run.h5", 3.0, 0.15)
+    observer = RunObserver(run, shown.append, VirtualClock(), lambda: QUIET, StopRequest())
+    rows = observer.rows(InMemorySink())
+    observer.begin()
+    rows.event(1.0, Event.RUNAWAY, 10.0)
+    assert shown[-1].words == ["runaway (10)"]
+
+
+def test_beside_a_wheel_that_stands_zeta_does_not_move():
+    """Before the profile turns the wheel, the readings differ from the simulation by their noise
+    and by the sand's creep, and eq. 7 would follow them."""
+    log = cell(None).rows.run()
+    assert log.online is not None
+    stands = log.online.time < 0.1
+    assert ((log.online.flags[stands] & TickFlag.HELD) != 0).sum() >= 3
+    assert np.ptp(log.online.zeta[stands]) == 0 < np.ptp(log.online.zeta)
