@@ -116,6 +116,8 @@ class TickLoop:
         return LoopReport(reason, completed, self._statistics, state, findings)
 
     def _make_tick(self, state: LoopState) -> LoopState:
+        if self._schedule.wait_to_warm_up(state.number):
+            self._tick.step(state, TickInput(None))
         start = self._schedule.wait_for(state.number)
         if start.skipped:
             self._handle_overrun(self._schedule.lateness(start, start.woken), start.skipped)

@@ -22,6 +22,10 @@ POLL_INTERVAL = 0.05
 LIFE_INTERVAL = 0.5
 
 
+# Beyond the time of a usual start [s] a sign comes each so many [s].
+USUAL_START, LONG_INTERVAL = 6.0, 5.0
+
+
 def _do_nothing() -> None:
     pass
 
@@ -98,13 +102,18 @@ def signs_of_life(
     Args:
         text: The work that takes long.
         say: Takes the sentence; called from a thread.
-        interval: From one sentence to the next [s]; work that is done sooner is not mentioned.
+        interval: From one sentence to the next [s]; work that is done sooner is not mentioned, of
+            work that takes longer than a usual start there are fewer.
     """
     ended, begun = threading.Event(), time.monotonic()
 
     def repeat() -> None:
-        while not ended.wait(interval):
-            say(f"{text} ({time.monotonic() - begun:.1f} s)")
+        wait = interval
+        while not ended.wait(wait):
+            passed = time.monotonic() - begun
+            say(f"{text} ({passed:.1f} s)")
+            # Work that takes so long is followed by nobody.
+            wait = interval if passed < USUAL_START else LONG_INTERVAL
 
     speaker = threading.Thread(target=repeat, name="signs of life", daemon=True)
     speaker.start()

@@ -17,12 +17,12 @@ from hils.rig_sim.firmware import RigIdentity, RigProtocol
 
 # How long it waits for bytes before it looks at its own clock [s].
 GLANCE = 2e-3
-Z_SCALE, X_SCALE = 1e-5, 1e-5
+Z_SCALE, X_SCALE = 1e-5, 0.0  # x follows no command here, so it is not measured
 
 
 def main(descriptor: int, trajectory: str) -> None:
     """Serve until the host hangs up."""
-    when, z, x = np.load(trajectory)
+    when, z, _ = np.load(trajectory)
     rig = RigProtocol(RigIdentity(1, z_scale=Z_SCALE, x_scale=X_SCALE), time.monotonic())
     os.set_blocking(descriptor, False)
     running: float | None = None
@@ -43,8 +43,8 @@ def main(descriptor: int, trajectory: str) -> None:
             running = now
         at = 0.0 if running is None else now - running + 2.0  # the profile stands for 2 s
         held = rig.state is RigState.IDLE and running is None
-        place = (0.0, 0.0) if held else (np.interp(at, when, z), np.interp(at, when, x))
-        rig.measure(round(place[0] / Z_SCALE), round(place[1] / X_SCALE), rig.demand.omega)
+        place = 0.0 if held else np.interp(at, when, z)
+        rig.measure(round(place / Z_SCALE), 0, rig.demand.omega)
         out = rig.advance(now, data)
         if out:
             try:
