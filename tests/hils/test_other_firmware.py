@@ -4,6 +4,7 @@ In real time over a pseudo-terminal; every rule that this firmware's options can
 """
 
 import re
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +72,7 @@ def drive(tmp_path_factory):
     procedure = Procedure(loop=loop, countdown=0.1, settings=settings)
     count = iter(range(100))
 
+    @cache
     def made(**options: float) -> Made:
         """A run; another one where the computer was so busy that readings stayed out for long."""
         for _ in range(3):
