@@ -349,7 +349,7 @@ class _Diagnosing:
         prediction = gap.prediction if named else gap.reference.prediction
         after = gap.selected.after if named else gap.before
         return gap_budget(
-            self.dataset,
+            weighed.screening.regressors.dataset,
             prediction,
             gap.before,
             after,
@@ -365,8 +365,9 @@ class _Diagnosing:
     ) -> tuple[UnknownEffect | None, list[GapShare]]:
         """The simplest unknown signal, if that is the verdict, and shares of the gap by stage."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
-        none = weighed.screening.none
-        linearized = linearize_runs(dataset, none.log_zeta, pool, settings.screening.linearization)
+        none, screened = weighed.screening.none, weighed.screening.regressors.dataset
+        # With the plates of the screening, whose program is compiled.
+        linearized = linearize_runs(screened, none.log_zeta, pool, settings.screening.linearization)
         disturbances = estimate_disturbances(
             dataset,
             linearized,

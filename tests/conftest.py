@@ -4,6 +4,7 @@ JAX reads these variables when it is first imported, and so do the programs that
 file itself does not import it.
 """
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -31,35 +32,46 @@ os.environ |= {
     # As `drft` and the workers of a cluster have it: sums of other threads round otherwise.
     "OPENBLAS_NUM_THREADS": "1",
 }
-# Compiling is most of the tests' time, and takes a quarter less without these. The rest is as
-# `drft` has it, whichever test of a process comes first.
+# Compiling is most of the tests' time, and takes a quarter less without these, and less in one
+# piece than in several. The rest is as `drft` has it, whichever test of a process comes first.
 os.environ.setdefault(
     "XLA_FLAGS",
     with_options(
         "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 "
-        "--xla_llvm_disable_expensive_passes=true"
+        "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
     ),
 )
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
-# Files that take about a minute and more: they start first, lest a worker is left alone with one.
+# Files that take about a minute and more, the longest first: lest a worker is left alone with one.
 LONGEST = (
+    "diagnose/test_several_effects",
     "identify/test_profiles_bootstrap_multistart",
-    "identify/test_design",
     "package/test_notebooks",
-    "identify/test_cluster",
-    "identify/test_fit_path_jointly",
+    "identify/test_posterior",
+    "identify/test_design",
+    "diagnose/change/test_comparison",
     "hils/commands/test_run",
-    "identify/test_priors",
     "diagnose/hypotheses/test_screening",
     "diagnose/test_missing_dynamic_terms",
+    "diagnose/test_pipeline",
+    "drftjax/effects/test_contract",
+    "identify/test_cluster",
+    "diagnose/next_runs/test_discrimination",
+    "diagnose/hypotheses/test_set_screening",
+    "identify/test_fit_path_jointly",
+    "diagnose/test_api",
+    "identify/test_screening",
+    "identify/test_joint_fit_on_cluster",
+    "diagnose/test_driven_carriage",
+    "drftjax/simulation/test_reference_rigs",
+    "identify/test_fit_constant",
     "identify/test_unmodified_rig",
     "identify/test_outliers",
-    "identify/test_fit_constant",
     "identify/test_zeta_path",
-    "diagnose/hypotheses/test_set_screening",
+    "identify/test_priors",
 )
 
 
@@ -70,6 +82,16 @@ def _named(path: Path) -> str:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     places = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(_named(item.path), len(places)))
+
+
+def pytest_collection_finish() -> None:
+    """Have Python look for unused objects less often, and not among what was imported.
+
+    A trace of JAX makes objects by the hundred thousand, which mostly stay.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ on each.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 import equinox as eqx
@@ -21,7 +20,7 @@ from drftjax.common.errors import InputError
 from drftjax.physics.state import Output
 from drftjax.recorded.observation import Observation
 from drftjax.runlog.record import CHANNELS
-from drftjax.simulation.trial import Trial
+from drftjax.simulation.trial import Trial, pad_trial
 
 Values = TypeVar("Values")
 
@@ -146,23 +145,6 @@ def share_program(trial: Trial, other: Trial) -> bool:
         return structure, trial.every, [each.shape for each in leaves]
 
     return kind(trial) == kind(other)
-
-
-def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
-    """The trial with another number of rows, and its command padded to a number of knots.
-
-    Args:
-        trial: Trial of a run.
-        rows: Rows of the output after the first.
-        knots: Knots of the command, at least the trial's; added ones hold the last value.
-    """
-    missing = max(0, knots - len(trial.time))
-    # In NumPy: a program for every number of knots would take longer than all the padding.
-    time, omega, vx = (np.asarray(each) for each in (trial.time, trial.omega, trial.vx))
-    later = time[-1] + np.arange(1, missing + 1).astype(float)
-    hold = lambda values: jnp.asarray(np.pad(values, (0, missing), mode="edge"))  # noqa: E731
-    longer = jnp.asarray(np.concatenate([time, later]))
-    return replace(trial, time=longer, omega=hold(omega), vx=hold(vx), rows=rows)
 
 
 def _pad_observation(

@@ -5,9 +5,11 @@ import dataclasses
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
+from jaxtyping import Array, Int
 
 from drftjax import __version__
 from drftjax.common.errors import InputError
@@ -17,14 +19,14 @@ from drftjax.runlog import record
 from drftjax.setups.chosen_step import choose_setup_step, step_within
 from drftjax.setups.command_knots import extend_command
 from drftjax.setups.setup import SetUp
-from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output
+from drftjax.simulation.trial import ROW_INTERVAL, Trial, check_output, pad_to_shared_size
 
 CHANNELS = tuple(field.name for field in dataclasses.fields(Output))
 
 
 @eqx.filter_jit
-def _run(trial: Trial) -> Output:
-    return Output(*trial.extrapolated(jnp.asarray(trial.rows), CHANNELS))
+def _run(trial: Trial, rows: Int[Array, ""]) -> Output:
+    return Output(*trial.extrapolated(rows, CHANNELS))
 
 
 # Rounding of the times of rows, written in decimals [s].
@@ -66,13 +68,12 @@ def simulated_run(
     if choice is not None:
         held.integrator.step = step_within(interval, choice.step)
     trial = held.trial(interval)
-    output = _run(trial)
+    output = _run(pad_to_shared_size(trial), jnp.asarray(trial.rows))
     check_output(output, trial.simulator)
-    time = np.asarray(output.time) + command.time[0]
+    output = jax.tree.map(lambda values: np.asarray(values)[: trial.rows + 1], output)
+    time = output.time + command.time[0]
     rows = time[time <= end] if at is None else at
-    measured = {
-        name: np.interp(rows, time, np.asarray(getattr(output, name))) for name in record.CHANNELS
-    }
+    measured = {name: np.interp(rows, time, getattr(output, name)) for name in record.CHANNELS}
     return record.RunLog(
         setup=with_believed_values(setup, setup.start.sinkage, float(output.zeta[0])),
         command=command,

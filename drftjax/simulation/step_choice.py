@@ -6,7 +6,7 @@ logarithm of zeta. The longest step whose estimates are within the limits is tak
 wheel and command all have their say in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -18,10 +18,7 @@ from drftjax.common.arrays import as_real
 from drftjax.physics.command import Command
 from drftjax.physics.terrain import AbstractZeta
 from drftjax.simulation.rollout import sweep
-from drftjax.simulation.trial import Trial
-
-# One program serves all runs whose rows and knots round up to the same power of two.
-FEWEST_ROWS, FEWEST_KNOTS = 4096, 16
+from drftjax.simulation.trial import Trial, pad_to_shared_size
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,7 @@ def choose_step(trial: Trial, settings: StepSettings = DEFAULT_STEPS) -> StepCho
     """
     longest = settings.longest
     rows = int(np.ceil(float(trial.time[-1]) / longest - 1e-9))
-    padded = _padded(trial, rows)
+    padded = pad_to_shared_size(replace(trial, step=as_real(0.0), every=1, rows=rows))
     radius = float(trial.simulator.wheel.radius)
     omega = np.asarray(trial.omega)
     turn = settings.turn_back if omega.min() < 0 < omega.max() else settings.turn
@@ -141,28 +138,6 @@ def _path(trial: Trial, interval: float, rows: int, parts: int) -> np.ndarray:
     """z, x and their derivatives by ln zeta at every row, shape (4, rows)."""
     padded = _program(trial, as_real(interval), jnp.asarray(rows), jnp.asarray(parts))
     return np.asarray(padded)[:, :rows]
-
-
-def _padded(trial: Trial, rows: int) -> Trial:
-    """A trial whose knots are repeated beyond its end, and whose rows are rounded up."""
-    room = _size(len(trial.time), FEWEST_KNOTS)
-    more = room - len(trial.time)
-    time = jnp.concatenate([trial.time, trial.time[-1] + as_real(1 + np.arange(more))])
-    omega, vx = (jnp.pad(each, (0, more), mode="edge") for each in (trial.omega, trial.vx))
-    return Trial(
-        trial.simulator,
-        trial.start,
-        time,
-        omega,
-        vx,
-        as_real(0.0),
-        every=1,
-        rows=_size(rows, FEWEST_ROWS),
-    )
-
-
-def _size(number: int, fewest: int) -> int:
-    return max(fewest, 1 << (number - 1).bit_length())
 
 
 class _ScaledZeta(AbstractZeta):

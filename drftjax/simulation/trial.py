@@ -1,6 +1,7 @@
 """Trial: simulator, start and command of a whole run."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -19,6 +20,9 @@ from drftjax.simulation.rollout import simulate, step_times, sweep, with_first_r
 from drftjax.simulation.simulator import Simulator
 
 ROW_INTERVAL = 0.01
+
+# One program serves all runs whose rows and knots round up to the same power of two.
+FEWEST_ROWS, FEWEST_KNOTS = 4096, 16
 
 
 class Trial(eqx.Module):
@@ -134,6 +138,43 @@ class Trial(eqx.Module):
         """The command at the end of every step, shape (steps,)."""
         times = step_times(self.rows * self.every, self.step)
         return command_at(times, self.time, self.omega, self.vx)
+
+
+def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
+    """The trial with another number of rows, and its command padded to a number of knots.
+
+    Args:
+        trial: Trial of a run.
+        rows: Rows of the output after the first.
+        knots: Knots of the command, at least the trial's; added ones hold the last value.
+    """
+    missing = max(0, knots - len(trial.time))
+    # In NumPy: a program for every number of knots would take longer than all the padding.
+    time, omega, vx = (np.asarray(each) for each in (trial.time, trial.omega, trial.vx))
+    later = time[-1] + np.arange(1, missing + 1).astype(float)
+    hold = lambda values: jnp.asarray(np.pad(values, (0, missing), mode="edge"))  # noqa: E731
+    longer = jnp.asarray(np.concatenate([time, later]))
+    return replace(trial, time=longer, omega=hold(omega), vx=hold(vx), rows=rows)
+
+
+def pad_to_shared_size(trial: Trial) -> Trial:
+    """The same run in a shape that runs of about any length, rows and step share.
+
+    Its rows and knots are rounded up, and the steps of a row are a number known at run time, so
+    that one compiled program serves them all. The program is to be told how many rows to make.
+    """
+    steps = replace(trial, every=1, step=trial.every * trial.step, parts=trial.every * trial.parts)
+    return pad_trial(steps, shared_size(trial.rows), shared_size(len(trial.time), FEWEST_KNOTS))
+
+
+def shared_size(number: int, fewest: int = FEWEST_ROWS) -> int:
+    """The next power of two, but never a small one: a size that most runs share.
+
+    Args:
+        number: Of rows or knots.
+        fewest: The smallest size.
+    """
+    return max(fewest, 1 << (number - 1).bit_length())
 
 
 def check_output(output: Output, simulator: Simulator) -> None:

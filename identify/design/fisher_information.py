@@ -19,12 +19,11 @@ from jaxtyping import Array, Float
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
-from drftjax.recorded.batch import pad_trial
 from drftjax.runlog.record import CHANNELS
 from drftjax.runlog.schema import UNITS
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.ensemble import map_runs
-from drftjax.simulation.trial import ROW_INTERVAL, Trial
+from drftjax.simulation.trial import ROW_INTERVAL, Trial, pad_trial
 from identify.parameters.parameter import Quantity
 
 POSITIONS = ("x", "z")

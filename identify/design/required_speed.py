@@ -20,7 +20,7 @@ from drftjax.common.errors import InputError
 from drftjax.recorded.batch import device_mesh, make_batch
 from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.setup import SetUp
-from drftjax.simulation.trial import Trial
+from drftjax.simulation.trial import Trial, pad_trial, shared_size
 from identify.parameters.phase_zeta import PhaseZeta
 from identify.results.result import FitResult
 from identify.results.values import IDENTIFIABILITY
@@ -131,6 +131,8 @@ def _error(estimate: Estimate, run: int, setup: SetUp, name: str, factor: float)
     except InputError:
         return None
     observation = estimate.runs[run].observation
+    # Room that all speeds share, or their steps would be compiled one by one.
+    trial = pad_trial(trial, shared_size(trial.rows), len(trial.time))
     batch = make_batch([trial], [observation], jax.device_count())
     # At the values that the set-up holds, wherever the fit was told to start.
     parameters = tuple(

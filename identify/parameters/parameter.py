@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
@@ -158,8 +159,9 @@ class Parameter(eqx.Module):
     quantity: Quantity
     shared: bool = eqx.field(static=True)
     bijector: AbstractBijector
-    prior_mean: float = 0.0
-    prior_error: float = math.inf
+    # Scalars of NumPy: filter_jit compiles a program anew for every Python float.
+    prior_mean: np.float64 = eqx.field(converter=np.float64, default=0.0)
+    prior_error: np.float64 = eqx.field(converter=np.float64, default=math.inf)
     start: float = math.nan
 
     def coordinate(self, trial: Trial) -> Float[Array, ""]:
@@ -292,4 +294,5 @@ def parameter(
     if not error > SMALLEST_PRIOR_ERROR * abs(mean):
         least = f"over {SMALLEST_PRIOR_ERROR * abs(mean):g}" if error > 0 else "positive"
         raise InputError(f"the prior of {name} is {mean:g} ± {error:g}; its error must be {least}")
-    return Parameter(what, shared, bijector, mean, error, math.nan if start is None else start)
+    at = math.nan if start is None else start
+    return Parameter(what, shared, bijector, np.float64(mean), np.float64(error), at)

@@ -206,7 +206,7 @@ class BatchedLevenbergMarquardt:
     def _priors(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the priors' residuals and their slopes, by coordinate."""
         values = [
-            (float(p.prior_residual(at)), float(p.bijector.slope(at)) / p.prior_error)
+            (float(p.prior_residual(at)), float(p.bijector.slope(at)) / float(p.prior_error))
             if np.isfinite(p.prior_error)
             else (0.0, 0.0)
             for p, at in zip(self.parameters, jnp.asarray(point), strict=True)

@@ -41,15 +41,16 @@ class AbstractEvaluator(abc.ABC):
 class InProcess(AbstractEvaluator):
     """This process, on all devices of the problem's mesh.
 
-    `prediction`, `residual` and `blocks` are compiled programs of their own, so that a program that
-    calls one of them does not trace the simulation again.
+    `prediction` and `blocks` are compiled programs of their own, so that a program that calls one
+    of them does not trace the simulation again. A residual is made of a prediction: the few that a
+    fit asks for are worth no third program with the simulation in it.
     """
 
     def prediction(self, problem: "Problem", shared: Array, own: Array) -> Array:
         return _prediction(problem, shared, own)
 
     def residual(self, problem: "Problem", shared: Array, own: Array) -> Array:
-        return _residual(problem, shared, own)
+        return _residual(problem, _prediction(problem, shared, own))
 
     def blocks(self, problem: "Problem", shared: Array, own: Array) -> tuple[Array, Array]:
         return _blocks(problem, shared, own)
@@ -206,6 +207,10 @@ class Problem(eqx.Module):
     ) -> Array:
         """Return one run's weighted, whitened residuals."""
         simulated = self.predict_one(trial, observed, shared, own, observed.compared_rows)
+        return self.weighted(simulated, observed)
+
+    def weighted(self, simulated: Array, observed: PaddedObservations) -> Array:
+        """Return the weighted, whitened residuals of one run's simulated channels."""
         return self.whiten(observed.weight * (simulated - observed.values), observed)
 
 
@@ -218,8 +223,13 @@ def _prediction(problem: Problem, shared: Array, own: Array) -> Array:
 
 
 @eqx.filter_jit
-def _residual(problem: Problem, shared: Array, own: Array) -> Array:
-    return map_over_runs(problem.batch, problem.mesh, problem.residual_one, shared, own)
+def _residual(problem: Problem, prediction: Array) -> Array:
+    def one(_: Trial, observed: PaddedObservations, __: Array, simulated: Array) -> Array:
+        # Beyond the samples compared a simulation may diverge.
+        simulated = jnp.where(observed.weight > 0, simulated, observed.values)
+        return problem.weighted(simulated, observed)
+
+    return map_over_runs(problem.batch, problem.mesh, one, jnp.zeros(()), prediction)
 
 
 @eqx.filter_jit

@@ -128,6 +128,8 @@ def sample_chains(
             warm = number < settings.warmup
             key, used = jax.random.split(key)
             step = jnp.exp(adaptation.log_step_size) if warm else end(adaptation)
+            # As a number of one type and place, or the first would be compiled for itself.
+            step = jnp.asarray(float(step), place[0].dtype)
             states, course = _transition(
                 density,
                 place,

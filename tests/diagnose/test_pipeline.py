@@ -12,7 +12,7 @@ from diagnose.gap.gap import Gap, gaps, shrinkage
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
-from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
 from diagnose.hypotheses.set_screening import set_candidates
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
@@ -56,6 +56,10 @@ STEPS = 0.5 * 0.1
 # No close call: a tenth for all else together.
 SURE = 0.9
 
+# A screening whose hypotheses are asked for, not their numbers.
+FEW_STEPS = ScreeningSettings(
+    first_simulations=1, max_relinearized=1, max_rounds=1, simulations_per_round=1, max_effects=2
+)
 CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
 
 
@@ -141,8 +145,8 @@ def test_two_forms_of_one_effect_are_no_pair(pool):
     """The verdict would name one effect, and its numbers stand twice."""
     dataset = dataset_with({"name": "drawbar", "force": 4.0})
     forms = [SpeedRipple, effect_class("speed_harmonics")]
-    assert screen_effects(dataset, forms, pool).pairs == ()
-    with_another = screen_effects(dataset, [*forms, SurfaceSlope], pool).pairs
+    assert screen_effects(dataset, forms, pool, settings=FEW_STEPS).pairs == ()
+    with_another = screen_effects(dataset, [*forms, SurfaceSlope], pool, settings=FEW_STEPS).pairs
     assert with_another
     assert all("surface_slope" in each.names for each in with_another)
 

@@ -317,6 +317,6 @@ def test_without_the_extra_its_installation_is_named(drft, log, monkeypatch):
 
 def test_python_call_draws_when_asked(log):
     few = PosteriorSettings(warmup=20, draws=20)
-    result = drftjax.fit([log], parameters="zeta", posterior=few)
+    result = drftjax.fit([log], parameters=[own("zeta")], posterior=few)
     assert result.posterior is not None
     assert result.posterior.draws.shape == (4, 20, 1)

@@ -16,17 +16,17 @@ from diagnose.blind.answers.answer_set import answer_set
 from diagnose.change.comparison import ChangeSettings
 from diagnose.commands.diagnose import app
 from drftjax.common.errors import InputError
-from drftjax.runlog.hdf5.api import write_run
+from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 # Two of one command, and two others; seconds and rad/s.
 PROFILES = (
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.9, 0.9]),
-    ([0.0, 0.3, 1.3, 6.0], [0.0, 0.0, 0.3, 0.3]),
+    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.3, 3.0], [0.0, 0.0, 0.9, 0.9]),
+    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.3, 0.3]),
 )
 # Sand of which no reference model knows, and a cable that pulls, before and now.
 SHARED = [{"name": "depth_power", "excess": 0.25}, {"name": "drawbar", "force": 2.0}]
@@ -132,11 +132,24 @@ def test_sand_of_another_strength_is_zeta(before):
     assert "the sand's own strength changed" in found.summary()
 
 
-def test_the_command_writes_what_changed(folder, tmp_path):
+def test_the_command_writes_what_changed(folder, sloped, tmp_path, monkeypatch):
+    asked = []
+
+    def compared(before, now, effects, *_):
+        for side, given in (("before", before.runs), ("now", now.runs)):
+            logs = [read_run(path) for path in sorted((folder / side).glob("*.h5"))]
+            for each, log in zip(given, logs, strict=True):
+                np.testing.assert_array_equal(each.observation.by_channel()["z"][0], log.measured.z)
+        asked.extend(each.about.name for each in effects)
+        return sloped
+
+    # What the same runs and effects gave in the tests above.
+    monkeypatch.setattr("diagnose.api.compare_gathered", compared)
     given = f"{folder / 'now'} --against {folder / 'before'} -o {tmp_path / 'out'}"
     names = f"--effects {','.join(EFFECTS)}"
     told = CliRunner().invoke(app, f"{given} {names}", catch_exceptions=False)
     assert told.exit_code == 0
+    assert asked == EFFECTS
     assert "Changed since before: surface_slope" in told.output
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert document["schema"] == "drft-diagnosis"
