@@ -33,7 +33,7 @@ FASTEST_WHEEL, FASTEST_CARRIAGE = 100.0, 10.0
 
 
 class ZetaHold(msgspec.Struct, frozen=True):
-    """Where zeta is held whatever the tuner says.
+    """Conditions under which zeta is held, whatever the tuner says.
 
     Attributes:
         standing_omega: Commanded angular velocity up to which the wheel stands [rad/s]: a simulated
