@@ -74,6 +74,8 @@ class ScreeningSettings:
         hopeless_deficit: A hypothesis that is this far behind the best in log score gets none [-].
         far_from_floor: Strengths far from zero are tried one by one where the reference model
             misses a block by more than this many model errors [-].
+        far_from_scatter: The same where the runs' zeta scatters by more than this many times the
+            bed's scatter [-].
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
         max_effects: Effects in one hypothesis at most.
@@ -103,6 +105,7 @@ class ScreeningSettings:
     min_round_gain: float = 3.0
     hopeless_deficit: float = 100.0
     far_from_floor: float = 30.0
+    far_from_scatter: float = 10.0
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
@@ -199,13 +202,14 @@ class _Screening:
     def screen(self, none: Hypothesis, report: Report) -> ScreeningResult:
         """Rank, simulate and join the effects."""
         report("screening")
-        ranked = self.rank()
+        settings, ranked = self.settings, self.rank()
         report(f"simulating the leading {len(ranked)} effects")
         singles = self.simulate_singles(ranked)
         blocks = self.regressors.gram_matrices.blocks
         weights = self.regressors.settings
         miss = floor_inflation(blocks, none.fit.mean_square, 1.0, weights)
-        if miss > self.settings.far_from_floor:
+        beyond = none.fit.zeta_variance > (settings.far_from_scatter * weights.bed.scatter) ** 2
+        if miss > settings.far_from_floor or beyond:
             singles = self.with_large_strengths(singles)
         singles = self.finish(singles)
         by_size: list[list[Hypothesis]] = [singles, []]

@@ -73,7 +73,9 @@ class SlipSoftening(MemorylessZetaFactor):
         "ζ = ζ (1 - loss s / (s + half)), s = |r ω - v_x|",
         "zeta is lower the faster the rim slips",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost at fast slip", least=0.0, most=1.0)
+    loss: Number = strength(
+        "-", 0.1, "share of zeta lost at fast slip", far=(0.5, 0.8), least=0.0, most=1.0
+    )
     half: Number = shape("m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed of half the loss")
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
@@ -91,7 +93,9 @@ class SlipRatioSoftening(MemorylessZetaFactor):
         "zeta is lower the larger the slip ratio, at any speed",
         form_of="slip_softening",
     )
-    loss: Number = strength("-", 0.1, "share of zeta lost on the spot", least=0.0, most=1.0)
+    loss: Number = strength(
+        "-", 0.1, "share of zeta lost on the spot", far=(0.5,), least=0.0, most=1.0
+    )
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         rim, speed = jnp.abs(moment.radius * moment.omega), jnp.abs(moment.velocity[0])
