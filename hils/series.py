@@ -240,7 +240,7 @@ def outcome_lines(report: RunReport, path: Path) -> list[str]:
     if report.completed:
         lines = ["Completed, but not all was well:" if report.findings else "Completed."]
     reason = "" if report.completed else report.reason
-    lines += [f"- {each[0].upper()}{each[1:]}." for each in report.findings if each != reason]
+    lines += [f"- {each}." for each in report.findings if each != reason]
     if report.completed and report.stop_reason is not None:
         lines.append(f"No further run: {report.stop_reason.reason}.")
     if not report.rested:

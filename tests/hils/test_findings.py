@@ -36,7 +36,7 @@ def test_the_report_and_the_picture_say_so(stuck):
     assert stuck.report is not None
     first, second, *_ = outcome_lines(stuck.report, Path("run.h5"))
     assert first == "Completed, but not all was well:"
-    assert second.startswith("- Z did not change while the wheel turned, from ")
+    assert second.startswith("- z did not change while the wheel turned, from ")
     title = plot_hils(stuck.rows.run()).get_suptitle()
     assert title.endswith("not all was well: sensor stuck")
     sound = cell(None)
