@@ -1,5 +1,6 @@
 """The pages: commands that the parser takes, links and a navigation that lead somewhere, a site."""
 
+import os
 import re
 import shlex
 import shutil
@@ -8,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.main import get_command
@@ -19,6 +21,12 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 # Written from the help texts, with all forms of a command.
 GENERATED = DOCS / "reference" / "commands.md"
+# A run of a thousand steps on another processor, whose sums are of another order.
+OF_PROCESSORS = 1e-5
+# A step of 1e-3 in zeta across the corners of plates that touch; see docs/theory/integrator.md.
+OF_DIFFERENCES = 1e-3
+# Forward and reverse are the same algebra in another order.
+OF_MODES = 1e-9
 SHELL = {"|", ">", "2>", "&", "&&", ";"}
 
 
@@ -116,3 +124,23 @@ def test_site_is_whole_and_loads_nothing_from_the_network(tmp_path):
     assert "Ten minutes with the example" in (tmp_path / "site" / "search.js").read_text()
     # Formulas need no program to be drawn.
     assert "<math" in pages[tmp_path / "site" / "theory" / "fit-method.html"]
+
+
+def test_example_of_batches_prints_what_its_page_says():
+    text = (DOCS / "guide" / "batches.md").read_text()
+    code, said = re.search(r"```python\n(.*?)```.*?```\n(.*?)```", text, re.DOTALL).groups()
+    # What the tests chose for JAX must not carry the reader's program.
+    environment = {name: value for name, value in os.environ.items() if "JAX" not in name}
+    answer = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert answer.returncode == 0, answer.stderr
+    shown, printed = (
+        np.array(re.findall(r"-?\d+\.\d+", part), float) for part in (said, answer.stdout)
+    )
+    one_by_one, side_by_side, rest = np.split(printed, [10, 20])
+    np.testing.assert_allclose([*one_by_one, *rest], shown, rtol=OF_PROCESSORS)
+    np.testing.assert_allclose(side_by_side, one_by_one, rtol=OF_PROCESSORS)
+    forward, difference, (reverse,) = np.split(rest, [2, 4])
+    np.testing.assert_allclose(forward, difference, rtol=OF_DIFFERENCES)
+    np.testing.assert_allclose(reverse, forward[0], rtol=OF_MODES)
