@@ -45,14 +45,14 @@ bench: $(INSTALLED) ## Measure the speed
 	$(BIN)/python -m pytest tests/benchmarks -s
 
 docs: $(INSTALLED) ## Build the documentation into site/
-	$(BIN)/mkdocs build --strict --quiet
+	$(BIN)/zensical build --strict --clean
 
-lock: ## Choose the newest versions anew and write requirements.lock (needs uv)
+lock: ## Choose the newest versions again and write requirements.lock (needs uv)
 	@command -v "$(UV)" >/dev/null || { echo "make: writing the lock needs uv: name it with 'make lock UV=/path/to/uv'." >&2; exit 2; }
 	"$(UV)" pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
 		--fork-strategy fewest --upgrade --generate-hashes --no-config --no-emit-index-url \
 		--no-emit-find-links --custom-compile-command "make lock" --quiet -o requirements.lock
 
 clean: ## Remove what was built, .venv included
-	rm -rf .venv out build dist site .pytest_cache .ruff_cache .import_linter_cache .benchmarks
+	rm -rf .venv out build dist site .cache .pytest_cache .ruff_cache .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -26,6 +26,7 @@ from tests.helpers.synthetic_runs import recorded, setup_of
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "theory" / "effects.md"
+EXAMPLE = ROOT / "docs" / "guide" / "write-an-effect.md"
 
 HEAD = """
 [wheel]
@@ -315,7 +316,7 @@ def test_the_page_holds_the_table_that_the_command_prints(drft):
 
 
 def code_block(language: str) -> str:
-    found = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(), re.S)
+    found = re.search(rf"```{language}\n(.*?)```", EXAMPLE.read_text(), re.S)
     assert found
     return found[1]
 
