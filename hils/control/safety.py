@@ -327,9 +327,8 @@ class SafetyMonitor:
         last, tick = self._commands[-1], self._loop.tick
         start = time + tick
         travel = last.travel + last.vx * (start - last.time)
-        if start - last.time < self.GRAIN - 1e-9 and len(self._commands) > 1:
-            before = self._commands.pop()
-            travel = before.travel + before.vx * (start - before.time)
+        if len(self._commands) > 1 and last.time - self._commands[-2].time < self.GRAIN - 1e-9:
+            self._commands.pop()
         self._commands.append(_Commanded(start, output.demand.omega, output.demand.vx, travel))
         oldest = start - self._settings.window
         while len(self._commands) > 2 and self._commands[1].time <= oldest:

@@ -143,6 +143,20 @@ def starting_point(
     return Start(settled.sinkage, zeta)
 
 
+def rest_sentence(start: Start, free: bool, limits: StartLimits = DEFAULT_START_LIMITS) -> str:
+    """Words for the wheel at rest.
+
+    Args:
+        start: By `starting_point`.
+        free: True where nothing is simulated, so that the wheel may hang in the air.
+        limits: Values that can be believed.
+    """
+    if free and start.sinkage < limits.min_sinkage:
+        return "At rest in the air"
+    depth = f"At rest {start.sinkage * 1e3:.2f} mm deep"
+    return depth if free else f"{depth}, zeta(0) {start.zeta:.4f}"
+
+
 def zeta_doubt(
     loop: LoopSetUp, start: Start, safety: SafetySettings = DEFAULT_SAFETY
 ) -> Finding | None:

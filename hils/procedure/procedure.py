@@ -37,6 +37,7 @@ from hils.procedure.initial_state import (
     DEFAULT_START_LIMITS,
     StartLimits,
     apply_rig_limits,
+    rest_sentence,
     run_log_head,
     starting_point,
     zeta_doubt,
@@ -436,7 +437,9 @@ class _Run:
         if doubt is not None:
             self._log.note(doubt.rule.event, doubt.value)
             raise RunAborted(f"{doubt.sentence}; --zeta0 {start.zeta:.3g} goes on with it")
-        prompts.say_if_free(f"{_at_rest(procedure, start)}; start in {procedure.countdown:g} s")
+        prompts.say_if_free(
+            f"{rest_sentence(start, procedure.free, limits)}; start in {procedure.countdown:g} s"
+        )
         prompts.enter_phase(Phase.COUNTDOWN, procedure.countdown)
         began = clock.now() + max(procedure.countdown, 2 * loop.tick)
         sinkage = standing.hold(began - loop.tick / 2, ready.zero, settled)
@@ -492,10 +495,3 @@ def _stopped_before(state: RigState) -> str:
     if state is RigState.FAULT:
         return "The rig says FAULT: it cannot be armed until that is mended."
     return "The rig was SAFE before this run; ARM lets it move again."
-
-
-def _at_rest(procedure: Procedure, start: Start) -> str:
-    if procedure.free and start.sinkage < procedure.settings.start.min_sinkage:
-        return "At rest in the air"
-    depth = f"At rest {start.sinkage * 1e3:.2f} mm deep"
-    return depth if procedure.free else f"{depth}, zeta(0) {start.zeta:.4f}"

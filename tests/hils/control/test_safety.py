@@ -3,12 +3,12 @@
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from hils.control.compiled_step import StepResult
 from hils.control.limits import CommandLimits, Reading, ReadingMonitor, RigCommand, Verdict
-from hils.control.loop_config import LoopSetUp
 from hils.control.measurements import PolledReading, ResponseSettings, SampleClock
 from hils.control.safety import (
     DEFAULT_SAFETY,
@@ -24,25 +24,32 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "guide" / "run-a-rig.md"
 TICK, OMEGA, VX = 0.01, 0.5, 0.07
 
 
-def monitor() -> tuple[SafetyMonitor, LoopSetUp]:
-    import msgspec
-
-    loop = msgspec.structs.replace(loop_setup(), tick=TICK, commands=CommandLimits(2.0, 0.3))
-    return SafetyMonitor(loop, True), loop
+def monitor(tick: float) -> SafetyMonitor:
+    loop = msgspec.structs.replace(loop_setup(), tick=tick, commands=CommandLimits(2.0, 0.3))
+    return SafetyMonitor(loop, True)
 
 
-def rules(seconds: float, omega=None, x=None, z_sim=None, vx=None, zeta=0.8, at_bound=False):
+def rules(
+    seconds: float,
+    omega=None,
+    x=None,
+    z_sim=None,
+    vx=None,
+    zeta=0.8,
+    at_bound=False,
+    tick: float = TICK,
+):
     """Rules that fire in a drive at constant speed, with the time of each; functions of time."""
-    safety, _ = monitor()
+    safety = monitor(tick)
     found = {}
     travelled = 0.0
-    for number in range(round(seconds / TICK)):
-        time = number * TICK
+    for number in range(round(seconds / tick)):
+        time = number * tick
         asked = VX if vx is None else vx(time)
         height = -0.02 if z_sim is None else z_sim(time)
         result = StepResult(0.0, zeta, 0.0, height, asked, 0.0, 0.0, 0.0)
         command = RigCommand(OMEGA, VX)
-        travelled += VX * TICK if number else 0.0
+        travelled += VX * tick if number else 0.0
         reading = Reading(
             time,
             travelled if x is None else x(time),
@@ -59,8 +66,12 @@ def rules(seconds: float, omega=None, x=None, z_sim=None, vx=None, zeta=0.8, at_
     return found
 
 
-def test_a_sound_drive_breaks_no_rule():
-    assert rules(3.0) == {}
+@pytest.mark.parametrize("tick", [0.001, 0.002, 0.01, 0.03, 0.1])
+def test_a_sound_drive_breaks_no_rule(tick):
+    assert rules(3.0, tick=tick) == {}
+
+
+def test_noise_and_what_is_not_measured_break_no_rule():
     random = np.random.default_rng(3)
     assert rules(3.0, omega=lambda t: OMEGA + 0.03 * random.standard_normal()) == {}
     assert rules(3.0, omega=lambda t: math.nan, x=lambda t: math.nan) == {}
