@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
+from drftjax.effects.serialization import entry_of
 from drftjax.setups.setup import SetUp
 
 
@@ -19,7 +20,7 @@ def setup_toml(
         comments: Comments behind numbers, by table and key; the effects' tables go by "effect 1",
             "effect 2" and so on.
     """
-    document = msgspec.to_builtins(setup)
+    document = msgspec.to_builtins(setup, enc_hook=entry_of)
     effects = document.pop("effect")
     tables = {
         name: document.pop(name) for name in list(document) if isinstance(document[name], dict)

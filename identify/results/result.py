@@ -14,6 +14,7 @@ from rich.table import Table
 from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, make_folder, replace_file
+from drftjax.common.packages import optional_package
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
@@ -31,6 +32,8 @@ from identify.results.values import RunFit, Value
 from identify.solver.multistart import DRAWS_SEED
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
     from identify.solver.multistart import MultistartSummary
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
     from identify.zeta_path.path import ZetaPath
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """A fit of many runs.
 
@@ -285,6 +288,48 @@ class FitResult:
     def summary(self, width: int = 110) -> str:
         """Return table and findings as text, `width` columns wide."""
         return summary_text([self.table(), *self.interval_tables(), *self.sentences()], width)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Value, standard error and unit of every fitted number, a row each.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        pandas = optional_package("pandas", "to_dataframe")
+        rows = [(v.value, v.error, v.unit, v.at_bound) for v in self.values.values()]
+        index = pandas.Index([*self.values], name="parameter")
+        return pandas.DataFrame(rows, index, ["value", "error", "unit", "at_bound"])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Value, standard error and covariance of the fitted numbers, along `parameter`.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional_package("xarray", "to_xarray")
+        values = [*self.values.values()]
+        return xarray.Dataset(
+            {
+                "value": ("parameter", [each.value for each in values]),
+                "error": ("parameter", [each.error for each in values]),
+                "covariance": (("parameter", "other_parameter"), self.covariance),
+            },
+            {
+                "parameter": [*self.labels],
+                "other_parameter": [*self.labels],
+                "unit": ("parameter", [each.unit for each in values]),
+            },
+            {"status": self.status},
+        )
+
+    def __repr__(self) -> str:
+        known = {id(value) for value in self.shared.values()}
+        # A shared value says its own name; that of a run needs the run's.
+        told = (
+            f"{value}" if id(value) in known else f"{label} = {value.cell()}"
+            for label, value in self.values.items()
+        )
+        return f"<FitResult of {len(self.runs)} runs, {self.status}: {', '.join(told)}>"
 
     def _repr_html_(self) -> str:
         return summary_html([self.table(), *self.interval_tables(), *self.sentences()])
