@@ -111,7 +111,7 @@ def model_group(
         datasets: Further datasets, each with its unit.
         attributes: Further attributes.
     """
-    rest = msgspec.to_builtins(setup)
+    rest = msgspec.to_builtins(as_in_file(setup))
     command = rest.pop("command")
     radians = setup.command.build()
     columns = {"command_time": (radians.time, "s"), "command_omega": (radians.omega, "rad/s")}

@@ -5,6 +5,7 @@ simulator. A `SetUp` is complete; a run log's `RecordedSetup` (`drftjax.runlog.r
 few numbers that its operator knew, and `drftjax.setups.from_run` completes them.
 """
 
+import copy
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -19,7 +20,7 @@ from drftjax.common.packages import require_known
 from drftjax.common.structured_files import read_document, to_structure
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
-from drftjax.effects.serialization import Entry, build_effects, name_of
+from drftjax.effects.serialization import Entry, build_effects, entry_of, name_of
 from drftjax.physics.integrator import DEFAULT_STEP, ImplicitEuler
 from drftjax.physics.outline_wheel import OutlineWheel, read_outline
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
@@ -294,6 +295,15 @@ class SetUp(CheckedTable):
         )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
         return Trial.of(simulator, start, command, step, interval)
+
+
+def as_in_file(setup: SetUp) -> SetUp:
+    """A copy of a set-up whose effects are all entries, as a file holds them."""
+    written = copy.copy(setup)
+    written.effects = [
+        entry_of(each) if isinstance(each, AbstractEffect) else each for each in setup.effects
+    ]
+    return written
 
 
 def read_setup(path: str | Path) -> SetUp:

@@ -1,6 +1,7 @@
 """Runs of a set-up over a grid of its numbers, as arrays with coordinates."""
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -160,17 +161,18 @@ def sweep(
     axes = {name: _axis(name, values) for name, values in numbers.items()}
     if not axes:
         raise InputError("nothing is swept; give values of a number, as in zeta=[0.6, 0.8]")
-    values = [each.tolist() for each in axes.values()]
-    points = [dict(zip(axes, each, strict=True)) for each in itertools.product(*values)]
-    setups = [with_numbers(setup, point) for point in points]
-    step = _step(setup, axes, interval)
-    trials = [_with_step(each, step).trial(interval) for each in setups]
-    kept = len(trials) * (trials[0].rows + 1) * len(CHANNELS)
+    lasts = setup.command.time[-1] - setup.command.time[0]
+    kept = math.prod(map(len, axes.values())) * (lasts / interval + 1) * len(CHANNELS)
     if kept > MAX_VALUES:
         raise InputError(
             f"the sweep would keep {kept:.2g} numbers, must be {MAX_VALUES:.2g} or fewer; sweep "
             "fewer values, or ask for rows at a longer interval"
         )
+    values = [each.tolist() for each in axes.values()]
+    points = [dict(zip(axes, each, strict=True)) for each in itertools.product(*values)]
+    setups = [with_numbers(setup, point) for point in points]
+    step = _step(setup, axes, interval)
+    trials = [_with_step(each, step).trial(interval) for each in setups]
     outputs = _outputs(trials)
     for point, trial, output in zip(points, trials, outputs, strict=True):
         try:

@@ -24,7 +24,7 @@ from drftjax.runlog.hdf5.api import write_result
 from drftjax.runlog.schema import UNITS
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
-from drftjax.setups.setup import SetUp
+from drftjax.setups.setup import SetUp, as_in_file
 from identify.results.interval_table import interval_table
 from identify.results.misfit import POOR_FIT, short
 from identify.results.posterior_file import posterior_document, write_posterior
@@ -329,7 +329,8 @@ class FitResult:
             f"{value}" if id(value) in known else f"{label} = {value.cell()}"
             for label, value in self.values.items()
         )
-        return f"<FitResult of {len(self.runs)} runs, {self.status}: {', '.join(told)}>"
+        count = f"{len(self.runs)} run{'s' * (len(self.runs) > 1)}"
+        return f"<FitResult of {count}, {self.status}: {', '.join(told)}>"
 
     def _repr_html_(self) -> str:
         return summary_html([self.table(), *self.interval_tables(), *self.sentences()])
@@ -391,7 +392,7 @@ def _path(path: "ZetaPath | None") -> dict | None:
 
 
 def _with_short_command(setup: SetUp) -> SetUp:
-    return msgspec.structs.replace(setup, command=decimate_command(setup.command))
+    return msgspec.structs.replace(as_in_file(setup), command=decimate_command(setup.command))
 
 
 def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):
