@@ -1,7 +1,8 @@
 """Tables of a set-up that refuse impossible entries when they are built."""
 
+import copy
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import jax.core as jax_core
 import msgspec
@@ -28,6 +29,13 @@ class CheckedTable(msgspec.Struct, forbid_unknown_fields=True):
             if not _is_traced(given):
                 setattr(self, name, self._converted(name, given, kind))
         self.check()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """A copy that is not checked anew: entries that belong together are set one by one."""
+        other = copy.copy(self)
+        for name in self.__struct_fields__:
+            setattr(other, name, copy.deepcopy(getattr(self, name), memo))
+        return other
 
     def check(self) -> None:
         """Refuse values that cannot be.

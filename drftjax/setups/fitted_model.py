@@ -12,7 +12,7 @@ from drftjax.common.structured_files import read_document, to_structure
 from drftjax.runlog.files import HDF5_ENDINGS
 from drftjax.runlog.hdf5.api import read_result
 from drftjax.runlog.result_file import FIT_SCHEMA, ResultGroup
-from drftjax.setups.setup import SetUp, read_setup
+from drftjax.setups.setup import SetUp, as_in_file, read_setup
 from drftjax.setups.terrain_setup import drop_unused_numbers
 
 

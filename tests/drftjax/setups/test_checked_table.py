@@ -1,5 +1,7 @@
 """Set-ups built in Python: impossible entries are refused, arrays and dictionaries taken."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,13 @@ def test_effect_itself_is_built_and_written_as_its_entry(tmp_path):
     kept = [(type(e).__name__, float(e.force)) for e in setup.trial().simulator.effects]
     read = [(type(e).__name__, float(e.force)) for e in read_setup(file).trial().simulator.effects]
     assert kept == read == [("VerticalLoad", 7.0), ("Drawbar", 3.0)]
+
+
+def test_copy_shares_nothing_and_is_checked_when_it_is_simulated():
+    setup = SetUp(COMMAND)
+    setup.rig.carriage = "driven"
+    twin = copy.deepcopy(setup)
+    twin.wheel.radius = 0.2
+    assert setup.wheel.radius == 0.15
+    with pytest.raises(InputError, match="needs vx in m/s"):
+        twin.trial()
