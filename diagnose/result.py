@@ -19,11 +19,16 @@ from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.linear.bed import AbstractBed
 from diagnose.localization.shares import GapShare
 from diagnose.unknown.correction_fit import Correction, UnknownEffect
+from drftjax.common.packages import optional_package
 from drftjax.common.rich_text import summary_html, summary_text
+from drftjax.common.text import value_with_error
 from drftjax.effects.catalogue import effect_class, reported_name
+from drftjax.recorded.observation import SHOWN
 from drftjax.results.provenance import Provenance
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
 # Version 2 adds `budget` and `gap_one_zeta`, and `weights` of names that take part in a verdict of
@@ -138,7 +143,68 @@ class Diagnosis:
         return summary_text(in_words(self), width)
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {len(self.dataset.runs)} runs: {', '.join(self.verdict)}>"
+        named = (
+            f"{name} (weight {self.weights[name]:.2f})" if name in self.weights else name
+            for name in self.verdict
+        )
+        numbers = (
+            f"{name}.{field} = {value_with_error(n.value, n.error)}"
+            + f" {n.unit}" * (n.unit != "-")
+            for name, fields in self.parameters.items()
+            for field, n in fields.items()
+        )
+        gaps = (
+            f"gap of {channel} {scale * gap.before:.3g} → {scale * gap.after:.3g} {unit}"
+            for channel, gap in self.gap.items()
+            for unit, scale in [SHOWN[channel]]
+        )
+        told = ", ".join([*named, *numbers, *gaps])
+        return f"<Diagnosis of {len(self.dataset.runs)} runs: {told}>"
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Weight of each explanation, and whether it is in the verdict, the heaviest first.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        pandas = optional_package("pandas", "to_dataframe")
+        rows = [(weight, name in self.verdict) for name, weight in self.weights.items()]
+        index = pandas.Index([*self.weights], name="explanation")
+        frame = pandas.DataFrame(rows, index, ["weight", "in_verdict"])
+        return frame.sort_values("weight", ascending=False, kind="stable")
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Weights, fitted numbers with their errors, and gaps, each along a dimension of its own.
+
+        The gaps and the noise floor are in the units of their channels [m, N, N m].
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional_package("xarray", "to_xarray")
+        numbers = {
+            f"{name}.{field}": each
+            for name, fields in self.parameters.items()
+            for field, each in fields.items()
+        }
+        gaps = [*self.gap.values()]
+        return xarray.Dataset(
+            {
+                "weight": ("explanation", [*self.weights.values()]),
+                "value": ("parameter", [each.value for each in numbers.values()]),
+                "error": ("parameter", [each.error for each in numbers.values()]),
+                "gap_before": ("channel", [each.before for each in gaps]),
+                "gap_after": ("channel", [each.after for each in gaps]),
+                "noise_floor": ("channel", [each.floor for each in gaps]),
+            },
+            {
+                "explanation": [*self.weights],
+                "parameter": [*numbers],
+                "unit": ("parameter", [each.unit for each in numbers.values()]),
+                "channel": [*self.gap],
+            },
+            {"verdict": ", ".join(self.verdict)},
+        )
 
     def _repr_html_(self) -> str:
         from diagnose.report.text import in_words

@@ -118,7 +118,7 @@ def _rig(setup: Path | None, like: Path | None) -> "SetUp":
                 f"{like}: its carriage is driven and its /setup lacks mass_x, without which one "
                 "that is free cannot be simulated; name a set-up file with mass_x in [rig] instead"
             )
-        rig.rig.carriage = "free"
+        rig.rig.carriage, rig.command.vx = "free", None
         typer.echo(f"note: the carriage of {like} was driven; in these runs it is to be free")
     return rig
 

@@ -3,9 +3,10 @@
 import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from drftjax.common.errors import InputError
 
@@ -34,6 +35,24 @@ def data_names(folder: str, suffix: str) -> list[str]:
     """Names, without the suffix, of the files in a folder below data/."""
     found = {each.stem for home in _HOMES for each in (home / folder).glob(f"*{suffix}")}
     return sorted(found)
+
+
+def optional_package(module: str, purpose: str) -> Any:
+    """Import a package that drftjax does without, but for this purpose.
+
+    Args:
+        module: Name of the package.
+        purpose: What needs it, for the error message, such as "to_xarray".
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(
+            f"{purpose} needs the package {module}, which is not installed: pip install {module}"
+        ) from None
 
 
 def load_plugins(group: str, kind: type[Kind], noun: str) -> Iterator[tuple[str, str, type[Kind]]]:

@@ -88,7 +88,10 @@ def to_structure(document: dict[str, Any], kind: type[Structure], path: Path) ->
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as problem:
-        raise InputError(f"{path}: {explain(str(problem), kind)}") from None
+        # A structure that checks its own values says what must hold.
+        refusal = problem.__cause__
+        why = refusal if isinstance(refusal, InputError) else explain(str(problem), kind)
+        raise InputError(f"{path}: {why}") from None
 
 
 def explain(message: str, kind: type[msgspec.Struct]) -> str:

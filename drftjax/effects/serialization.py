@@ -14,16 +14,20 @@ from drftjax.effects.catalogue import effect_class, field_metadata
 Entry = dict[str, str | float | list[float]]
 
 
-def build_effects(entry: Mapping[str, str | float | list[float]], place: int) -> AbstractEffect:
+def build_effects(
+    entry: Mapping[str, str | float | list[float]] | AbstractEffect, place: int
+) -> AbstractEffect:
     """Build the effect of an entry.
 
     Args:
-        entry: Its name, and numbers by their fields.
+        entry: Its name, and numbers by their fields; or the effect itself.
         place: Number of the entry in the file, from 1 on.
 
     Raises:
         InputError: names the entry, the value given and the bound that it must meet.
     """
+    if isinstance(entry, AbstractEffect):
+        return entry
     name = entry.get("name")
     if not isinstance(name, str):
         raise InputError(f"[[effect]] {place} needs a name; `drft effects` lists them")
@@ -60,6 +64,11 @@ def entry_of(effect: AbstractEffect) -> Entry:
         return correction.entry_of(effect)
     fields = {field: float(getattr(effect, field)) for field in field_metadata(type(effect))}
     return {"name": effect.about.name, **fields}
+
+
+def name_of(entry: Mapping[str, str | float | list[float]] | AbstractEffect) -> object:
+    """Name of an entry's effect, or of the effect itself; None where the entry has none."""
+    return entry.about.name if isinstance(entry, AbstractEffect) else entry.get("name")
 
 
 def typical_effect(effect: type[AbstractEffect]) -> AbstractEffect:

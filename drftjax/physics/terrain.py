@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
@@ -78,13 +79,22 @@ def _table_3_zeta() -> AbstractZeta:
     return ConstantZeta(0.7823)
 
 
+def as_zeta(zeta: AbstractZeta | ArrayLike) -> AbstractZeta:
+    """A zeta as it is, or a number as one zeta for the whole run.
+
+    Raises:
+        InputError: the number is out of bounds.
+    """
+    return zeta if isinstance(zeta, AbstractZeta) else ConstantZeta(as_real(zeta))
+
+
 class Terrain(eqx.Module):
     """Sand under the wheel; the default is Toyoura sand as in Table 3 of Fuke et al. 2024.
 
     Attributes:
-        zeta: Scaling factor [-] over a run.
+        zeta: Scaling factor [-] over a run; a number is one zeta for the whole run.
         law: Stress on a moving plate.
     """
 
-    zeta: AbstractZeta = eqx.field(default_factory=_table_3_zeta)
+    zeta: AbstractZeta = eqx.field(converter=as_zeta, default_factory=_table_3_zeta)
     law: AbstractStressLaw = eqx.field(default_factory=Dynamic)

@@ -10,7 +10,7 @@ record is built, so a record that exists is a valid one.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import chain
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from drftjax.common.errors import InputError
 from drftjax.runlog import validation as rules
 from drftjax.runlog.schema import COLUMNS, ONLINE_NUMBERS, Column
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
 
 Reals = NDArray[np.float64]
 
@@ -255,7 +260,7 @@ class Events:
         _store_columns(self, "events")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RunLog:
     """One run.
 
@@ -298,6 +303,52 @@ class RunLog:
             text = getattr(self, each.name)
             if isinstance(text, str):
                 _require(rules.text_problems(each.name, text))
+
+    def plot(self) -> "Figure":
+        """Every channel over time, in a figure without a window.
+
+        Raises:
+            InputError: names a channel whose numbers are too large for an axis.
+        """
+        from drftjax.runlog.figure import plot_run
+
+        return plot_run(self)
+
+    def to_xarray(self, derived: bool = False) -> "xarray.Dataset":
+        """Measurements, and the commands at their times, each with its unit.
+
+        Args:
+            derived: True to add slip, speed and the other derived channels.
+
+        Raises:
+            InputError: xarray is not installed, or no channel can be derived.
+        """
+        from drftjax.runlog.export.frames import as_dataset
+
+        return as_dataset(self, derived)
+
+    def to_dataframe(self, derived: bool = False) -> "pandas.DataFrame":
+        """Measurements, and the commands at their times, with the time as index.
+
+        Args:
+            derived: True to add slip, speed and the other derived channels.
+
+        Raises:
+            InputError: pandas is not installed, or no channel can be derived.
+        """
+        from drftjax.runlog.export.frames import as_data_frame
+
+        return as_data_frame(self, derived)
+
+    def __repr__(self) -> str:
+        from drftjax.runlog.summary import one_line
+
+        return f"<RunLog {one_line(self)}>"
+
+    def _repr_html_(self) -> str:
+        from drftjax.runlog.summary import as_html
+
+        return as_html(self)
 
 
 def _store_columns(record: object, title: str) -> None:

@@ -10,6 +10,7 @@ from rich.console import Group as Stack
 from rich.table import Table
 from rich.text import Text
 
+from drftjax.common.rich_text import summary_html
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog.record import Events, RunLog
 from drftjax.runlog.schema import UNITS
@@ -71,6 +72,29 @@ def show(path: str, run: RunLog) -> Stack:
     if run.events is not None:
         lines.append(Text(f"events: {run.events.code.size}"))
         lines += [Text(f"  {each}") for each in _events(run.events)]
+    return Stack(*lines, _table(run))
+
+
+def one_line(run: RunLog) -> str:
+    """A run in a line: title, source, duration, and the last value of each channel."""
+    measured = run.measured
+    lasts = measured.time[-1] - measured.time[0]
+    ends = (
+        f"{name} {values[-1]:.4g} {UNITS['measured'][name]}"
+        for name, values in measured.channels().items()
+    )
+    title = replace_unprintable(run.title)
+    return f"{title!r} ({run.source}): {lasts:.4g} s, at the end {', '.join(ends)}"
+
+
+def as_html(run: RunLog) -> str:
+    """A run as a table for a notebook: rows, rate, range and last value of each channel."""
+    known = "set-up: " + (", ".join(_setup(run)) or "nothing is known")
+    return summary_html([one_line(run), known, _table(run)])
+
+
+def _table(run: RunLog) -> Table:
+    """Table of the channels of a run."""
     table = Table(box=None, pad_edge=False)
     table.add_column("channel")
     table.add_column("unit")
@@ -80,7 +104,7 @@ def show(path: str, run: RunLog) -> Stack:
         rate = "-" if each.rate is None else f"{each.rate:.4g}"
         ends = (f"{value:.6g}" for value in (each.low, each.high, each.last))
         table.add_row(each.name, each.unit, str(each.rows), rate, *ends)
-    return Stack(*lines, table)
+    return table
 
 
 def _events(events: Events) -> Iterator[str]:

@@ -12,7 +12,7 @@ from drftjax.common.structured_files import read_document, to_structure
 from drftjax.runlog.files import HDF5_ENDINGS
 from drftjax.runlog.hdf5.api import read_result
 from drftjax.runlog.result_file import FIT_SCHEMA, ResultGroup
-from drftjax.setups.setup import SetUp, read_setup
+from drftjax.setups.setup import SetUp, as_in_file, read_setup
 from drftjax.setups.terrain_setup import drop_unused_numbers
 
 
@@ -111,7 +111,7 @@ def model_group(
         datasets: Further datasets, each with its unit.
         attributes: Further attributes.
     """
-    rest = msgspec.to_builtins(setup)
+    rest = msgspec.to_builtins(as_in_file(setup))
     command = rest.pop("command")
     radians = setup.command.build()
     columns = {"command_time": (radians.time, "s"), "command_omega": (radians.omega, "rad/s")}

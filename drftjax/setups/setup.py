@@ -5,9 +5,10 @@ simulator. A `SetUp` is complete; a run log's `RecordedSetup` (`drftjax.runlog.r
 few numbers that its operator knew, and `drftjax.setups.from_run` completes them.
 """
 
+import copy
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -17,8 +18,9 @@ from drftjax.common.arrays import require_between
 from drftjax.common.errors import InputError
 from drftjax.common.packages import require_known
 from drftjax.common.structured_files import read_document, to_structure
+from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, effect_class, field_metadata
-from drftjax.effects.serialization import Entry, build_effects
+from drftjax.effects.serialization import Entry, build_effects, entry_of, name_of
 from drftjax.physics.integrator import DEFAULT_STEP, ImplicitEuler
 from drftjax.physics.outline_wheel import OutlineWheel, read_outline
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
@@ -26,12 +28,14 @@ from drftjax.physics.state import State
 from drftjax.physics.wheel import (
     DEFAULT_PLATE_SIZE,
     DEFAULT_REACH,
+    LARGEST_RADIUS,
     AbstractWheel,
     GrouserWheel,
     PlainWheel,
 )
 from drftjax.runlog.record import RecordedCommand
 from drftjax.runlog.validation import text_problems
+from drftjax.setups.checked_table import CheckedTable
 from drftjax.setups.terrain_setup import DynamicTerrain, TerrainSetUp, with_law
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.trial import ROW_INTERVAL, Trial
@@ -50,8 +54,16 @@ METHOD = "implicit"
 REMOVED_METHODS = ("rosenbrock", "held pace", "explicit")
 
 
-class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
+if TYPE_CHECKING:
+    EffectEntry = Entry | AbstractEffect
+else:
+    EffectEntry = Entry  # what msgspec reads from a file
+
+
+class WheelSetUp(CheckedTable):
     """[wheel]: lengths in metres. `outline` names a CSV file, or `points` lists its corners."""
+
+    place: ClassVar[str] = "wheel"
 
     shape: Literal["grouser", "plain", "outline"] = "grouser"
     radius: float = 0.150
@@ -63,6 +75,11 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
     outline: str | None = None
     points: list[tuple[float, float]] | None = None
     plate_size: float = DEFAULT_PLATE_SIZE
+
+    def check(self) -> None:
+        # The corners of an outline in a file are read by `find_outline`.
+        if self.shape != "outline" or self.outline is None:
+            self.build()
 
     def build(self, reach: float = DEFAULT_REACH) -> AbstractWheel:
         """The wheel; one with grousers carries those that come within `reach` [rad] of the sand."""
@@ -88,8 +105,10 @@ class WheelSetUp(msgspec.Struct, forbid_unknown_fields=True):
         )
 
 
-class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
+class RigSetUp(CheckedTable):
     """[rig]: masses in kg, damping in N s/m, drawbar_load in N, gravity in m/s2."""
+
+    place: ClassVar[str] = "rig"
 
     mass_x: float = 13.902
     mass_z: float = 18.837
@@ -98,6 +117,9 @@ class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
     drawbar_load: float = 0.0
     gravity: float = 9.81
     carriage: Literal["free", "driven"] = "free"
+
+    def check(self) -> None:
+        self.build()
 
     def build(self) -> Rig:
         return Rig(
@@ -111,12 +133,14 @@ class RigSetUp(msgspec.Struct, forbid_unknown_fields=True):
         )
 
 
-class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
+class StartSetUp(CheckedTable):
     """[start]: sinkage and x in metres, wheel angle in radians, forward speed in m/s.
 
     `origin` is the place on the rig's own scale [m] from which the x of this set-up counts: a
     diagnosis writes it, so that its effects keep their places on the bed.
     """
+
+    place: ClassVar[str] = "start"
 
     sinkage: float = 0.0176
     x: float = 0.0
@@ -124,14 +148,27 @@ class StartSetUp(msgspec.Struct, forbid_unknown_fields=True):
     speed: float = 0.0
     origin: float | None = None
 
+    def check(self) -> None:
+        hint = " m; are these mm?"
+        require_between("start sinkage", self.sinkage, -LARGEST_RADIUS, LARGEST_RADIUS, hint)
+        require_between("start x", self.x, -1e3, 1e3, " m")
+        require_between("start origin", self.origin or 0.0, -1e3, 1e3, " m")
+        require_between("start angle", self.angle, -1e3, 1e3, " rad")
+        require_between("start speed", self.speed, -10.0, 10.0, " m/s")
 
-class CommandSetUp(msgspec.Struct, forbid_unknown_fields=True):
+
+class CommandSetUp(CheckedTable):
     """[command]: knots of a profile, linear in between: time in s, omega, and vx in m/s."""
+
+    place: ClassVar[str] = "command"
 
     time: list[float]
     omega: list[float]
     vx: list[float] | None = None
     omega_unit: Literal["rad/s", "deg/s"] = "rad/s"
+
+    def check(self) -> None:
+        self.build()
 
     def build(self) -> RecordedCommand:
         omega = np.asarray(self.omega, dtype=float)
@@ -160,14 +197,19 @@ def _farthest(values: ArrayLike) -> float:
     return float(given[np.argmax(np.abs(given))]) if given.size else 0.0
 
 
-class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
+class IntegratorSetUp(CheckedTable):
     """[integrator]: the step in seconds; where none is given, programs choose one for the run.
 
     There is one method, implicit Euler; `method` may name it.
     """
 
+    place: ClassVar[str] = "integrator"
+
     method: str = METHOD
     step: float | None = None
+
+    def check(self) -> None:
+        self.build()
 
     def build(self) -> tuple[ImplicitEuler, float]:
         """The integrator, and its step [s].
@@ -186,7 +228,7 @@ class IntegratorSetUp(msgspec.Struct, forbid_unknown_fields=True):
         return ImplicitEuler(), step
 
 
-class SetUp(msgspec.Struct, forbid_unknown_fields=True):
+class SetUp(CheckedTable):
     """Complete set-up of a trial, as a file holds it: the operator's model of wheel, sand and rig.
 
     The defaults are Tables 1 to 3 of Fuke, Ishikawa & Ishigami 2024. It is the model of a
@@ -200,8 +242,28 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
     rig: RigSetUp = msgspec.field(default_factory=RigSetUp)
     start: StartSetUp = msgspec.field(default_factory=StartSetUp)
     integrator: IntegratorSetUp = msgspec.field(default_factory=IntegratorSetUp)
-    # [[effect]] each: a name and numbers; `drft effects` lists them.
-    effects: list[Entry] = msgspec.field(default_factory=list, name="effect")
+    # [[effect]] each: a name and numbers; `drft effects` lists them. In Python, also an effect.
+    effects: list[EffectEntry] = msgspec.field(default_factory=list, name="effect")
+
+    def __post_init__(self) -> None:
+        if isinstance(self.terrain, dict):
+            self.terrain = with_law({"terrain": self.terrain})["terrain"]
+        effects = self.effects
+        if isinstance(effects, list) and any(isinstance(e, AbstractEffect) for e in effects):
+            self.effects = []  # no type that a file may hold
+        super().__post_init__()
+        self.effects = effects
+
+    def check(self) -> None:
+        """Refuse tables that contradict each other; each has checked itself."""
+        for reason in text_problems("title", self.title):
+            raise InputError(reason)
+        if self.rig.carriage == "driven" and self.command.vx is None:
+            raise InputError("the carriage is driven, so [command] needs vx in m/s")
+        if self.rig.carriage == "free" and self.command.vx is not None:
+            raise InputError("[command] gives vx, but the carriage of [rig] is free, not 'driven'")
+        radius = self.wheel.radius
+        require_between("start sinkage", self.start.sinkage, -radius, radius, " m; are these mm?")
 
     def trial(self, interval: float = ROW_INTERVAL) -> Trial:
         """The trial that this set-up describes, ready to run.
@@ -212,8 +274,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         Raises:
             InputError: names a number out of bounds, or tables that contradict each other.
         """
-        for reason in text_problems("title", self.title):
-            raise InputError(reason)
+        self.check()
         integrator, step = self.integrator.build()
         simulator = Simulator(
             self.wheel.build(),
@@ -224,16 +285,7 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         )
         simulator.check()
         command = self.command.build()
-        if self.rig.carriage == "driven" and command.vx is None:
-            raise InputError("the carriage is driven, so [command] needs vx in m/s")
-        if self.rig.carriage == "free" and command.vx is not None:
-            raise InputError("[command] gives vx, but the carriage of [rig] is free, not 'driven'")
-        radius = self.wheel.radius
-        require_between("start sinkage", self.start.sinkage, -radius, radius, " m; are these mm?")
-        require_between("start x", self.start.x, -1e3, 1e3, " m")
-        require_between("start origin", self.start.origin or 0.0, -1e3, 1e3, " m")
-        require_between("start angle", self.start.angle, -1e3, 1e3, " rad")
-        require_between("start speed", self.start.speed, -10.0, 10.0, " m/s")
+        self.start.check()
         require_between(
             "the number of steps",
             (command.time[-1] - command.time[0]) / step,
@@ -243,6 +295,15 @@ class SetUp(msgspec.Struct, forbid_unknown_fields=True):
         )
         start = State.at_rest(self.start.sinkage, self.start.x, self.start.angle, self.start.speed)
         return Trial.of(simulator, start, command, step, interval)
+
+
+def as_in_file(setup: SetUp) -> SetUp:
+    """A copy of a set-up whose effects are all entries, as a file holds them."""
+    written = copy.copy(setup)
+    written.effects = [
+        entry_of(each) if isinstance(each, AbstractEffect) else each for each in setup.effects
+    ]
+    return written
 
 
 def read_setup(path: str | Path) -> SetUp:
@@ -307,10 +368,12 @@ def add_fitted_effects(setup: SetUp, names: Iterable[str]) -> None:
         if name.partition(".")[0] not in catalogue():
             continue
         title, field = name.split(".")
-        entry = next((each for each in setup.effects if each.get("name") == title), None)
+        entry = next((each for each in setup.effects if name_of(each) == title), None)
         if entry is None:
             entry = Entry(name=title)
             setup.effects.append(entry)
         about = field_metadata(effect_class(title))[field]
+        if isinstance(entry, AbstractEffect):
+            continue  # its numbers are the user's
         if "typical" in about and about["least"] == 0 and not entry.get(field):
             entry[field] = about["typical"]

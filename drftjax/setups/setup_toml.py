@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from drftjax.setups.setup import SetUp
+from drftjax.setups.setup import SetUp, as_in_file
 
 
 def setup_toml(
@@ -19,7 +19,7 @@ def setup_toml(
         comments: Comments behind numbers, by table and key; the effects' tables go by "effect 1",
             "effect 2" and so on.
     """
-    document = msgspec.to_builtins(setup)
+    document = msgspec.to_builtins(as_in_file(setup))
     effects = document.pop("effect")
     tables = {
         name: document.pop(name) for name in list(document) if isinstance(document[name], dict)

@@ -8,7 +8,7 @@ derived from `AbstractTerrainSetUp`.
 from collections.abc import Mapping
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 
@@ -25,6 +25,7 @@ from drftjax.physics.stress import (
     VerticalBisector,
 )
 from drftjax.physics.terrain import ConstantZeta, KnotZeta, Terrain
+from drftjax.setups.checked_table import CheckedTable
 
 GROUP = "drft.stress_laws"
 
@@ -52,7 +53,7 @@ class ZetaKnots(msgspec.Struct, forbid_unknown_fields=True):
     value: list[float]
 
 
-class AbstractTerrainSetUp(msgspec.Struct, forbid_unknown_fields=True, tag_field="law"):
+class AbstractTerrainSetUp(CheckedTable, tag_field="law"):
     """Entries of [terrain] that every stress law has; a law adds its own numbers and `stress_law`.
 
     The class keyword `tag` is the law's name in files.
@@ -62,8 +63,13 @@ class AbstractTerrainSetUp(msgspec.Struct, forbid_unknown_fields=True, tag_field
         coefficients: Name of a set in `COEFFICIENTS`, or nine numbers [N/cm3].
     """
 
+    place: ClassVar[str] = "terrain"
+
     zeta: float | ZetaKnots = 0.7823
     coefficients: str | list[float] = "generic"
+
+    def check(self) -> None:
+        self.build()
 
     def stress_law(self) -> AbstractStressLaw:
         """The stress law with these numbers.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from drftjax.common.errors import InputError
 from drftjax.effects.catalogue import catalogue, effect_class, field_metadata, strengths
+from drftjax.effects.serialization import name_of
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import Trial
 from identify.parameters.parameter import Quantity, quantity
@@ -109,7 +110,7 @@ def number_ranges(
         raise InputError(f"a range is given twice among {', '.join(given)}; give each once")
     usual = {quantity(each.name).name: each for each in choices.widths}
     for name, effect in catalogue().items():
-        if any(entry.get("name") == name for entry in setup.effects):
+        if any(name_of(entry) == name for entry in setup.effects):
             about = field_metadata(effect)
             for field in strengths(effect):
                 full = f"{name}.{field}"
@@ -173,7 +174,7 @@ def add_effects(setup: SetUp, channels: Sequence[str]) -> dict[str, str]:
     """
     excluded = {}
     simulator = setup.trial().simulator
-    present = [entry.get("name") for entry in setup.effects]
+    present = [name_of(entry) for entry in setup.effects]
     for name in catalogue():
         if name in present:
             continue

@@ -6,6 +6,8 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from drftjax.common.errors import InputError
+from drftjax.effects.base import AbstractEffect
+from drftjax.effects.serialization import entry_of, name_of
 from drftjax.physics.stress import COEFFICIENT_NAMES
 from drftjax.setups.setup import SetUp
 from drftjax.simulation.trial import Trial
@@ -75,11 +77,12 @@ class Quantity(eqx.Module):
             setup.terrain.put_coefficient(self.name.removeprefix(COEFFICIENT_PREFIX), value)
             return
         section, field = self.name.split(".")
-        entry = next((each for each in setup.effects if each.get("name") == section), None)
-        if entry is None:
-            setattr(getattr(setup, section), field, value)
-        else:
-            entry[field] = value
+        for place, entry in enumerate(setup.effects):
+            if name_of(entry) == section:
+                known = entry_of(entry) if isinstance(entry, AbstractEffect) else entry
+                setup.effects[place] = {**known, field: value}
+                return
+        setattr(getattr(setup, section), field, value)
 
     def read(self, trial: Trial) -> Float[Array, ""]:
         """Return the number in this trial.

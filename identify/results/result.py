@@ -14,6 +14,7 @@ from rich.table import Table
 from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, make_folder, replace_file
+from drftjax.common.packages import optional_package
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
@@ -23,7 +24,7 @@ from drftjax.runlog.hdf5.api import write_result
 from drftjax.runlog.schema import UNITS
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.fitted_model import FIT_SCHEMA, model_group
-from drftjax.setups.setup import SetUp
+from drftjax.setups.setup import SetUp, as_in_file
 from identify.results.interval_table import interval_table
 from identify.results.misfit import POOR_FIT, short
 from identify.results.posterior_file import posterior_document, write_posterior
@@ -31,6 +32,8 @@ from identify.results.values import RunFit, Value
 from identify.solver.multistart import DRAWS_SEED
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
     from identify.solver.multistart import MultistartSummary
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
     from identify.zeta_path.path import ZetaPath
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """A fit of many runs.
 
@@ -286,6 +289,49 @@ class FitResult:
         """Return table and findings as text, `width` columns wide."""
         return summary_text([self.table(), *self.interval_tables(), *self.sentences()], width)
 
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Value, standard error and unit of every fitted number, a row each.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        pandas = optional_package("pandas", "to_dataframe")
+        rows = [(v.value, v.error, v.unit, v.at_bound) for v in self.values.values()]
+        index = pandas.Index([*self.values], name="parameter")
+        return pandas.DataFrame(rows, index, ["value", "error", "unit", "at_bound"])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Value, standard error and covariance of the fitted numbers, along `parameter`.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional_package("xarray", "to_xarray")
+        values = [*self.values.values()]
+        return xarray.Dataset(
+            {
+                "value": ("parameter", [each.value for each in values]),
+                "error": ("parameter", [each.error for each in values]),
+                "covariance": (("parameter", "other_parameter"), self.covariance),
+            },
+            {
+                "parameter": [*self.labels],
+                "other_parameter": [*self.labels],
+                "unit": ("parameter", [each.unit for each in values]),
+            },
+            {"status": self.status},
+        )
+
+    def __repr__(self) -> str:
+        known = {id(value) for value in self.shared.values()}
+        # A shared value says its own name; that of a run needs the run's.
+        told = (
+            f"{value}" if id(value) in known else f"{label} = {value.cell()}"
+            for label, value in self.values.items()
+        )
+        count = f"{len(self.runs)} run{'s' * (len(self.runs) > 1)}"
+        return f"<FitResult of {count}, {self.status}: {', '.join(told)}>"
+
     def _repr_html_(self) -> str:
         return summary_html([self.table(), *self.interval_tables(), *self.sentences()])
 
@@ -346,7 +392,7 @@ def _path(path: "ZetaPath | None") -> dict | None:
 
 
 def _with_short_command(setup: SetUp) -> SetUp:
-    return msgspec.structs.replace(setup, command=decimate_command(setup.command))
+    return msgspec.structs.replace(as_in_file(setup), command=decimate_command(setup.command))
 
 
 def _group(run: RunFit, bands: Mapping[str, tuple[np.ndarray, np.ndarray]]):

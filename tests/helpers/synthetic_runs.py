@@ -6,7 +6,7 @@ import numpy as np
 
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.runlog.record import Measured, RecordedSetup, RunLog
-from drftjax.setups.setup import CommandSetUp, SetUp
+from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp
 from drftjax.setups.simulated_run import simulated_run
 from drftjax.simulation.statics import sinkage_under_load
 
@@ -32,11 +32,12 @@ def step_for(omega) -> float:
 def setup_of(profile=SLOW, zeta: float = 0.75, vx: list[float] | None = None) -> SetUp:
     """True set-up of a run, with the integrator of fits."""
     time, omega = profile
-    setup = SetUp(command=CommandSetUp(list(time), list(omega), vx), title="a virtual run")
+    rig = RigSetUp(carriage="free" if vx is None else "driven")
+    command = CommandSetUp(list(time), list(omega), vx)
+    setup = SetUp(command=command, title="a virtual run", rig=rig)
     setup.wheel.plate_size = PLATE
     setup.terrain.zeta = zeta
     setup.integrator.step = step_for(omega)
-    setup.rig.carriage = "free" if vx is None else "driven"
     # The wheel was let down and stands, a little deeper than it needs to: at the very least depth a
     # pull to either side lets it sink on, and so does a zeta that is a trace too small.
     setup.start.sinkage = DEEPER * float(sinkage_under_load(setup.trial().simulator, zeta))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp, WheelSetUp
+from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp
 from drftjax.setups.setup_toml import setup_toml
 from identify.commands.design_screen import parse_ranges
 from identify.design.elementary_effects import MorrisSettings, sample_trajectories, screen_function
@@ -163,7 +163,8 @@ def test_the_document_holds_every_range_and_change(screened):
 
 
 def test_what_pulls_a_driven_carriage_is_without_effect_and_grousers_need_grousers():
-    setup = short_run(rig=RigSetUp(carriage="driven"))
+    setup = short_run()
+    setup.rig.carriage = "driven"
     setup.wheel.shape = "plain"
     setup.command.vx = [0.0, 0.0, 0.08, 0.08]
     found = screen(
