@@ -12,7 +12,7 @@ from drftjax.common.text import replace_unprintable, value_with_error
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import reported_name
 from drftjax.effects.correction import VARIABLES
-from drftjax.effects.serialization import entry_of
+from drftjax.effects.serialization import entry_of, name_of
 from drftjax.recorded.repeats import group_by_condition
 from drftjax.setups.command_knots import decimate_command
 from drftjax.setups.setup_toml import setup_toml
@@ -85,7 +85,7 @@ def _head(found: Diagnosis) -> list[str]:
     elif found.verdict == (UNKNOWN,):
         lines.append("No effect shrinks the gap of these runs: this is the reference model.")
     if own := found.dataset.runs[0].setup.effects:
-        names = ", ".join(str(each["name"]) for each in own)
+        names = ", ".join(str(name_of(each)) for each in own)
         lines.append(f"The set-up that was given had effects, which are not in this file: {names}.")
     lines += [
         "Wheel, rig, start and command are those of the first run; the effects go with any:",
