@@ -10,8 +10,10 @@ WHEELS = {
     "grousers": WheelSetUp(),
     "grousers on a third": WheelSetUp(grouser_fraction=1 / 3),
     "plain": WheelSetUp(shape="plain"),
-    "square": WheelSetUp(shape="outline", points=SQUARE),
-    "another square": WheelSetUp(shape="outline", points=[(1.01 * x, y) for x, y in SQUARE]),
+    "square": WheelSetUp(shape="outline", radius=0.1, points=SQUARE),
+    "another square": WheelSetUp(
+        shape="outline", radius=0.1, points=[(1.01 * x, y) for x, y in SQUARE]
+    ),
 }
 
 
@@ -28,6 +30,10 @@ def test_a_wheel_is_the_same_however_it_is_cut(name):
     wheel = WHEELS[name]
     points = None if wheel.points is None else [(x + 1e-8, y) for x, y in wheel.points]
     again = WheelSetUp(
-        shape=wheel.shape, grouser_fraction=wheel.grouser_fraction, points=points, plate_size=0.01
+        shape=wheel.shape,
+        radius=wheel.radius,
+        grouser_fraction=wheel.grouser_fraction,
+        points=points,
+        plate_size=0.01,
     )
     assert kind(again) == kind(wheel)

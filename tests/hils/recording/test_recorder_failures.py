@@ -465,13 +465,13 @@ def test_a_disk_that_is_full_from_the_start_is_refused(small_disk):
 
 def test_a_limit_on_the_size_of_files_stops_the_recording_before_hdf5_meets_it(path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (3 * 2**20, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4 * 2**20, hard))
     try:
         recorder = Recorder(path, example_head())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     fill(recorder)
-    with pytest.raises(InputError, match=r"may not grow past 3\.0 MiB"):
+    with pytest.raises(InputError, match=r"may not grow past 4\.0 MiB"):
         recorder.close("stopped")
     run = read_run(path)
     assert run.online.time.size > 1000
