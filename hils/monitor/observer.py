@@ -30,7 +30,7 @@ from hils.procedure.active_runs import ActiveRun
 from hils.procedure.operator_prompts import AbstractPrompts
 from hils.procedure.procedure import Procedure
 from hils.recording.row_stream import OnlineRow
-from hils.recording.sinks import RowSink
+from hils.recording.sinks import RowSink, WrappedSink
 
 RAMPING, REFUSED = int(TickFlag.RAMPING), int(TickFlag.REFUSED)
 
@@ -244,46 +244,36 @@ class RunObserver:
         return self._sent, self._received, quality.dropped
 
 
-class _ObservedRows:
+class _ObservedRows(WrappedSink):
     """Row sink that an observer sees."""
 
     def __init__(self, rows: RowSink, observer: RunObserver):
-        self._rows, self._observer, self._z = rows, observer, 0
-
-    @property
-    def alive(self) -> bool:
-        return self._rows.alive
-
-    @property
-    def reason(self) -> str | None:
-        return self._rows.reason
-
-    def require_room(self, head: Head) -> None:
-        self._rows.require_room(head)
+        super().__init__(rows)
+        self._observer, self._z = observer, 0
 
     def begin(self, head: Head) -> None:
         self._z = head.channels.index("z")
-        self._rows.begin(head)
+        super().begin(head)
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
-        self._rows.command(time, omega, vx)
+        super().command(time, omega, vx)
         self._observer.on_command(time, omega, vx)
 
     def measured(self, time: float, *values: float) -> None:
-        self._rows.measured(time, *values)
+        super().measured(time, *values)
         self._observer.on_measurement(values[self._z])
 
     def online(self, row: OnlineRow) -> None:
-        self._rows.online(row)
+        super().online(row)
         self._observer.on_tick(row)
 
     def event(self, time: float, code: int, arg: float = 0.0) -> None:
-        self._rows.event(time, code, arg)
+        super().event(time, code, arg)
         self._observer.on_event(code, arg)
 
     def close(self, end_reason: str) -> object:
         self._observer.on_phase(Phase.CLOSING)
-        return self._rows.close(end_reason)
+        return super().close(end_reason)
 
 
 class _ObservedPrompts(AbstractPrompts):

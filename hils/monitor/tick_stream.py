@@ -28,7 +28,7 @@ from drftjax.common.errors import InputError
 from drftjax.runlog.header import Head
 from hils.monitor.stream_address import StreamAddress, StreamKind
 from hils.recording.row_stream import OnlineRow
-from hils.recording.sinks import RowSink
+from hils.recording.sinks import RowSink, WrappedSink
 
 CAUSES: Final = {
     errno.ECONNREFUSED: "nobody listened there",
@@ -225,34 +225,24 @@ def open_stream(
             say(stream.outcome(address.url))
 
 
-class _StreamedRows:
+class _StreamedRows(WrappedSink):
     """Row sink that sends the numbers of each tick."""
 
     def __init__(self, rows: RowSink, stream: TickStream):
-        self._rows, self._stream = rows, stream
+        super().__init__(rows)
+        self._stream = stream
         self._driven = True
         self._omega = self._vx = float("nan")
         self._names: tuple[str, ...] = ()
         self._newest: dict[str, float] = {}
 
-    @property
-    def alive(self) -> bool:
-        return self._rows.alive
-
-    @property
-    def reason(self) -> str | None:
-        return self._rows.reason
-
-    def require_room(self, head: Head) -> None:
-        self._rows.require_room(head)
-
     def begin(self, head: Head) -> None:
         self._driven = head.online is not None
         self._names = head.channels
-        self._rows.begin(head)
+        super().begin(head)
 
     def command(self, time: float, omega: float, vx: float | None = None) -> None:
-        self._rows.command(time, omega, vx)
+        super().command(time, omega, vx)
         self._omega = omega
         if vx is not None:
             self._vx = vx
@@ -260,11 +250,11 @@ class _StreamedRows:
             self._send({"time": time, **self._measured()})
 
     def measured(self, time: float, *values: float) -> None:
-        self._rows.measured(time, *values)
+        super().measured(time, *values)
         self._newest = dict(zip(self._names, values, strict=True))
 
     def online(self, row: OnlineRow) -> None:
-        self._rows.online(row)
+        super().online(row)
         self._send(
             {
                 "time": row.time,
@@ -281,12 +271,6 @@ class _StreamedRows:
                 "late": row.late,
             }
         )
-
-    def event(self, time: float, code: int, arg: float = 0.0) -> None:
-        self._rows.event(time, code, arg)
-
-    def close(self, end_reason: str) -> object:
-        return self._rows.close(end_reason)
 
     def _measured(self) -> dict[str, float]:
         """Numbers that every run has."""

@@ -62,6 +62,42 @@ class RowSink(Protocol):
         ...
 
 
+class WrappedSink:
+    """Passes a run's rows on to another sink; what sees them on their way derives from it."""
+
+    def __init__(self, rows: RowSink):
+        self._rows = rows
+
+    @property
+    def alive(self) -> bool:
+        return self._rows.alive
+
+    @property
+    def reason(self) -> str | None:
+        return self._rows.reason
+
+    def require_room(self, head: Head) -> None:
+        self._rows.require_room(head)
+
+    def begin(self, head: Head) -> None:
+        self._rows.begin(head)
+
+    def command(self, time: float, omega: float, vx: float | None = None) -> None:
+        self._rows.command(time, omega, vx)
+
+    def measured(self, time: float, *values: float) -> None:
+        self._rows.measured(time, *values)
+
+    def online(self, row: OnlineRow) -> None:
+        self._rows.online(row)
+
+    def event(self, time: float, code: int, arg: float = 0.0) -> None:
+        self._rows.event(time, code, arg)
+
+    def close(self, end_reason: str) -> object:
+        return self._rows.close(end_reason)
+
+
 class InMemorySink:
     """Keeps a run's rows in memory.
 

@@ -1,7 +1,6 @@
 """A rig's firmware in C that shares no code with the project, as a process at a pseudo-terminal."""
 
 import os
-import shutil
 import signal
 import subprocess
 import time
@@ -11,26 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.c_firmware import compile_c
+
 SOURCE = Path(__file__).resolve().parents[3] / "shared" / "firmware" / "rig.c"
-CC = shutil.which("cc")
 # To make the terminal it takes some milliseconds, on a busy computer more [s].
 LONGEST_START = 10.0
 
-needs_firmware = pytest.mark.skipif(
-    CC is None or not SOURCE.exists(),
-    reason="needs a C compiler and ../shared/firmware/rig.c",
-)
-
 
 def build(folder: Path) -> Path:
-    """Build it; the program."""
-    assert CC is not None
-    program = folder / "rig"
-    made = subprocess.run(
-        [CC, "-O2", "-w", "-o", program, SOURCE, "-lm", "-lutil"], capture_output=True, text=True
-    )
-    assert made.returncode == 0, made.stderr
-    return program
+    """Build it; the program. Without a compiler or its source the test is skipped."""
+    if not SOURCE.is_file():
+        pytest.skip("there is no firmware/rig.c in the folder ../shared")
+    return compile_c(folder / "rig", "-w", "-O2", SOURCE, "-lm", "-lutil")
 
 
 class Firmware:
