@@ -135,6 +135,8 @@ class SafetySettings:
         in_a_row: Readings that must agree: one may be a spike of the sensor.
         window: Commands of so long before count beside the present one [s]: the slowest rig that
             is accepted answers within 0.25 s, and its drive follows within half a second.
+        kept_interval: From one kept command to the next, at least [s]: commands change slowly, and
+            a tick of a millisecond must not look through hundreds.
         omega_margin: Error of the measured omega that is no danger [rad/s]: half of a usual speed.
         omega_share: The same as a share of the command [-]: more than gearing or a scale is off.
         wrong_omega: Speed the wrong way round that is no noise [rad/s].
@@ -165,6 +167,7 @@ class SafetySettings:
 
     in_a_row: int = 3
     window: float = 0.75
+    kept_interval: float = 0.01
     omega_margin: float = 0.25
     omega_share: float = 0.25
     wrong_omega: float = 0.1
@@ -279,9 +282,6 @@ class SafetyMonitor:
         settings: Numbers of the rules.
     """
 
-    # From one kept command to the next, at least [s]: commands change slowly.
-    GRAIN = 0.01
-
     def __init__(self, loop: LoopSetUp, driven: bool, settings: SafetySettings = DEFAULT_SAFETY):
         self._loop, self._driven, self._settings = loop, driven, settings
         self._radius = loop.setup.wheel.radius
@@ -327,7 +327,10 @@ class SafetyMonitor:
         last, tick = self._commands[-1], self._loop.tick
         start = time + tick
         travel = last.travel + last.vx * (start - last.time)
-        if len(self._commands) > 1 and last.time - self._commands[-2].time < self.GRAIN - 1e-9:
+        if (
+            len(self._commands) > 1
+            and last.time - self._commands[-2].time < self._settings.kept_interval
+        ):
             self._commands.pop()
         self._commands.append(_Commanded(start, output.demand.omega, output.demand.vx, travel))
         oldest = start - self._settings.window
