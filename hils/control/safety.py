@@ -21,9 +21,10 @@ from hils.events import Event
 class Action(enum.Enum):
     """Action that follows, in words."""
 
-    ASK = "asked before the run goes on; refused with --yes"
+    ASK = "asked before ARM; refused with --yes, and after ARM"
     HOLD = "zeta held, and reported"
     RAMP = "ramped down"
+    END = "ended as by silence: STOP, and an emergency stop where the rig is not seen to rest"
     STOP = "emergency stop"
 
 
@@ -86,7 +87,7 @@ class SafetyRule(enum.Enum):
     READINGS_TOO_OLD = _Rule(
         "the newest reading older than 0.25 s (or five ticks), by the command that it answers or "
         "by the rig's clock",
-        Action.STOP,
+        Action.END,
         Event.READINGS_TOO_OLD,
     )
     ZETA_DOUBTED = _Rule(
