@@ -72,10 +72,10 @@ def drive(tmp_path_factory):
 
     @cache
     def made(**options: float) -> Made:
-        """A run; another one where the computer was so busy that readings stayed out for long."""
-        for _ in range(3):
+        """A run; another one where this computer was so busy that it, not the rig, ended it."""
+        for _ in range(5):
             found = once(**options)
-            if not re.search(r"no measurement for|is 0\.[23]. s old", found.why):
+            if not re.search(r"no measurement for|is 0\.[23]. s old|this computer", found.why):
                 break
         return found
 
