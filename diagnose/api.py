@@ -12,6 +12,7 @@ from diagnose.change.comparison import DEFAULT_CHANGE_SETTINGS, ChangeSettings, 
 from diagnose.change.differences.conditions import require_one_rig_on_both_sides
 from diagnose.change.result import ChangeDiagnosis
 from diagnose.dataset import RigDataset
+from diagnose.drive_error import drive_error, driven_by_measured_speed
 from diagnose.evaluation.evaluate import evaluate_model
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.evaluation.result import Evaluation
@@ -158,7 +159,14 @@ def evaluate(
             effects = _in_double_precision(model)
         gathered = gather_inputs(runs, origin)
         caveats = [] if added is None else added.caveats(gathered.runs)
-        return evaluate_model(RigDataset.of(gathered.runs), effects, gathered.skipped, caveats)
+        driven, kinds = driven_by_measured_speed(gathered.runs, [type(each) for each in effects])
+        kept = tuple(each for each in effects if type(each) in kinds)
+        if len(kept) < len(effects):
+            caveats.append(
+                "The model is driven by the measured speed of the wheel, without its effects of "
+                "the drive."
+            )
+        return evaluate_model(RigDataset.of(driven), kept, gathered.skipped, caveats)
 
 
 def _in_double_precision(given: object) -> tuple[AbstractEffect, ...]:
@@ -304,6 +312,8 @@ def diagnose_gathered(
     kept, notes = gathered.runs, list(gathered.skipped.values())
     effects = possible_effects(kept, effects)
     _require_null(kept, effects)
+    of_drive = effects
+    kept, effects = driven_by_measured_speed(kept, effects)
     while True:
         try:
             dataset = RigDataset.of(kept, settings.dataset)
@@ -315,7 +325,11 @@ def diagnose_gathered(
                 raise
             notes.append(str(problem))
             tell(f"left out: {problem}")
-    return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])
+    return dataclasses.replace(
+        found,
+        notes=[*found.notes, *(f"Left out: {why}" for why in notes)],
+        drive=drive_error(kept, of_drive),
+    )
 
 
 def compare_gathered(
@@ -343,10 +357,19 @@ def compare_gathered(
     notes = [*before.skipped.values(), *now.skipped.values()]
     possible = possible_effects([*earlier, *later], effects)
     _require_null(later, possible)
+    sides = {"before": drive_error(earlier, possible), "now": drive_error(later, possible)}
+    drive = [
+        f"Wheel speed {side}: {sentence}"
+        for side, error in sides.items()
+        if error is not None
+        for sentence in error.sentences()
+    ]
+    driven, others = driven_by_measured_speed([*earlier, *later], possible)
+    earlier, later = driven[: len(earlier)], driven[len(earlier) :]
     while True:
         tried = len(earlier), len(later)
         try:
-            found = compare_runs(earlier, later, possible, report, settings)
+            found = compare_runs(earlier, later, others, report, settings)
             break
         except RunError as problem:
             earlier, later = (
@@ -356,4 +379,5 @@ def compare_gathered(
                 raise
             notes.append(str(problem))
             tell(f"left out: {problem}")
-    return dataclasses.replace(found, notes=[*found.notes, *(f"Left out: {why}" for why in notes)])
+    left_out = [f"Left out: {why}" for why in notes]
+    return dataclasses.replace(found, notes=[*found.notes, *drive, *left_out])

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from diagnose.dataset import RigDataset
+from diagnose.drive_error import DriveError
 from diagnose.gap.budget import Budget
 from diagnose.gap.gap import Gap
 from diagnose.gap.one_zeta import ZetaShare
@@ -78,6 +79,7 @@ class Diagnosis:
         one_zeta_gap: By channel, the gap with one zeta for the bed, without and with the effects
             behind the verdict, on held-out runs.
         zeta_shares: By effect, the share of it that another zeta would make up for.
+        drive: Error of the drive; None where not every run has a measured speed of the wheel.
         provenance: Its inputs, its command line, and what it was made with.
     """
 
@@ -98,6 +100,7 @@ class Diagnosis:
     budget: Budget = field(default_factory=dict)
     one_zeta_gap: Mapping[str, Gap] = field(default_factory=dict)
     zeta_shares: Mapping[str, ZetaShare] = field(default_factory=dict)
+    drive: DriveError | None = None
     provenance: Provenance | None = None
 
     @property
@@ -265,6 +268,7 @@ class Diagnosis:
                 }
                 for name, fields in self.parameters.items()
             },
+            "drive": None if self.drive is None else self.drive.document(),
             "correction": None if self.correction is None else self.correction.document(),
             "next_run": dict(self.next_run),
             "notes": list(self.notes),

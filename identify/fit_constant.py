@@ -11,9 +11,9 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.batch import Batch, device_mesh, make_batch
-from drftjax.recorded.compatible import largest_compatible_set
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun
+from identify.compatible_runs import largest_compatible_set
 from identify.parameters.bijector import Interval
 from identify.parameters.parameter import Parameter
 from identify.parameters.phase_zeta import PhaseZeta, has_phase_zeta, with_phases

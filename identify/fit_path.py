@@ -6,9 +6,9 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 
-from drftjax.recorded.compatible import retry_without_failures
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
+from identify.compatible_runs import retry_without_failures
 from identify.fit_path_jointly import (
     JOINT_FIT_SETTINGS,
     JointFitSettings,

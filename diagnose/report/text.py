@@ -147,7 +147,7 @@ def certainty_in_words(found: Diagnosis) -> float:
 def paragraphs(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[str]:
     """The rest of the diagnosis, in sentences."""
     weighty = [each for each in found.weights.items() if each[1] >= settings.min_weight]
-    lines = [*effect_sentences(found), remainder_sentence(found)]
+    lines = [*drive_sentences(found), *effect_sentences(found), remainder_sentence(found)]
     lines += group_sentences(found)
     lines += gap_sentences(found)
     lines.append(one_zeta_sentence(found))
@@ -161,6 +161,11 @@ def paragraphs(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> l
     lines += [f"note: {note}" for note in (*found.notes, zeta_sentence(found)) if note]
     lines += next_sentences(found)
     return lines
+
+
+def drive_sentences(found: Diagnosis) -> list[str]:
+    """Error of the drive by the wheel's measured speed, in sentences; empty without one."""
+    return [] if found.drive is None else found.drive.sentences()
 
 
 def group_sentences(found: Diagnosis) -> list[str]:
@@ -360,6 +365,7 @@ def page(found: Diagnosis) -> str:
         budget_columns=budget_columns(found),
         budget_rows=budget_rows(found),
         sentences=[
+            *drive_sentences(found),
             *effect_sentences(found),
             *filter(None, [remainder_sentence(found)]),
             *group_sentences(found),

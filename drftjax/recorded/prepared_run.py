@@ -19,6 +19,7 @@ from drftjax.recorded.observation import (
 )
 from drftjax.recorded.refused_readings import drop_refused
 from drftjax.recorded.start_state import DEFAULT_START, StartSettings, start_state
+from drftjax.recorded.wheel_speed import WheelSpeed, measured_wheel_speed
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
 from drftjax.runlog.record import CHANNELS, RunLog
@@ -45,6 +46,7 @@ class PreparedRun:
         made_in_loop: The run log itself where it was made in the loop; None for others.
         step_choice: The step that was chosen for it, and its estimated error; None where one was
             given.
+        wheel_speed: Measured speed of its wheel; None where there is none.
     """
 
     name: str
@@ -53,6 +55,7 @@ class PreparedRun:
     observation: Observation
     made_in_loop: RunLog | None = None
     step_choice: StepChoice | None = None
+    wheel_speed: WheelSpeed | None = None
 
 
 def prepare_run(
@@ -93,7 +96,9 @@ def prepare_run(
         choice = choose_setup_step(setup, RECORDED_STEPS)
         # A row for every step, so that runs of any step share one program.
         trial = setup.trial(interval=0)
-        return PreparedRun(name, setup, trial, observation, made_in_loop, choice)
+        return PreparedRun(
+            name, setup, trial, observation, made_in_loop, choice, measured_wheel_speed(run)
+        )
     except InputError as problem:
         raise RunError(name, str(problem)) from None
 

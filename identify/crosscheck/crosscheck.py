@@ -14,9 +14,9 @@ import numpy as np
 
 from drftjax import __version__
 from drftjax.common.errors import InputError, RunError
-from drftjax.recorded.compatible import retry_without_failures
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.runlog.record import Online
+from identify.compatible_runs import retry_without_failures
 from identify.crosscheck.comparison import (
     COMPARISON_SETTINGS,
     Comparison,
