@@ -91,7 +91,7 @@ class SafetyRule(enum.Enum):
         Event.READINGS_TOO_OLD,
     )
     ZETA_DOUBTED = _Rule(
-        "zeta(0) from statics off the set-up's by a factor of {zeta_factor}",
+        "zeta(0) from statics off the set-up's by a factor of {zeta_factor}, or no sand's",
         Action.ASK,
         Event.ZETA_DOUBTED,
     )

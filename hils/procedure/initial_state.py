@@ -116,7 +116,7 @@ def starting_point(
         limits: Values that can be believed.
 
     Raises:
-        InputError: the sinkage or the zeta(0) that follows from it cannot be believed.
+        InputError: the sinkage cannot be believed, or tells no zeta(0).
     """
     deepest = -loop.readings.lowest
     least = limits.min_sinkage if zeta is None else -limits.max_height
@@ -134,13 +134,24 @@ def starting_point(
     if settled.sinkage < limits.min_sinkage:  # in the air, where statics has no answer
         return Start(settled.sinkage, math.nan)
     zeta = statics(settled.sinkage)
-    if not limits.min_zeta <= zeta <= limits.max_zeta:
+    if not math.isfinite(zeta):
         raise InputError(
-            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
-            f"lie between {limits.min_zeta:g} and {limits.max_zeta:g}: check touch-down, mass and "
-            "wheel, and the rig's z_scale and the sign of its z"
+            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells no zeta(0): check mass and "
+            "wheel, or give --zeta0"
         )
     return Start(settled.sinkage, zeta)
+
+
+def within_limits(start: Start, limits: StartLimits = DEFAULT_START_LIMITS) -> Start:
+    """The start with its zeta(0) within the limits, of a run that is made in spite of a doubt.
+
+    Args:
+        start: By `starting_point`.
+        limits: Values that can be believed.
+    """
+    if math.isnan(start.zeta):
+        return start
+    return Start(start.sinkage, min(max(start.zeta, limits.min_zeta), limits.max_zeta))
 
 
 def rest_sentence(start: Start, free: bool, limits: StartLimits = DEFAULT_START_LIMITS) -> str:
@@ -158,24 +169,34 @@ def rest_sentence(start: Start, free: bool, limits: StartLimits = DEFAULT_START_
 
 
 def zeta_doubt(
-    loop: LoopSetUp, start: Start, safety: SafetySettings = DEFAULT_SAFETY
+    loop: LoopSetUp,
+    start: Start,
+    safety: SafetySettings = DEFAULT_SAFETY,
+    limits: StartLimits = DEFAULT_START_LIMITS,
 ) -> Finding | None:
-    """A zeta(0) by statics that is far from the set-up's; None where it is near.
+    """A zeta(0) by statics that is far from the set-up's, or that no sand has; None otherwise.
 
     Args:
         loop: Within the rig's limits.
         start: By `starting_point`, from the sinkage at rest.
         safety: Numbers of the rule.
+        limits: Values that can be believed.
     """
-    believed = loop.setup.terrain.zeta
-    if not (isinstance(believed, float) and believed > 0 and math.isfinite(start.zeta)):
+    if math.isnan(start.zeta):
         return None
-    ratio = start.zeta / believed
-    if 1 / safety.zeta_factor <= ratio <= safety.zeta_factor:
+    believed = loop.setup.terrain.zeta
+    against = []
+    if isinstance(believed, float) and believed > 0:
+        ratio = start.zeta / believed
+        if not 1 / safety.zeta_factor <= ratio <= safety.zeta_factor:
+            against.append(f"the set-up says {believed:.3g}")
+    if not limits.min_zeta <= start.zeta <= limits.max_zeta:
+        against.append(f"sand has {limits.min_zeta:g} to {limits.max_zeta:g}")
+    if not against:
         return None
     sentence = (
-        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm tells zeta(0) {start.zeta:.3g}, the "
-        f"set-up says {believed:.3g}: the rig's z_scale, the sign of z, touch-down or the mass is "
+        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm tells zeta(0) {start.zeta:.3g}, "
+        f"{' and '.join(against)}: the rig's z_scale, the sign of z, touch-down or the mass is "
         "wrong, or the sand is another"
     )
     return Finding(SafetyRule.ZETA_DOUBTED, sentence, start.zeta)

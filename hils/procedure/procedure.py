@@ -40,6 +40,7 @@ from hils.procedure.initial_state import (
     rest_sentence,
     run_log_head,
     starting_point,
+    within_limits,
     zeta_doubt,
 )
 from hils.procedure.operator_prompts import AbstractPrompts, signs_of_life
@@ -437,6 +438,7 @@ class _Run:
         if doubt is not None:
             self._log.note(doubt.rule.event, doubt.value)
             raise RunAborted(f"{doubt.sentence}; --zeta0 {start.zeta:.3g} goes on with it")
+        start = self._start = within_limits(start, limits)
         prompts.say_if_free(
             f"{rest_sentence(start, procedure.free, limits)}; start in {procedure.countdown:g} s"
         )

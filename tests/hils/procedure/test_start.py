@@ -10,10 +10,11 @@ import pytest
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import survey_run, write_run
 from hils.clock import VirtualClock
+from hils.control.loop_config import Start
 from hils.control.measurements import ResponseSettings
 from hils.control.stop_request import StopRequest
 from hils.link.messages import Arm, Bye, Drive, EmergencyStop, Hello, RigState
-from hils.procedure.initial_state import StartLimits
+from hils.procedure.initial_state import StartLimits, within_limits, zeta_doubt
 from hils.procedure.operator_prompts import POLL_INTERVAL, UnattendedPrompts
 from hils.procedure.procedure import Procedure, ProcedureSettings, run
 from hils.procedure.settling import SettlingSettings
@@ -77,6 +78,25 @@ def test_wheel_in_the_air_is_refused_where_it_is_simulated_or_too_high(free, ove
     with pytest.raises(InputError, match=f"rests {said}"):
         run(given, link, clock, InMemorySink(), UnattendedPrompts(quiet=True), StopRequest())
     assert not any(isinstance(m, Drive) and m.omega for _, m in link.said)
+
+
+@pytest.mark.parametrize(
+    ("zeta", "said"),
+    [
+        (0.9, None),
+        (2.5, "the set-up says 0.75: the rig's z_scale, the sign of z"),
+        (25.0, "the set-up says 0.75 and sand has 0.05 to 20: the rig's z_scale, the sign of z"),
+        (-0.5, "the set-up says 0.75 and sand has 0.05 to 20"),
+    ],
+)
+def test_a_doubtful_zeta_is_asked_about_and_kept_within_what_sand_has(zeta, said):
+    loop = loop_setup()
+    loop.setup.terrain.zeta = 0.75
+    start = Start(0.01, zeta)
+    doubt = zeta_doubt(loop, start)
+    assert (doubt is None) == (said is None)
+    assert doubt is None or f"10.00 mm tells zeta(0) {zeta:.3g}, {said}" in doubt.sentence
+    assert within_limits(start).zeta == min(max(zeta, 0.05), 20.0)
 
 
 class Pressing(UnattendedPrompts):
