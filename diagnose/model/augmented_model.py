@@ -18,6 +18,7 @@ from diagnose.model.shared_programs import Held, program_of
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.recorded.batch import PaddedObservations, between_rows
+from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.trial import Trial
 
 # Past this share of the sinkage that a wheel's plates are carried for [-] a prediction is NaN, as a
@@ -161,6 +162,21 @@ def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) ->
 _simulate_compiled = eqx.filter_jit(_simulate)
 
 
+# One program simulates all channels, whichever were recorded: it serves the runs of every rig.
+def _rows_of(channels: tuple[str, ...]) -> list[int]:
+    """Places of some channels among all."""
+    return [CHANNELS.index(each) for each in channels]
+
+
+def _of_all_channels(observed: PaddedObservations, channels: tuple[str, ...]) -> PaddedObservations:
+    """The recording with an error by the step for every channel, and without what was read."""
+    error = np.zeros((len(CHANNELS), observed.step_error.shape[-1]), observed.step_error.dtype)
+    error[_rows_of(channels)] = observed.step_error
+    nothing = jnp.zeros(0, error.dtype)
+    parts = nothing, nothing, jnp.asarray(error)
+    return eqx.tree_at(lambda o: (o.values, o.weight, o.step_error), observed, parts)
+
+
 def predict(
     model: AugmentedModel,
     channels: tuple[str, ...],
@@ -168,22 +184,25 @@ def predict(
     observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
-) -> Float[Array, "channels samples"]:
+) -> np.ndarray:
     """Simulate one run with effects, at its recorded times.
 
     Args:
         model: Effects added (static).
-        channels: Which channels (static).
+        channels: Which channels.
         trial, observed: The run, padded like the others of its dataset.
         log_zeta: Logarithm of its zeta over its set-up's [-].
         coordinates: Free numbers of the effects, shape (free,).
 
     Returns:
-        Simulated channels [m, N, N m]; NaN where the wheel sinks past the plates it carries.
+        Simulated channels [m, N, N m], shape (channels, samples); NaN where the wheel sinks past
+        the plates it carries.
     """
     program, held, mix = model.program
     at = jnp.asarray(mix @ coordinates, float)
-    return _simulate_compiled(program, held, channels, trial, observed, log_zeta, at)
+    seen = _of_all_channels(observed, channels)
+    found = _simulate_compiled(program, held, CHANNELS, trial, seen, log_zeta, at)
+    return np.asarray(found)[_rows_of(channels)]
 
 
 def predict_with_jacobian(
@@ -198,7 +217,7 @@ def predict_with_jacobian(
 
     Args:
         model: Effects added (static).
-        channels: Which channels (static).
+        channels: Which channels.
         trial, observed: The run, padded like the others of its dataset.
         log_zeta: Logarithm of its zeta over its set-up's [-].
         coordinates: Free numbers of the effects, shape (free,).
@@ -209,9 +228,11 @@ def predict_with_jacobian(
     """
     program, held, mix = model.program
     at = jnp.asarray(mix @ coordinates, float)
-    value, slope = _predict_with_jacobian(program, held, channels, trial, observed, log_zeta, at)
-    by_zeta, by_rest = np.split(np.asarray(slope), [1], axis=-1)
-    return np.asarray(value), np.concatenate([by_zeta, by_rest @ mix], axis=-1)
+    seen = _of_all_channels(observed, channels)
+    found = _predict_with_jacobian(program, held, CHANNELS, trial, seen, log_zeta, at)
+    value, slope = (np.asarray(each)[_rows_of(channels)] for each in found)
+    by_zeta, by_rest = np.split(slope, [1], axis=-1)
+    return value, np.concatenate([by_zeta, by_rest @ mix], axis=-1)
 
 
 @eqx.filter_jit
