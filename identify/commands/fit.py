@@ -39,7 +39,8 @@ Examples:
       bounds = [0.3, 2.0]
       prior = [0.78, 0.1]   # mean and standard error believed before the runs
 
-The result is out/fit.json, out/fit.h5 and out/fit.png, and the draws of --posterior out/fit.nc;
+The result is out/fit.json, out/fit.h5, out/fit.png and out/fit.html (one page, to open in a
+browser), and the draws of --posterior out/fit.nc;
 `drft simulate --from out/fit.json --run NAME` simulates a fitted run again.
 """
 
