@@ -56,15 +56,16 @@ class CurvePanel:
 
     Attributes:
         quantity, unit: Its name, and the unit of all numbers.
-        recorded: Shape (samples,); NaN leaves a gap.
-        before, after: Simulated less recorded, likewise; None for a model that there is not.
+        recorded: Shape (samples,); NaN leaves a gap. None for what is not measured.
+        before, after: Simulated less recorded, likewise; None for a model that there is not. The
+            simulated values themselves where nothing is recorded.
         floor: Noise floor; None where none is known.
         downward: True for a quantity whose axis points down, such as a sinkage.
     """
 
     quantity: str
     unit: str
-    recorded: np.ndarray
+    recorded: np.ndarray | None
     before: np.ndarray | None
     after: np.ndarray | None
     floor: float | None = None
@@ -162,7 +163,7 @@ def curve_document(curves: RunCurves, settings: CurveSettings = DEFAULT_CURVES) 
 
 
 def _lines(panel: CurvePanel) -> int:
-    return 1 + (panel.before is not None) + (panel.after is not None)
+    return sum(each is not None for each in (panel.recorded, panel.before, panel.after))
 
 
 def _run(run: RunPanels, points: int, settings: CurveSettings) -> dict:
@@ -195,7 +196,8 @@ def _panel(panel: CurvePanel, every: int, settings: CurveSettings) -> dict:
 
 def _places(panel: CurvePanel, settings: CurveSettings) -> int:
     """Decimal places that the finest difference worth seeing needs."""
-    finite = panel.recorded[np.isfinite(panel.recorded)]
+    values = next(v for v in (panel.recorded, panel.after, panel.before, [0.0]) if v is not None)
+    finite = np.asarray(values)[np.isfinite(values)]
     span = float(np.ptp(finite)) if finite.size else 0.0
     finest = settings.range_resolution * span
     if panel.floor and math.isfinite(panel.floor):

@@ -11,7 +11,7 @@
   let charts = [];
 
   const colour = (role) => getComputedStyle(root).getPropertyValue("--" + role).trim();
-  const difference = (a, b) => (a === null || b === null ? null : a + b);
+  const sum = (a, b) => (a === null || b === null ? null : a + b);
   const whole = (run) => [run.time[0], run.time[run.time.length - 1]];
   const picked = () => curves.runs[picker.selectedIndex] ?? curves.runs[0];
   const width = () =>
@@ -33,7 +33,7 @@
     value: (_, value) => (value === null || value === undefined ? "" : value.toFixed(panel.places)),
   });
 
-  const add = (run, panel, heading, series, data, residual, last) => {
+  const add = (run, panel, heading, series, data, residual, timed, last) => {
     const box = document.createElement("div");
     box.className = "panel";
     const head = document.createElement("div");
@@ -44,11 +44,11 @@
     box.append(head);
     place.append(box);
     const axis = { stroke: colour("ink"), grid: { stroke: colour("line"), width: 1 }, ticks: { stroke: colour("line"), width: 1 }, font: "11px system-ui, sans-serif" };
-    const labelled = residual ? { size: AXIS } : { size: 4, values: (_, splits) => splits.map(() => "") };
+    const labelled = timed ? { size: AXIS } : { size: 4, values: (_, splits) => splits.map(() => "") };
     const named = last ? { label: "time [s]", labelSize: AXIS_LABEL, labelGap: 0, labelFont: axis.font } : {};
     const options = {
       width: width(),
-      height: residual ? RESIDUAL_HEIGHT + (last ? AXIS_LABEL : 0) : HEIGHT,
+      height: (residual ? RESIDUAL_HEIGHT : HEIGHT) + (last ? AXIS_LABEL : 0),
       padding: [6, 8, 0, 0],
       scales: { x: { time: false }, y: { dir: panel.downward ? -1 : 1 } },
       axes: [{ ...axis, ...labelled, ...named }, { ...axis, size: 58, space: 24 }],
@@ -69,15 +69,19 @@
     const count = run.time.length;
     run.panels.forEach((panel, number) => {
       const models = ["before", "after"].filter((role) => panel[role] !== null);
-      const simulated = models.map((role) => panel.recorded.map((value, at) => difference(value, panel[role][at])));
-      const heading = `${panel.quantity} [${panel.unit}]`;
-      add(run, panel, heading, ["recorded", ...models].map((role) => line(role, panel, count)), [panel.recorded, ...simulated], false, false);
-      if (models.length === 0) return;
+      const measured = panel.recorded !== null;
+      const roles = measured ? ["recorded", ...models] : models;
+      const values = roles.map((role) =>
+        measured && role !== "recorded" ? panel.recorded.map((value, at) => sum(value, panel[role][at])) : panel[role]);
+      const final = number === run.panels.length - 1;
+      const alone = !measured || models.length === 0;
+      add(run, panel, `${panel.quantity} [${panel.unit}]`, roles.map((role) => line(role, panel, count)), values, false, alone, final && alone);
+      if (alone) return;
       const edge = (sign) => run.time.map(() => sign * panel.floor);
       const floors = panel.floor === null ? [] : [edge(-1), edge(1)];
       const hidden = floors.map(() => ({ stroke: colour("floor"), width: 0, points: { show: false } }));
       const head = `simulated less recorded [${panel.unit}]` + (floors.length ? `, ${curves.labels.floor} ±${panel.floor.toPrecision(2)} in grey` : "");
-      add(run, panel, head, [...hidden, ...models.map((role) => line(role, panel, count))], [...floors, ...models.map((role) => panel[role])], true, number === run.panels.length - 1);
+      add(run, panel, head, [...hidden, ...models.map((role) => line(role, panel, count))], [...floors, ...models.map((role) => panel[role])], true, true, final);
     });
     place.dataset.run = run.name;
     document.getElementById("thinned").textContent = run.every > 1 ? `One sample of ${run.every} is drawn.` : "";
