@@ -42,7 +42,7 @@ class FigureSettings:
         max_runs: Runs whose residuals are drawn at most.
         max_weights: Hypotheses whose weights are drawn at most.
         max_bins: Bins of an axis at most, the largest shares first.
-        max_points: Points of a line, about at most.
+        max_points: Points of a line, about at most: a line is a third of a page wide.
         columns: Panels of the disturbance side by side.
         min_opacity: Of dots whose standard error is large [-].
     """
@@ -50,7 +50,7 @@ class FigureSettings:
     max_runs: int = 16
     max_weights: int = 8
     max_bins: int = 4
-    max_points: int = 600
+    max_points: int = 250
     columns: int = 3
     min_opacity: float = 0.08
 

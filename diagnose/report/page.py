@@ -141,8 +141,14 @@ def recorded_and_simulated(found: Diagnosis) -> RunCurves:
         # Sinkage first: it is what the sand's model is about.
         panels.sort(key=lambda panel: not panel.downward)
         runs.append(RunPanels(run.name, dataset.time(number), panels))
-    what = "the effect" if found.correction is None else "the correction"
-    return RunCurves(runs, CurveLabels(before="reference model", after=f"with {what}"))
+    return RunCurves(runs, CurveLabels(before="reference model", after=f"with {_added(found)}"))
+
+
+def _added(found: Diagnosis) -> str:
+    """What is added to the reference model, in words."""
+    if found.correction is not None:
+        return "the correction"
+    return "the effects" if len(found.selected.effects) > 1 else "the effect"
 
 
 def page(found: Diagnosis) -> str:
@@ -169,7 +175,7 @@ def page(found: Diagnosis) -> str:
         residuals=as_source(residuals(found)),
         gap_columns=GAP_COLUMNS,
         gap_rows=gap_rows(found),
-        added="the effect" if found.correction is None else "the correction",
+        added=_added(found),
         run_columns=run_columns(found),
         run_rows=run_rows(found),
         where=found.localization,

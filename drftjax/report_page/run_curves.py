@@ -14,7 +14,7 @@ class CurveSettings:
     """Numbers that bound the size of a page.
 
     Attributes:
-        max_values: Numbers of all curves at most: about 1 MB of text.
+        max_values: Numbers of all curves at most: under 1 MB of text.
         max_points: Samples of a run at most; more than a wide screen has columns helps zooming
             alone.
         min_points: Samples that a run's shape needs; runs that would have fewer are left out.
@@ -23,7 +23,7 @@ class CurveSettings:
         range_resolution: The latter [-].
     """
 
-    max_values: int = 150_000
+    max_values: int = 120_000
     max_points: int = 4000
     min_points: int = 100
     resolution: float = 0.05

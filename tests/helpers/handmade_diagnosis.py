@@ -65,8 +65,8 @@ def handmade_diagnosis(names: list[str], samples: int = 1200, found: bool = True
     matches = [MatchedRun(each, 0.0, True) for each in after]
     chosen: Any = SimpleNamespace(names=effects)
     screening: Any = SimpleNamespace(regressors=regressors)
-    one = [SimpleNamespace()] if found else []
-    selected: Any = SelectedEffects(tuple(one), np.zeros(len(names)), matches, gap)  # pyright: ignore
+    added: Any = tuple(SimpleNamespace() for _ in effects) if found else ()
+    selected = SelectedEffects(added, np.zeros(len(names)), matches, gap)
     return Diagnosis(
         verdict=effects if found else ("none",),
         weights={effects[0]: 0.97, effects[1]: 0.95, "none": 0.01} if found else {"none": 0.9},

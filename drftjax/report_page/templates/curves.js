@@ -51,7 +51,7 @@
       height: (residual ? RESIDUAL_HEIGHT : HEIGHT) + (last ? AXIS_LABEL : 0),
       padding: [6, 8, 0, 0],
       scales: { x: { time: false }, y: { dir: panel.downward ? -1 : 1 } },
-      axes: [{ ...axis, ...labelled, ...named }, { ...axis, size: 58, space: 24 }],
+      axes: [{ ...axis, ...labelled, ...named }, { ...axis, size: 58, space: residual ? 16 : 24 }],
       series: [{ label: "time", value: (_, value) => (value === null || value === undefined ? "" : value.toFixed(2) + " s") }, ...series],
       bands: residual && panel.floor !== null ? [{ series: [2, 1], fill: colour("floor") }] : [],
       legend: { show: !residual, markers: { fill: (chart, at) => chart.series[at].stroke() }, mount: (_, legend) => head.append(legend) },

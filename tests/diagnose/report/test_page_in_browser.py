@@ -20,6 +20,8 @@ NAMES = ["slow_a", "fast", HOSTILE]
 # A line is anti-aliased: a good part of its pixels has its pure colour all the same. The panel of
 # sinkage is some 600 pixels wide.
 MIN_PIXELS = 100
+# Time from one sample to the next, and a pixel's width in time [s].
+SAMPLE = 0.06
 
 # Pixels of a canvas with exactly this colour: how many, and their mean row in the left and in the
 # right third.
@@ -149,6 +151,13 @@ def test_a_drag_looks_closer_in_every_panel_and_a_double_click_goes_back(browser
 
     held = {"button": "left", "buttons": 1, "clickCount": 1}
     mouse("mouseMoved", 0.2)
+    browser.settle()
+    # The time under the mouse is told beside both quantities: a fifth of the run's 24 s.
+    times = browser.value(
+        "[...document.querySelectorAll('.u-legend')].map(each => "
+        "parseFloat(each.querySelector('.u-value').textContent))"
+    )
+    assert times == pytest.approx([0.2 * 24.0] * 2, abs=SAMPLE)
     mouse("mousePressed", 0.2, **held)
     mouse("mouseMoved", 0.3, buttons=1)
     mouse("mouseMoved", 0.4, buttons=1)
