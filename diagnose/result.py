@@ -226,7 +226,7 @@ class Diagnosis:
         Raises:
             InputError: where one cannot be written.
         """
-        from diagnose.report.text import write
+        from diagnose.report.page import write
 
         with jax.enable_x64(True):
             return write(self, Path(folder))

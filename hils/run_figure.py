@@ -81,12 +81,18 @@ def _findings(run: RunLog) -> list[str]:
 
 def sinkage_error(run: RunLog) -> np.ndarray:
     """Measured minus simulated sinkage at the times of the readings [m]; empty without either."""
-    online, z = run.online, run.measured.z
+    online, z, within = run.online, run.measured.z, readings_in_the_loop(run)
     if online is None or z is None:
         return np.empty(0)
-    time = run.measured.time
-    within = (time >= online.time[0]) & (time <= online.time[-1])
-    return np.interp(time[within], online.time, online.z_sim) - z[within]
+    return np.interp(run.measured.time[within], online.time, online.z_sim) - z[within]
+
+
+def readings_in_the_loop(run: RunLog) -> np.ndarray:
+    """True for readings taken while the loop ticked, shape (readings,)."""
+    time, online = run.measured.time, run.online
+    if online is None:
+        return np.zeros(time.shape, bool)
+    return (time >= online.time[0]) & (time <= online.time[-1])
 
 
 def _sinkage(axes: Axes, run: RunLog, online: Online) -> None:
@@ -100,16 +106,22 @@ def _sinkage(axes: Axes, run: RunLog, online: Online) -> None:
     axes.set_ylabel("sinkage [mm]")
 
 
-def _slip(axes: Axes, run: RunLog) -> None:
-    axes.set_ylabel("slip, commanded [-]")
+def commanded_slip(run: RunLog) -> np.ndarray | None:
+    """Slip of the command [-], shape (commands,); NaN at rest, None where a number is missing."""
     command, radius = run.command, run.setup.wheel_radius
     if command.vx is None or radius is None:
-        return
+        return None
     rolling = radius * command.omega
-    # What is not known leaves a gap in the line.
     slip = np.full(rolling.shape, math.nan)
     np.divide(command.vx, rolling, out=slip, where=np.abs(rolling) > ROLLING)
-    axes.plot(command.time, 1 - slip, color="C2")
+    return 1 - slip
+
+
+def _slip(axes: Axes, run: RunLog) -> None:
+    axes.set_ylabel("slip, commanded [-]")
+    slip = commanded_slip(run)
+    if slip is not None:  # what is not known leaves a gap in the line
+        axes.plot(run.command.time, slip, color="C2")
 
 
 def _lateness(axes: Axes, online: Online, counts: TickCounts) -> None:

@@ -43,7 +43,7 @@ class Series(NamedTuple):
         between: Shell command that prepares the sand; None to ask the operator.
         fifo: True to ask the system for SCHED_FIFO.
         view: True to show the live view.
-        plot: True to draw each run beside its run log.
+        plot: True to draw each run beside its run log, and to write its page.
         stream: Address to which each tick is streamed; None for no stream.
         clearing_time: Time that the command between runs, and all that it has started, may take
             to end when it is interrupted [s].
@@ -102,10 +102,12 @@ def make_series(procedure: Procedure, series: Series, prompts: AbstractPrompts) 
                 if len(series.files) > 1:
                     prompts.say(f"Run {number + 1} of {len(series.files)}: {path}")
                 report = make_run(procedure, series, path, prompts, stop, under_way)
-                for line in outcome_lines(report, path):
+                lines = outcome_lines(report, path)
+                for line in lines:
                     prompts.say(line)
                 if series.plot and _is_run_log(path):
-                    prompts.say(_draw_figure(path))
+                    for line in (_draw_figure(path), _write_page(path, lines)):
+                        prompts.say(line)
                 if report.unfinished:
                     raise InputError(report.unfinished)
                 request = report.stop_reason or stop.first_reason
@@ -232,6 +234,25 @@ def _draw_figure(path: Path) -> str:
     except (InputError, OSError) as error:
         return f"No picture was drawn: {error}."
     return f"Picture: {picture}"
+
+
+def _write_page(path: Path, outcome: list[str]) -> str:
+    """Write the run's report page; a sentence that says where, or why not."""
+    from drftjax.common.output_files import put_new_file
+    from drftjax.runlog.hdf5.api import read_run
+    from hils.run_page import run_page
+
+    page = path.with_suffix(".html")
+    if page.exists():
+        return f"No page was written: {page} is already there."
+    try:
+        text = run_page(read_run(path), path.name, outcome)
+        if text is None:
+            return "No page was written: nothing was simulated beside this run."
+        put_new_file(page, text.encode())
+    except (InputError, OSError) as error:
+        return f"No page was written: {error}."
+    return f"Page: {page}"
 
 
 def outcome_lines(report: RunReport, path: Path) -> list[str]:

@@ -10,12 +10,12 @@ from diagnose.change.hypothesis import ZETA
 from diagnose.change.result import ChangeDiagnosis
 from diagnose.report.figures import as_source
 from diagnose.report.model_writer import estimate_in_words
-from diagnose.report.pages import render_page
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import value_with_error
 from drftjax.recorded.observation import SHOWN
+from drftjax.report_page.page import render_page
 
 # Smaller weights are left out of the list of weights [-].
 MIN_WEIGHT = 0.01
@@ -130,6 +130,7 @@ def budget_table(found: ChangeDiagnosis) -> Table:
 def page(found: ChangeDiagnosis) -> str:
     """The report as one HTML page that refers to no other file."""
     return render_page(
+        "diagnose.report",
         "change.html",
         verdict=first_sentence(found),
         sentences=paragraphs(found),

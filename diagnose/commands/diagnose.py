@@ -106,7 +106,8 @@ def _diagnosed(runs: list[Path], output: Path | None, bed: str) -> "Steps":
     from diagnose.api import diagnose_gathered
     from diagnose.linear.bed import BEDS
     from diagnose.report.model_writer import MODEL_FILE_MARK
-    from diagnose.report.text import in_words, write
+    from diagnose.report.page import write
+    from diagnose.report.text import in_words
     from diagnose.rig_runs import gather_runs
     from diagnose.settings import DEFAULT_SETTINGS
     from drftjax.common.output_files import require_places

@@ -42,7 +42,7 @@ class FigureSettings:
         max_runs: Runs whose residuals are drawn at most.
         max_weights: Hypotheses whose weights are drawn at most.
         max_bins: Bins of an axis at most, the largest shares first.
-        max_points: Points of a line, about at most.
+        max_points: Points of a line, about at most: a line is a third of a page wide.
         columns: Panels of the disturbance side by side.
         min_opacity: Of dots whose standard error is large [-].
     """
@@ -50,54 +50,12 @@ class FigureSettings:
     max_runs: int = 16
     max_weights: int = 8
     max_bins: int = 4
-    max_points: int = 600
+    max_points: int = 250
     columns: int = 3
     min_opacity: float = 0.08
 
 
 DEFAULT_FIGURES = FigureSettings()
-
-
-def budget_figure(found: Diagnosis) -> Figure:
-    """Figure of the gap of each channel, divided by effect, remainder and chance."""
-    channels = list(found.budget)
-    figure = Figure(figsize=(9.6, 1.4 + 0.55 * len(channels)), layout="constrained")
-    axes = figure.subplots()
-    names = list(dict.fromkeys(name for each in found.budget.values() for name in each.effects))
-    colours = mpl.colormaps["tab10"].colors  # pyright: ignore
-    start = np.zeros(len(channels))
-    parts = [
-        ("chance (noise floor)", "0.8", [min(b.floor, b.before) for b in found.budget.values()]),
-        *(
-            (
-                " or ".join(found.group_of(name)),
-                colours[k % len(colours)],
-                [max(b.effects[name].size, 0.0) for b in found.budget.values()],
-            )
-            for k, name in enumerate(names)
-        ),
-        (
-            "unexplained",
-            "0.45",
-            [b.remainder * max(b.before - b.floor, 0.0) for b in found.budget.values()],
-        ),
-    ]
-    whole = np.array([max(b.before, 1e-300) for b in found.budget.values()])
-    for label, colour, sizes in parts:
-        share = 100 * np.array(sizes) / whole
-        axes.barh(range(len(channels)), share, 0.6, left=start, color=colour, label=label)
-        start = start + share
-    labels = []
-    for channel in channels:
-        unit, scale = SHOWN[channel]
-        size = found.budget[channel].before * scale
-        labels.append(f"{CHANNEL_NAMES[channel]}\n{size:.3g} {unit}")
-    axes.set_yticks(range(len(channels)), labels)
-    axes.invert_yaxis()
-    axes.set_xlabel("share of the reference model's gap [%]")
-    axes.set_title("Where the gap comes from", fontsize=10, loc="left")
-    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
-    return figure
 
 
 def at_a_glance(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> Figure:

@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,35 +12,21 @@ from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
 from diagnose.localization.localization import localization_sentence
 from diagnose.report.budget_text import (
-    budget_columns,
-    budget_rows,
     budget_table,
     effect_sentences,
     one_zeta_sentence,
     remainder_sentence,
     zeta_sentence,
 )
-from diagnose.report.figures import (
-    as_source,
-    at_a_glance,
-    budget_figure,
-    residuals,
-    unknown_signal,
-    weights,
-)
-from diagnose.report.model_writer import MODEL_FILE_MARK, estimate_in_words, model_toml
-from diagnose.report.pages import render_page
+from diagnose.report.model_writer import estimate_in_words
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
-from drftjax.common.output_files import make_folder, replace_file
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
 from drftjax.effects.catalogue import reported_names
-from drftjax.effects.correction import VARIABLES
 from drftjax.recorded.observation import SHOWN
 from drftjax.recorded.repeats import group_by_condition
 from drftjax.results.advice import NextRunAdvice, worded
-from drftjax.setups.generated_files import replace_own_setup
 
 
 @dataclass(frozen=True)
@@ -350,85 +334,3 @@ def run_columns(found: Diagnosis) -> tuple[str, ...]:
     """Headings of the table of runs."""
     channels = (f"{c} [{SHOWN[c][0]}]" for c in found.dataset.channels)
     return ("run", "title", "compared [s]", "zeta", *channels)
-
-
-# Files --------------------------------------------------------------------------------------------
-
-
-def page(found: Diagnosis) -> str:
-    """The report as one HTML page that refers to no other file."""
-    return render_page(
-        "report.html",
-        names=[each.name for each in found.dataset.runs],
-        verdict=verdict(found),
-        budget=as_source(budget_figure(found)),
-        budget_columns=budget_columns(found),
-        budget_rows=budget_rows(found),
-        sentences=[
-            *drive_sentences(found),
-            *effect_sentences(found),
-            *filter(None, [remainder_sentence(found)]),
-            *group_sentences(found),
-            *gap_sentences(found),
-            *filter(None, [one_zeta_sentence(found), run_sentence(found)]),
-            *([localization_sentence(found.localization)] if found.verdict != (NONE,) else []),
-        ],
-        glance=as_source(at_a_glance(found)),
-        weights=as_source(weights(found)),
-        residuals=as_source(residuals(found)),
-        gap_columns=GAP_COLUMNS,
-        gap_rows=gap_rows(found),
-        added="the effect" if found.correction is None else "the correction",
-        run_columns=run_columns(found),
-        run_rows=run_rows(found),
-        where=found.localization,
-        parameters=_parameter_rows(found),
-        unknown=found.verdict == (UNKNOWN,),
-        signal=_signal(found),
-        next=next_sentences(found),
-        notes=[note for note in (*found.notes, zeta_sentence(found)) if note],
-    )
-
-
-def _signal(found: Diagnosis) -> dict[str, Any] | None:
-    """The disturbance and the correction, for the page; None where none was sought."""
-    if found.unknown_effect is None:
-        return None
-    offered = found.correction
-    rows = []
-    if offered is not None:
-        knots, values = (np.asarray(v) for v in (offered.effect.knots, offered.effect.values()))
-        rows = [(f"{a:.4g}", f"{b:.4g}") for a, b in zip(knots, values, strict=True)]
-    return {
-        "sentences": found.unknown_effect.sentences(offered is not None),
-        "figure": as_source(unknown_signal(found, found.unknown_effect)),
-        "correction": offered,
-        "variable_unit": "" if offered is None else VARIABLES[offered.effect.variable],
-        "rows": rows,
-    }
-
-
-def _parameter_rows(found: Diagnosis) -> list[Sequence[str]]:
-    return [
-        (name, found.meaning(name), key, estimate_in_words(each))
-        for name, numbers in found.parameters.items()
-        for key, each in numbers.items()
-    ]
-
-
-def write(found: Diagnosis, folder: Path) -> list[Path]:
-    """Write diagnosis.json, model.toml and report.html.
-
-    Raises:
-        InputError: where one cannot be written, or would replace a set-up that somebody wrote.
-    """
-    document, model, report = (
-        folder / name for name in ("diagnosis.json", "model.toml", "report.html")
-    )
-    numbers, setup, shown = as_json(found.document()), model_toml(found), page(found)
-    make_folder(folder)
-    # First, as it may be refused: all three stay as they were then.
-    replace_own_setup(model, setup, MODEL_FILE_MARK)
-    replace_file(document, numbers)
-    replace_file(report, shown.encode())
-    return [document, model, report]

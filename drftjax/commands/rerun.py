@@ -30,7 +30,7 @@ EXAMPLES = """
 Examples:
 
 \b
-  drft rerun out/fit.json                      makes out/fit_rerun.json, .h5, .png
+  drft rerun out/fit.json                      makes out/fit_rerun.json, .h5, .png, .html
   drft rerun out/diagnosis/diagnosis.json -o out/again
   drft rerun colleague/fit.json --changed-inputs
 

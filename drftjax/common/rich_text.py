@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from io import StringIO
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from drftjax.common.text import replace_unprintable
 
@@ -12,6 +14,35 @@ HTML_WIDTH = 160
 """Width of HTML in characters: no cell of a usual table is folded, and notebooks scroll."""
 
 FRAME = '<pre style="line-height: normal; overflow-x: auto">{code}</pre>'
+
+
+class TableCells(NamedTuple):
+    """Plain texts of a table.
+
+    Attributes:
+        title: Empty for none.
+        head: Of each column.
+        rows: From top to bottom.
+    """
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+
+def table_cells(table: Table) -> TableCells:
+    """Texts of a table's cells without their markup, for a page."""
+    columns = [[_plain(cell) for cell in column.cells] for column in table.columns]
+    head = [_plain(column.header) for column in table.columns]
+    return TableCells(
+        _plain(table.title or ""), head, [list(row) for row in zip(*columns, strict=True)]
+    )
+
+
+def _plain(cell: object) -> str:
+    return replace_unprintable(
+        cell.plain if isinstance(cell, Text) else Text.from_markup(str(cell)).plain
+    )
 
 
 def summary_text(parts: Sequence[Table | str], width: int) -> str:

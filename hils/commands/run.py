@@ -107,7 +107,7 @@ def run(
     ] = None,
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live view.")] = False,
     no_plot: Annotated[
-        bool, typer.Option("--no-plot", help="No picture of the run beside the run log.")
+        bool, typer.Option("--no-plot", help="No picture and no page beside the run log.")
     ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", help="Ask nothing: a virtual rig, or one that needs no hands.")

@@ -39,7 +39,8 @@ Examples:
       bounds = [0.3, 2.0]
       prior = [0.78, 0.1]   # mean and standard error believed before the runs
 
-The result is out/fit.json, out/fit.h5 and out/fit.png, and the draws of --posterior out/fit.nc;
+The result is out/fit.json, out/fit.h5, out/fit.png and out/fit.html (one page, to open in a
+browser), and the draws of --posterior out/fit.nc;
 `drft simulate --from out/fit.json --run NAME` simulates a fitted run again.
 """
 
@@ -146,7 +147,7 @@ def fit(
     from identify.fit_constant import fit as fit_runs
     from identify.fit_path import fit_paths
     from identify.parameters.phase_zeta import zeta_phases
-    from identify.results.result import posterior_path, result_files, write_with_figure
+    from identify.results.result import posterior_path, result_files, write_with_report
     from identify.solver.multistart import DRAWS_SEED
     from identify.uncertainty.noise_model import Autoregressive, White, noise_model
     from identify.uncertainty.posterior import require_extra
@@ -167,9 +168,9 @@ def fit(
         require_fitted(name, fitted, zeta == "phases")
     stem = None if output is None else _stem(output)
     if stem is not None:
-        text, binary, picture = result_files(stem)
+        text, binary, picture, page = result_files(stem)
         chains = [posterior_path(stem)] if posterior else []
-        require_places([text, binary, picture, *chains], runs)
+        require_places([text, binary, picture, page, *chains], runs)
         for each in (binary, *chains):
             require_no_recording(each)
     noise = Autoregressive.name if autoregressive else White.name
@@ -247,7 +248,7 @@ def fit(
         say(sentence, "yellow" if sentence.startswith(("left out", "the solver is")) else None)
     result = replace(result.with_failures(gathered.skipped), provenance=made)
     if stem is not None:
-        say(f"written: {', '.join(map(str, write_with_figure(result, stem)))}")
+        say(f"written: {', '.join(map(str, write_with_report(result, stem)))}")
 
 
 def _require_start(start_zeta: float | None) -> None:
@@ -330,4 +331,4 @@ def _fitted_parameters(
 
 
 def _stem(output: Path) -> Path:
-    return stem_of(output, (".json", ".h5", ".png", ".nc"))
+    return stem_of(output, (".json", ".h5", ".png", ".nc", ".html"))

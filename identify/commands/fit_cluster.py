@@ -62,7 +62,7 @@ def fit_on_cluster(
         InputError: see `fit_on` and `fit_together_on`; also where no run can be fitted.
     """
     from drftjax.results.provenance import command_provenance
-    from identify.results.result import write_with_figure
+    from identify.results.result import write_with_report
 
     where = parse_address(address)
     require_extra()
@@ -86,7 +86,7 @@ def fit_on_cluster(
     _show(console, result)
     # Not before the workers end: the parent's JAX would take an accelerator's memory from them.
     result = replace(result, provenance=command_provenance("fit", inputs))
-    written = ", ".join(str(each) for each in write_with_figure(result, stem))
+    written = ", ".join(str(each) for each in write_with_report(result, stem))
     what = "the solver's steps" if together else "every fit"
     _say(console, f"written: {written}; {store.path} keeps {what} for a call that goes on")
 

@@ -344,7 +344,7 @@ class FitResult:
         Raises:
             InputError: where they cannot be written.
         """
-        text, binary, _ = result_files(stem)
+        text, binary, *_ = result_files(stem)
         make_folder(stem.parent)
         replace_file(text, as_json(self.document()))
         groups = {run.name: _group(run, self.bands.get(run.name, {})) for run in self.runs}
@@ -359,10 +359,10 @@ class FitResult:
         return [text, binary, chains]
 
 
-def result_files(stem: Path) -> tuple[Path, Path, Path]:
-    """`stem`.json, `stem`.h5 and `stem`.png: a fit's values, its channels and its figure."""
-    text, binary, picture = files_of(stem, (".json", ".h5", ".png"))
-    return text, binary, picture
+def result_files(stem: Path) -> tuple[Path, Path, Path, Path]:
+    """`stem`.json, .h5, .png and .html: a fit's values, its channels, its figure and its page."""
+    text, binary, picture, page = files_of(stem, (".json", ".h5", ".png", ".html"))
+    return text, binary, picture, page
 
 
 def posterior_path(stem: Path) -> Path:
@@ -370,18 +370,20 @@ def posterior_path(stem: Path) -> Path:
     return files_of(stem, (".nc",))[0]
 
 
-def write_with_figure(result: FitResult, stem: Path) -> list[Path]:
-    """Write `stem`.json, `stem`.h5, `stem`.png, and a posterior's `stem`.nc; return their names.
+def write_with_report(result: FitResult, stem: Path) -> list[Path]:
+    """Write the files of `FitResult.write`, and `stem`.png and `stem`.html; return their names.
 
     Raises:
         InputError: where they cannot be written.
     """
     from drftjax.common.figures import save_figure
+    from identify.results.report import page
 
     written = result.write(stem)
-    picture = result_files(stem)[2]
+    _, _, picture, report = result_files(stem)
     save_figure(result.plot(), picture)
-    return [*written, picture]
+    replace_file(report, page(result, stem.name).encode())
+    return [*written, picture, report]
 
 
 def _path(path: "ZetaPath | None") -> dict | None:

@@ -47,6 +47,8 @@ def test_the_wheel_holds_modules_types_templates_and_data(wheel):
         assert files
         assert {each.relative_to(ROOT).as_posix() for each in files} <= held
     assert {"drftjax/__init__.pyi", "diagnose/report/templates/report.html"} <= held
+    scripts = {"curves.js", "uplot/uPlot.iife.min.js", "uplot/LICENSE"}
+    assert {f"drftjax/report_page/templates/{each}" for each in scripts} <= held
     for name in ("paper.toml", "runs/fast.h5", "import/cmu_intrusion.toml", "blind/demo/run_a.h5"):
         assert wheel.read(f"drftjax/_data/{name}") == (ROOT / "data" / name).read_bytes()
     strange = {each.partition("/")[0] for each in held if ".dist-info/" not in each} - {*PACKAGES}

@@ -16,7 +16,8 @@ from diagnose.gap.selected_effects import SelectedEffects, best_selection
 from diagnose.localization.localization import localization_sentence
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
-from diagnose.report.text import page, paragraphs, write
+from diagnose.report.page import page, write
+from diagnose.report.text import paragraphs
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import gather_runs
 from drftjax.effects.base import AbstractZetaFactor, EffectInfo, Memory, StepContext, strength

@@ -13,7 +13,8 @@ from diagnose.gap.gap import Gap
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
-from diagnose.report.text import paragraphs, verdict, write
+from diagnose.report.page import write
+from diagnose.report.text import paragraphs, verdict
 from diagnose.result import Diagnosis
 from diagnose.rig_runs import gather_runs
 from diagnose.selection.verdict import reassign_unknown, weight_by_name

@@ -106,6 +106,7 @@ def test_questions_then_view_then_stop_key(start, tmp_path):
     assert "Ended early: stopped by the operator" in after
     assert read_run(tmp_path / "run.h5").end_reason == "stopped by the operator"
     assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert "Ended early: stopped by the operator" in (tmp_path / "run.html").read_text()
 
 
 def test_run_whose_view_was_killed_is_completed(start, tmp_path):

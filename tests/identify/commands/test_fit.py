@@ -221,7 +221,7 @@ def test_figure_is_written_beside(fitted):
     assert fitted.stem.with_name("fit.v2.png").read_bytes().startswith(b"\x89PNG")
     line = fitted.answer.out.strip().splitlines()[-1]
     stem = str(fitted.stem)
-    assert line == f"written: {stem}.json, {stem}.h5, {stem}.png"
+    assert line == f"written: {stem}.json, {stem}.h5, {stem}.png, {stem}.html"
 
 
 # Refusals ---------------------------------------------------------------------------------------
