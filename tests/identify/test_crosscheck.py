@@ -18,7 +18,8 @@ from identify.commands.crosscheck import result_files
 from identify.crosscheck.comparison import compare_series, lag, ripple, sustained_part
 from identify.crosscheck.crosscheck import crosscheck
 from identify.crosscheck.replays import TunerSetting
-from identify.crosscheck.report import plot, tables
+from identify.crosscheck.figure import plot_crosscheck
+from identify.crosscheck.report import tables
 from tests.helpers.synthetic_runs import DEEPER
 from tests.studies.crosscheck import known_run, known_setup
 
@@ -179,7 +180,7 @@ def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
     untold = dataclasses.replace(
         checked, runs=[dataclasses.replace(run, offline=offline), checked.runs[1]]
     )
-    left, *_ = plot(untold).axes
+    left, *_ = plot_crosscheck(untold).axes
     low, high = left.get_ylim()
     assert low < run.zeta.min() < run.zeta.max() < high
 
