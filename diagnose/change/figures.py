@@ -14,7 +14,6 @@ from drftjax.common.figures import (
     CHANNEL_AXES,
     FAINT,
     RECORDED,
-    STYLE,
     label_difference,
     legend_below,
     panel_rows,
@@ -34,7 +33,7 @@ class DifferenceFigureSettings:
 
     max_conditions: int = 8
     max_points: int = 600
-    height: float = 1.9
+    height: float = 2.2
 
 
 DEFAULT_DIFFERENCE_FIGURE = DifferenceFigureSettings()
@@ -51,7 +50,6 @@ def difference_figure(
     figure, panels = panel_rows(len(places), settings.height)
     for (clock, place), axes in zip(places, panels, strict=True):
         _draw(axes, found, clock, place, settings)
-    for axes in panels[-STYLE.columns :]:
         axes.set_xlabel("time [s]")
     legend_below(figure, panels)
     return figure

@@ -218,11 +218,11 @@ def residuals(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> F
         lines.append((_model_label(found), AFTER, found.selected.after))
     runs = range(min(len(dataset.runs), settings.max_runs))
     places = [(run, place) for run in runs for place in range(len(dataset.channels))]
-    figure, panels = panel_rows(len(places), 1.7)
+    figure, panels = panel_rows(len(places), 1.9)
     first: dict[str, Axes] = {}
     for (run, place), axes in zip(places, panels, strict=True):
         channel = dataset.channels[place]
-        scale = label_difference(axes, channel, "sim. - rec.")
+        scale = label_difference(axes, channel, "residual")
         draw_floor(axes, found.floors[channel] * scale)
         time = dataset.time(run)
         every = max(1, len(time) // settings.max_points)
@@ -232,7 +232,6 @@ def residuals(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> F
         axes.set_title(f"{dataset.runs[run].name}, {CHANNEL_NAMES[channel]}", parse_math=False)
         if first.setdefault(channel, axes) is not axes:
             axes.sharey(first[channel])
-    for axes in panels[-STYLE.columns :]:
         axes.set_xlabel("time [s]")
     legend_below(figure, panels)
     return figure

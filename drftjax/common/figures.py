@@ -75,9 +75,9 @@ class FigureStyle:
     Attributes:
         width: Of a figure [inches]; a page scales it to its own.
         columns: Panels side by side at most: beside a third there is no room for text.
-        text: Of titles and labels [pt], 8.5 pixels where the figure is 390 pixels wide, as on
+        text: Of titles [pt], 8.5 pixels where the figure is 390 pixels wide, as on
             a telephone.
-        small_text: Of ticks and legends [pt], 8.1 pixels there.
+        small_text: Of labels, ticks and legends [pt], 8.1 pixels there.
         dots_per_inch: Of PNG files.
     """
 
@@ -95,7 +95,7 @@ _PARAMETERS: Final[Any] = {
     "axes.facecolor": "white",
     "font.size": STYLE.text,
     "axes.titlesize": STYLE.text,
-    "axes.labelsize": STYLE.text,
+    "axes.labelsize": STYLE.small_text,
     "figure.titlesize": STYLE.text,
     "figure.labelsize": STYLE.text,
     "legend.fontsize": STYLE.small_text,
@@ -162,7 +162,7 @@ def label_difference(axes: Axes, channel: str, name: str) -> float:
     Args:
         axes: Panel, whose limits are not set yet.
         channel: As for `label_channel`.
-        name: Of the difference, such as "sim. - rec.".
+        name: Of the difference, such as "residual".
 
     Returns:
         Scale from the difference [m, N, N m] to the axis.
@@ -173,7 +173,7 @@ def label_difference(axes: Axes, channel: str, name: str) -> float:
 
 
 def _label(axes: Axes, axis: ChannelAxis, text: str) -> None:
-    axes.set_ylabel(f"{text}, downward" if axis.is_downward else text)
+    axes.set_ylabel(f"{text},\ndownward" if axis.is_downward else text)
     axes.yaxis.set_inverted(axis.is_downward)
 
 

@@ -1,4 +1,7 @@
-"""Recorded channels beside simulated ones, each above its residual and the noise floor."""
+"""Recorded channels beside simulated ones, each above its residual and the noise floor.
+
+A residual is simulated less recorded.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -58,8 +61,8 @@ def comparison_figure(compared: Sequence[ComparedChannel], title: str) -> Figure
     """
     columns = min(STYLE.columns, len(compared))
     rows = -(-len(compared) // columns)
-    figure = Figure(figsize=(STYLE.width, 0.9 + 3.4 * rows), layout="constrained")
-    grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(2, 1) * rows)
+    figure = Figure(figsize=(STYLE.width, 0.9 + 3.7 * rows), layout="constrained")
+    grid = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=(5, 3) * rows)
     for place, each in enumerate(compared):
         row, column = divmod(place, columns)
         above, below = grid[2 * row : 2 * row + 2, column]
@@ -94,7 +97,7 @@ def _draw_values(axes: Axes, each: ComparedChannel) -> None:
 
 
 def _draw_residuals(axes: Axes, each: ComparedChannel) -> None:
-    scale = label_difference(axes, each.channel, "sim. - rec.")
+    scale = label_difference(axes, each.channel, "residual")
     marker = "." if len(each.time) < FEW_SAMPLES else None
     if each.floor is not None:
         draw_floor(axes, scale * each.floor)

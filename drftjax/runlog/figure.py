@@ -68,7 +68,7 @@ def _commands(run: RunLog) -> Iterator[tuple[str, list[Curve]]]:
     yield "wheel speed [deg/s]", speeds
     if command.vx is not None:
         yield (
-            "carriage speed [mm/s]",
+            "carriage [mm/s]",
             [("commanded", COMMANDED, command.time, 1e3 * command.vx)],
         )
 

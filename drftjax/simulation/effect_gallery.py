@@ -43,7 +43,7 @@ Classes = list[type[AbstractEffect]]
 
 
 COMMON_SCALE = (1e-2, 1e2)
-"""Ends of the gallery's axis of sizes [mm]: half of a rig's noise of z, and a tenth of the travel."""
+"""Ends of the gallery's axis of sizes [mm]: half a rig's noise of z, a tenth of the travel."""
 
 
 LETTERS = 44

@@ -8,7 +8,6 @@ from drftjax.common.figures import (
     AFTER,
     RECORDED,
     SIMULATED,
-    STYLE,
     TRUE,
     draw_floor,
     label_difference,
@@ -30,13 +29,13 @@ def plot_crosscheck(result: CrossCheck) -> Figure:
     figure, panels = panel_rows(2 * len(runs), 2.7)
     for run, left, right in zip(runs, panels[::2], panels[1::2], strict=True):
         _draw_zeta(left, run)
-        scale = label_difference(right, "z", "sim. - rec.")
+        scale = label_difference(right, "z", "residual")
         draw_floor(right, scale * result.setting.tolerance, "tolerance of the tuner")
         # Recorded less simulated sinkage is simulated less recorded z.
         right.plot(run.time, scale * run.error, **SIMULATED.line)
-        right.set_title("error of the sinkage")
-    for axes in panels[-STYLE.columns :]:
-        axes.set_xlabel("time [s]")
+        right.set_title("simulated less recorded")
+        left.set_xlabel("time [s]")
+        right.set_xlabel("time [s]")
     legend_below(figure, panels, columns=3)
     left_out = len(result.runs) - len(runs)
     more = f" (and {left_out} more runs)" if left_out else ""

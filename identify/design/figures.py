@@ -59,12 +59,12 @@ def plot_screening(result: GlobalSensitivity) -> Figure:
     count, channels = len(result.ranges), len(result.channels)
     # Beside the names, each channel needs room for its decades.
     width = max(STYLE.width, 3.4 + 1.8 * channels)
-    figure = Figure(figsize=(width, 1.9 + 0.21 * count), layout="constrained")
+    figure = Figure(figsize=(width, 2.2 + 0.21 * count), layout="constrained")
     panels = figure.subplots(1, channels, sharey=True, squeeze=False)[0]
     for place, (axes, channel) in enumerate(zip(panels, result.channels, strict=True)):
         _draw_channel(axes, result, place)
+        axes.set_xlabel("change, in noise [-]")
         axes.set_title(f"{channel}: noise\n{noise_text(result, channel)}")
-    figure.supxlabel("change across the range, in noise [-]")
     first = panels[0]
     names = [
         f"{each.quantity.label}   {range_text(each)}"
