@@ -3,7 +3,6 @@
 import base64
 import io
 import re
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +24,7 @@ from drftjax.common.figures import (
     PARTS,
     STYLE,
     LineRole,
+    boxes_for_letters,
     draw_floor,
     draw_parts,
     label_difference,
@@ -288,12 +288,7 @@ def as_source(figure: Figure) -> str:
     image = io.BytesIO()
     nothing: dict[str, None] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     # The same ids for the same figure: the same diagnosis makes the same page.
-    with (
-        mpl.rc_context({"svg.hashsalt": "drft", "svg.fonttype": "path"}),
-        warnings.catch_warnings(),
-    ):
-        # A name may be in a script that the font lacks; it is drawn as boxes.
-        warnings.filterwarnings("ignore", message="Glyph")
+    with mpl.rc_context({"svg.hashsalt": "drft", "svg.fonttype": "path"}), boxes_for_letters():
         figure.savefig(image, format="svg", metadata=nothing)
     text = re.sub(r"<!DOCTYPE.*?>", "", image.getvalue().decode(), flags=re.DOTALL)
     return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()

@@ -8,7 +8,8 @@ is white, so that a figure is a white card on a dark page.
 import functools
 import io
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, ParamSpec
@@ -258,6 +259,14 @@ def title_above(figure: Figure, text: str) -> None:
     figure.suptitle(text, wrap=True, parse_math=False)
 
 
+@contextmanager
+def boxes_for_letters() -> Iterator[None]:
+    """Draw without a warning names in a script that the font lacks: they become boxes."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        yield
+
+
 def check_figure_name(path: Path) -> None:
     """Refuse a file name whose suffix is not that of a figure.
 
@@ -279,8 +288,6 @@ def save_figure(figure: Figure, path: Path) -> None:
     check_figure_name(path)
     make_folder(path.parent)
     image = io.BytesIO()
-    with warnings.catch_warnings():
-        # A name may be in a script that the font lacks; it is drawn as boxes.
-        warnings.filterwarnings("ignore", message="Glyph")
+    with boxes_for_letters():
         figure.savefig(image, format=path.suffix.lower()[1:], dpi=STYLE.dots_per_inch)
     replace_file(path, image.getvalue())

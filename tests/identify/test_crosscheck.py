@@ -17,8 +17,8 @@ from drftjax.setups.setup import IntegratorSetUp
 from identify.commands.crosscheck import result_files
 from identify.crosscheck.comparison import compare_series, lag, ripple, sustained_part
 from identify.crosscheck.crosscheck import crosscheck
-from identify.crosscheck.replays import TunerSetting
 from identify.crosscheck.figure import plot_crosscheck
+from identify.crosscheck.replays import TunerSetting
 from identify.crosscheck.report import tables
 from tests.helpers.synthetic_runs import DEEPER
 from tests.studies.crosscheck import known_run, known_setup
