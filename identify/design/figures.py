@@ -107,15 +107,7 @@ def _draw_channel(axes: Axes, result: GlobalSensitivity, place: int) -> None:
     some = spread > SMALLEST_SHOWN
     label = "spread by the other numbers"
     axes.plot(spread[some], rows[some], "o", mfc="none", mec=BEFORE.colour, ms=3, label=label)
-    axes.axvspan(
-        SMALLEST_SHOWN,
-        1,
-        color=FLOOR_COLOUR,
-        alpha=0.25,
-        lw=0,
-        zorder=0,
-        label="below the noise of one reading",
-    )
+    axes.axvline(1, color=FLOOR_COLOUR, lw=1.5, ls="--", label="noise of one reading")
     most = max(10.0, float((size + interval).max(initial=0)), float(spread.max(initial=0)))
     axes.set_xlim(SMALLEST_SHOWN, 2 * most)
     axes.grid(axis="y", visible=False)

@@ -13,10 +13,11 @@ from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp
 from drftjax.setups.setup_toml import setup_toml
 from identify.commands.design_screen import parse_ranges
 from identify.design.elementary_effects import MorrisSettings, sample_trajectories, screen_function
+from identify.design.figures import plot_screening
 from identify.design.fisher_information import InstrumentNoise, compared_rows
 from identify.design.number_ranges import RangeSettings, RangeWidth, usual_range
 from identify.design.screening import GlobalSensitivity, screen
-from identify.design.screening_report import plot_screening, screening_document, screening_table
+from identify.design.screening_report import screening_document, screening_table
 from tests.helpers.drft_command import Drft
 
 # Sums and quotients of some doubles.
