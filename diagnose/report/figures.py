@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -21,12 +22,12 @@ from drftjax.common.figures import (
     BEFORE,
     FAINT,
     FLOOR_COLOUR,
+    HATCHES,
     PARTS,
     STYLE,
     LineRole,
     boxes_for_letters,
     draw_floor,
-    draw_parts,
     label_difference,
     legend_below,
     panel_rows,
@@ -78,17 +79,27 @@ def budget_figure(found: Diagnosis) -> Figure:
     figure = Figure(figsize=(STYLE.width, height), layout="constrained")
     axes = figure.subplots()
     budget = [*found.budget.values()]
+    looks = itertools.cycle(zip(PARTS, HATCHES, strict=True))
     parts = [
-        ("chance (noise floor)", "0.8", [min(b.floor, b.before) for b in budget]),
+        ("chance (noise floor)", ("0.8", ""), [min(b.floor, b.before) for b in budget]),
         *(
-            (" or ".join(found.group_of(name)), "", [max(b.effects[name].size, 0) for b in budget])
-            for name in names
+            (
+                " or ".join(found.group_of(name)),
+                look,
+                [max(b.effects[name].size, 0) for b in budget],
+            )
+            for name, look in zip(names, looks, strict=False)
         ),
-        ("unexplained", "0.45", [b.remainder * max(b.before - b.floor, 0.0) for b in budget]),
+        ("unexplained", ("0.45", ""), [b.remainder * max(b.before - b.floor, 0) for b in budget]),
     ]
     whole = np.array([max(b.before, 1e-300) for b in budget])
-    shares = [(label, colour, 100 * np.array(sizes) / whole) for label, colour, sizes in parts]
-    draw_parts(axes, range(len(channels)), shares)
+    places, start = range(len(channels)), np.zeros(len(channels))
+    for label, (colour, hatch), sizes in parts:
+        share = 100 * np.array(sizes) / whole
+        axes.barh(
+            places, share, 0.6, left=start, color=colour, hatch=hatch, ec="white", label=label
+        )
+        start = start + share
     labels = []
     for channel in channels:
         unit, scale = SHOWN[channel]

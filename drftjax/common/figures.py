@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -187,24 +186,6 @@ def draw_floor(axes: Axes, floor: float, label: str = "noise floor") -> None:
         label: In the legend.
     """
     axes.axhspan(-abs(floor), abs(floor), color=FLOOR_COLOUR, alpha=0.25, lw=0, label=label)
-
-
-def draw_parts(axes: Axes, at: Sequence[float], parts: Sequence[tuple[str, str, Any]]) -> None:
-    """Draw bars along x that are divided into parts, one after the other.
-
-    Args:
-        axes: Panel.
-        at: Places of the bars.
-        parts: Label, colour and sizes of each part; "" is the next colour and hatch of `PARTS`.
-    """
-    start, number = np.zeros(len(at)), 0
-    for label, colour, sizes in parts:
-        hatch = None
-        if not colour:
-            colour, hatch = PARTS[number % len(PARTS)], HATCHES[number % len(HATCHES)]
-            number += 1
-        axes.barh(at, sizes, 0.6, left=start, color=colour, hatch=hatch, ec="white", label=label)
-        start = start + np.asarray(sizes)
 
 
 def project_style(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:

@@ -221,8 +221,11 @@ def test_command_end_to_end(drft, tmp_path):
     path = tmp_path / "short.h5"
     write_run(path, with_online(recorded("short", faint)))
     stem = tmp_path / "new" / "check"
-    answer = drft("crosscheck", path, "-o", stem, "--knots", "1.5", "--no-sweep")
+    picture = tmp_path / "pictures" / "zeta.svg"
+    given = ("--knots", "1.5", "--no-sweep", "--plot", picture)
+    answer = drft("crosscheck", path, "-o", stem, *given)
     assert answer.code == 0, answer
+    assert "<svg" in picture.read_text()
     assert "online tuner beside offline zeta(t)" in answer.out
     assert "logged" in answer.out
     assert stem.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
