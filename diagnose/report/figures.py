@@ -117,7 +117,7 @@ def budget_figure(found: Diagnosis) -> Figure:
 def at_a_glance(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> Figure:
     """Figure of the gap before and after against the noise floor, and its main places."""
     shares = _largest_shares(found, settings.max_bins)
-    heights = (1.2 + 0.6 * len(found.gap), 0.9 + 0.3 * max(len(shares), 2))
+    heights = (1.5 + 0.6 * len(found.gap), 0.9 + 0.3 * max(len(shares), 2))
     figure = Figure(figsize=(STYLE.width, sum(heights)), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=heights)
     _draw_gap(above, found)
@@ -143,14 +143,15 @@ def _draw_gap(axes: Axes, found: Diagnosis) -> None:
         for at, size, each, channel in zip(shifted, floors, sizes, channels, strict=True):
             unit, scale = SHOWN[channel]
             axes.text(size, at, f" {each * scale:.3g} {unit}", va="center")
-    axes.axvspan(0, 1, color=FLOOR_COLOUR, alpha=0.25, lw=0, label="noise floor")
+    axes.axvspan(0, 1, color=FLOOR_COLOUR, alpha=0.25, lw=0, zorder=0, label="noise floor")
     axes.set_yticks(place, [CHANNEL_NAMES[channel] for channel in channels])
-    axes.invert_yaxis()
     axes.margins(x=0.25)
     axes.set_xlim(left=0)
     axes.set_xlabel("gap [noise floors]")
     axes.set_title("Simulated against recorded", loc="left")
-    axes.legend()
+    # The legend has a row of its own above the bars.
+    axes.set_ylim(len(channels) - 0.5, -1.2)
+    axes.legend(loc="upper right", ncols=3, frameon=False)
 
 
 def _model_label(found: Diagnosis) -> str:
