@@ -141,7 +141,7 @@ def draw_gallery(effects: Classes) -> Figure:
         changes = {
             name: 1e3 * (getattr(output, name)[index] - getattr(output, name)[0]) for name in "zx"
         }
-        _draw_course(course, output.time[0], changes)
+        _draw_course(course, np.asarray(output.time[0]), changes)
         _draw_size(size, changes)
         title = f"{effect.about.name}\n{textwrap.fill(typical_sizes(effect), LETTERS)}"
         course.set_title(title, loc="left", fontsize=STYLE.small_text)
