@@ -226,9 +226,10 @@ def test_result_of_two_runs_asks_which(drft, fitted):
 
 def test_figure_is_written_beside(fitted):
     assert fitted.stem.with_name("fit.v2.png").read_bytes().startswith(b"\x89PNG")
-    line = fitted.answer.out.strip().splitlines()[-1]
+    *_, line, drawn = fitted.answer.out.strip().splitlines()
     stem = str(fitted.stem)
     assert line == f"written: {stem}.json, {stem}.h5, {stem}.png"
+    assert drawn.startswith("figure written to ")
 
 
 # Refusals ---------------------------------------------------------------------------------------
