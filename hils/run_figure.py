@@ -7,6 +7,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drftjax.common.figures import (
+    AFTER,
+    BEFORE,
+    COMMANDED,
+    REAL,
+    SIMULATED,
+    STYLE,
+    draw_floor,
+    label_channel,
+    label_difference,
+    project_style,
+    title_above,
+)
 from drftjax.runlog.figure import plot_run
 from drftjax.runlog.record import Online, RunLog
 from hils.events import FINDINGS, Event, TickFlag
@@ -32,26 +45,26 @@ class TickCounts(NamedTuple):
 ROLLING = 2e-3
 
 
+@project_style
 def plot_hils(run: RunLog) -> Figure:
     """Draw a run; one with its carriage free has nothing simulated and is drawn as any other."""
     online = run.online
     if online is None or run.measured.z is None:
         return plot_run(run)
-    figure = Figure(figsize=(8, 9), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=[2, 1, 1, 1])
-    _sinkage(axes[0], run, online)
-    axes[1].plot(online.time, online.zeta, color="C1")
-    axes[1].set_ylabel("zeta [-]")
-    _slip(axes[2], run)
-    _lateness(axes[3], online, count_ticks(run))
-    for each in axes:
-        each.grid(alpha=0.3)
-    axes[-1].set_xlabel("time [s]")
+    figure = Figure(figsize=(STYLE.width, 11), layout="constrained")
+    sinkage, error, zeta, slip, lateness = figure.subplots(
+        5, 1, sharex=True, height_ratios=[2, 1, 1, 1, 1]
+    )
+    _sinkage(sinkage, run, online)
+    _error(error, run, online)
+    zeta.plot(online.time, online.zeta, **SIMULATED.line)
+    zeta.set_ylabel("zeta [-]")
+    _slip(slip, run)
+    _lateness(lateness, online, count_ticks(run))
+    lateness.set_xlabel("time [s]")
     early = run.end_reason is not None and run.end_reason != "completed"
     lines = [run.title, *([str(run.end_reason)] if early else []), *_findings(run)]
-    title = "\n".join(lines)
-    # A title is any text: a dollar sign in it is no formula.
-    figure.suptitle(title.replace("$", r"\$"), fontsize="medium")
+    title_above(figure, "\n".join(lines))
     return figure
 
 
@@ -81,10 +94,16 @@ def _findings(run: RunLog) -> list[str]:
 
 def sinkage_error(run: RunLog) -> np.ndarray:
     """Measured minus simulated sinkage at the times of the readings [m]; empty without either."""
+    return _timed_error(run)[1]
+
+
+def _timed_error(run: RunLog) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the readings inside the loop's time [s], and simulated minus measured z then [m]."""
     online, z, within = run.online, run.measured.z, readings_in_the_loop(run)
     if online is None or z is None:
-        return np.empty(0)
-    return np.interp(run.measured.time[within], online.time, online.z_sim) - z[within]
+        return np.empty(0), np.empty(0)
+    time = run.measured.time[within]
+    return time, np.interp(time, online.time, online.z_sim) - z[within]
 
 
 def readings_in_the_loop(run: RunLog) -> np.ndarray:
@@ -97,13 +116,22 @@ def readings_in_the_loop(run: RunLog) -> np.ndarray:
 
 def _sinkage(axes: Axes, run: RunLog, online: Online) -> None:
     assert run.measured.z is not None
-    axes.plot(run.measured.time, -run.measured.z * 1e3, color="C0", label="HILS (real)")
-    axes.plot(online.time, -online.z_sim * 1e3, color="C1", label="HILS (sim)")
-    error = sinkage_error(run)
+    scale = label_channel(axes, "z")
+    axes.plot(run.measured.time, scale * run.measured.z, **REAL.line, label="HILS (real)")
+    axes.plot(online.time, scale * online.z_sim, **SIMULATED.line, label="HILS (sim)")
+    axes.legend()
+
+
+def _error(axes: Axes, run: RunLog, online: Online) -> None:
+    """Residual of the sinkage, and the tolerance inside which the tuner leaves zeta alone."""
+    scale = label_difference(axes, "z", "sim - real")
+    time, error = _timed_error(run)
+    if online.tolerance:
+        draw_floor(axes, scale * online.tolerance, "tolerance of the tuner")
+    axes.plot(time, scale * error, **SIMULATED.line)
     said = f"RMSE {np.sqrt((error**2).mean()) * 1e3:.3f} mm" if error.size else ""
-    axes.invert_yaxis()
-    axes.legend(fontsize="small", title=said, title_fontsize="small")
-    axes.set_ylabel("sinkage [mm]")
+    if said or online.tolerance:
+        axes.legend(title=said)
 
 
 def commanded_slip(run: RunLog) -> np.ndarray | None:
@@ -121,17 +149,17 @@ def _slip(axes: Axes, run: RunLog) -> None:
     axes.set_ylabel("slip, commanded [-]")
     slip = commanded_slip(run)
     if slip is not None:  # what is not known leaves a gap in the line
-        axes.plot(run.command.time, slip, color="C2")
+        axes.plot(run.command.time, slip, **COMMANDED.line)
 
 
 def _lateness(axes: Axes, online: Online, counts: TickCounts) -> None:
-    axes.plot(online.time, online.age * 1e3, color="C7", linewidth=0.8, label="age of the reading")
+    axes.plot(online.time, online.age * 1e3, **COMMANDED.line, label="age of the reading")
     missed = online.late > 0
     axes.plot(
         online.time[missed],
         online.late[missed] * 1e3,
         "x",
-        color="C3",
+        color=BEFORE.colour,
         label=f"over the deadline ({counts.missed} in {counts.ticks} ticks)",
     )
     unread = (online.flags & TickFlag.FRESH) == 0
@@ -139,9 +167,9 @@ def _lateness(axes: Axes, online: Online, counts: TickCounts) -> None:
         online.time[unread],
         np.zeros(int(unread.sum())),
         "|",
-        color="C1",
+        color=AFTER.colour,
         label=f"without a reading ({counts.without_reading} of {counts.ticks} ticks)",
     )
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small")
+    axes.legend()
     axes.set_ylabel("lateness [ms]")

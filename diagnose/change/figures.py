@@ -9,7 +9,16 @@ from matplotlib.figure import Figure
 from diagnose.change.budget import mean_of
 from diagnose.change.differences.gram import SharedClock
 from diagnose.change.result import ChangeDiagnosis
-from drftjax.recorded.observation import SHOWN
+from drftjax.common.figures import (
+    AFTER,
+    CHANNEL_AXES,
+    FAINT,
+    RECORDED,
+    label_difference,
+    legend_below,
+    panel_rows,
+    project_style,
+)
 
 
 @dataclass(frozen=True)
@@ -19,36 +28,30 @@ class DifferenceFigureSettings:
     Attributes:
         max_conditions: Conditions that are drawn at most.
         max_points: Points of a line, about at most.
-        panel: Width and height of a panel [inches].
-        recorded, explained: Colours of the two lines.
+        height: Of a panel [inches].
     """
 
     max_conditions: int = 8
     max_points: int = 600
-    panel: tuple[float, float] = (4.4, 1.7)
-    recorded: str = "#b8542f"
-    explained: str = "#2a6f97"
+    height: float = 2.2
 
 
 DEFAULT_DIFFERENCE_FIGURE = DifferenceFigureSettings()
 
 
+@project_style
 def difference_figure(
     found: ChangeDiagnosis, settings: DifferenceFigureSettings = DEFAULT_DIFFERENCE_FIGURE
 ) -> Figure:
     """Recorded difference of each channel, condition by condition, with the explained one."""
-    problem = found.problem
-    channels = problem.differences.dataset.channels
-    clocks = problem.differences.clocks[: settings.max_conditions]
-    width, height = settings.panel
-    figure = Figure((width * len(channels), height * len(clocks)), layout="constrained")
-    panels = figure.subplots(len(clocks), len(channels), squeeze=False)
-    for row, clock in zip(panels, clocks, strict=True):
-        for place, axes in enumerate(row):
-            _draw(axes, found, clock, place, settings)
-    for axes in panels[-1]:
+    differences = found.problem.differences
+    clocks = differences.clocks[: settings.max_conditions]
+    places = [(clock, at) for clock in clocks for at in range(len(differences.dataset.channels))]
+    figure, panels = panel_rows(len(places), settings.height)
+    for (clock, place), axes in zip(places, panels, strict=True):
+        _draw(axes, found, clock, place, settings)
         axes.set_xlabel("time [s]")
-    panels[0, 0].legend(fontsize="x-small")
+    legend_below(figure, panels)
     return figure
 
 
@@ -62,7 +65,7 @@ def _draw(
     problem, condition = found.problem, clock.condition
     differences = problem.differences
     channel = differences.dataset.channels[place]
-    unit, scale = SHOWN[channel]
+    scale = label_difference(axes, channel, "now - before")
     before, after = (
         mean_of(differences, clock, condition.now, residual)[place]
         - mean_of(differences, clock, condition.before, residual)[place]
@@ -71,14 +74,10 @@ def _draw(
     step = max(1, len(clock.time) // settings.max_points)
     shown = slice(None, None, step)
     # A residual is simulated less recorded.
-    lines = (
-        ("recorded", -before, settings.recorded),
-        ("explained", after - before, settings.explained),
-    )
-    for label, values, colour in lines:
+    lines = (("recorded", -before, RECORDED), ("explained", after - before, AFTER))
+    for label, values, role in lines:
         if np.isfinite(values).all():
-            axes.plot(clock.time[shown], scale * values[shown], color=colour, lw=1, label=label)
-    axes.axhline(0, color="0.7", lw=0.5)
+            axes.plot(clock.time[shown], scale * values[shown], **role.line, label=label)
+    axes.axhline(0, color=FAINT, lw=0.5)
     name = differences.dataset.runs[condition.now[0]].name
-    axes.set_title(f"{channel}, as {name}", fontsize="small")
-    axes.set_ylabel(f"now less before [{unit}]", fontsize="small")
+    axes.set_title(f"{CHANNEL_AXES[channel].label}, as {name}", parse_math=False)

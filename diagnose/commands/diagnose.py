@@ -5,7 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.options import (
+    PlotFile,
+    draw_picture,
+    remove_empty_folders,
+    require_picture,
+)
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +50,7 @@ def diagnose(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the result's files.")
     ] = None,
+    picture: PlotFile = None,
     effects: Annotated[
         str | None,
         typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
@@ -72,6 +78,7 @@ def diagnose(
     from drftjax.commands.progress import progress_line
     from drftjax.common.text import replace_unprintable
 
+    require_picture(picture, [*runs, *([] if against is None else [against])])
     chosen = effects_among(_names(effects))
     console = Console()
 
@@ -97,6 +104,8 @@ def diagnose(
         written = write(found, output)
         if not quiet:
             say(f"written: {', '.join(str(each) for each in written)}")
+    if picture is not None:
+        draw_picture(found.plot(), picture)
 
 
 def _diagnosed(runs: list[Path], output: Path | None, bed: str) -> "Steps":

@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import refuse_options, remove_empty_folders
+from drftjax.commands.options import (
+    PlotFile,
+    draw_picture,
+    refuse_options,
+    remove_empty_folders,
+    require_picture,
+)
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,6 +58,7 @@ def evaluate(
     output: Annotated[
         Path | None, typer.Option("--json", help="Write the numbers here (JSON).")
     ] = None,
+    picture: PlotFile = None,
     tuner: Annotated[
         bool, typer.Option("--tuner", help="Replay the online tuner of eq. 7 with each model too.")
     ] = False,
@@ -84,6 +91,7 @@ def evaluate(
     from drftjax.tuning.step_tuner import StepTuner
 
     setting = StepTuner(tick, zeta_step, tolerance)
+    require_picture(picture, [*runs, model])
     added = read_model_file(model)
     if output is not None:
         if output.suffix.lower() != ".json":
@@ -120,6 +128,8 @@ def evaluate(
             document["tuner"] = moves_document(found, moved, setting)
         replace_file(output, as_json(document))
         say(f"written: {output}")
+    if picture is not None:
+        draw_picture(found.plot(), picture)
 
 
 def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> "Table":

@@ -18,6 +18,8 @@ from drftjax.recorded.observation import SHOWN
 from drftjax.tuning.step_tuner import StepTuner
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from diagnose.evaluation.tuner_activity import TunerActivity
 
 
@@ -89,6 +91,12 @@ class Evaluation:
             return tuner_activity(
                 self.dataset, self.effects, self.zeta, StepTuner(tick, zeta_step, tolerance)
             )
+
+    def plot(self) -> "Figure":
+        """Recorded and simulated channels of each run, above their residuals."""
+        from diagnose.evaluation.figure import evaluation_figure
+
+        return evaluation_figure(self)
 
     def rmse(self, run: int) -> dict[str, tuple[float, float]]:
         """One run's RMS residual before and after, by recorded channel [m, N, N m]."""

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.options import draw_picture, require_picture
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -47,10 +48,7 @@ def effects(
     from drftjax.effects import listing as table
     from drftjax.effects.catalogue import effect_class
 
-    if plot is not None:
-        from drftjax.common.figures import check_figure_name
-
-        check_figure_name(plot)
+    require_picture(plot, [])
     if name == correction.NAME:
         if plot is not None:
             raise InputError("a correction is what its set-up file says; there is nothing to draw")
@@ -68,12 +66,10 @@ def effects(
         console.print(table.effect_table())
         console.print(f"\n{table.BESIDES}")
     if plot is not None:
-        from drftjax.common.figures import save_figure
         from drftjax.simulation import effect_gallery as portrait
 
         everything = [each for _, those in table.by_stage() for each in those]
         figure = (
             portrait.draw_gallery(everything) if chosen is None else portrait.draw_effect(chosen)
         )
-        save_figure(figure, plot)
-        typer.echo(f"figure written to {plot}")
+        draw_picture(figure, plot)

@@ -72,29 +72,20 @@ def plot(
     ],
 ) -> None:
     """Draw a run."""
-    import warnings
-    from io import BytesIO
-
-    from drftjax.common.output_files import replace_file
+    from drftjax.common.figures import check_figure_name, save_figure
+    from drftjax.common.output_files import require_places
     from drftjax.runlog.check import read_run_guarded
 
-    kinds = (".png", ".svg", ".pdf")
-    if output.suffix.lower() not in kinds:
-        raise InputError(f"{output}: a figure's name must end in {', '.join(kinds)}")
+    check_figure_name(output)
+    require_places([output], [file])
     run = read_run_guarded(file)
 
     from drftjax.runlog.figure import plot_run
 
-    image = BytesIO()
-    with warnings.catch_warnings():
-        # A title may be in a script that the font lacks; it is drawn as boxes.
-        warnings.filterwarnings("ignore", message="Glyph")
-        try:
-            figure = plot_run(run)
-        except InputError as problem:
-            raise InputError(f"{file}: {problem}") from None
-        figure.savefig(image, format=output.suffix.lower()[1:], dpi=150)
-    replace_file(output, image.getvalue())
+    try:
+        save_figure(plot_run(run), output)
+    except InputError as problem:
+        raise InputError(f"{file}: {problem}") from None
     typer.echo(f"wrote {output}")
 
 

@@ -1,15 +1,54 @@
 """Options, groups of commands and result folders that commands share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from drftjax.common.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PlotFile = Annotated[
+    Path | None, typer.Option("--plot", help="Write a figure here (PNG, PDF, SVG).")
+]
+"""Option of a command that can draw its result; `require_picture` checks it."""
+
+
+def require_picture(picture: Path | None, inputs: Iterable[Path]) -> None:
+    """Refuse a figure that cannot be written, before the computation whose result it shows.
+
+    Args:
+        picture: File that --plot names; None for none.
+        inputs: Files that are read, which it may not replace.
+
+    Raises:
+        InputError: names the file, and what must hold.
+    """
+    if picture is None:
+        return
+    from drftjax.common.figures import check_figure_name
+    from drftjax.common.output_files import require_places
+
+    check_figure_name(picture)
+    require_places([picture], inputs)
+
+
+def draw_picture(figure: "Figure", picture: Path) -> None:
+    """Write the figure of --plot, and say where it is.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
+    from drftjax.common.figures import save_figure
+
+    save_figure(figure, picture)
+    typer.echo(f"figure written to {picture}")
 
 
 def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> None:

@@ -5,7 +5,12 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.options import (
+    PlotFile,
+    draw_picture,
+    remove_empty_folders,
+    require_picture,
+)
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -45,7 +50,7 @@ def simulate(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Write a run log here.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Write a figure here (PNG, PDF, SVG).")] = None,
+    plot: PlotFile = None,
     zeta: Annotated[float | None, typer.Option(help="Scaling factor, over the set-up's.")] = None,
     inertial: Annotated[
         float | None, typer.Option("--lambda", help="Inertial coefficient, over the set-up's.")
@@ -79,12 +84,9 @@ def simulate(
         raise InputError("--run goes with --from, to name one run of a fit")
     if output is not None and output.suffix not in HDF5_ENDINGS:
         raise InputError(f"{output}: a run log's name must end in {', '.join(HDF5_ENDINGS)}")
-    if plot is not None:
-        from drftjax.common.figures import check_figure_name
-
-        check_figure_name(plot)
-    require_places([each for each in (output, plot) if each is not None], given)
+    require_picture(plot, given)
     if output is not None:
+        require_places([output], given)
         require_no_recording(output)
     sampled = None
     if setup is not None:
@@ -116,8 +118,6 @@ def simulate(
         write_run(output, log)
         typer.echo(f"run log written to {output}")
     if plot is not None:
-        from drftjax.common.figures import save_figure
         from drftjax.runlog.figure import plot_run
 
-        save_figure(plot_run(log), plot)
-        typer.echo(f"figure written to {plot}")
+        draw_picture(plot_run(log), plot)

@@ -63,6 +63,10 @@ RESULT_COMMANDS: Final[Mapping[str, ResultCommand]] = MappingProxyType(
 )
 """Subcommands whose results can be made again, by their names."""
 
+PICTURE: Final = "picture"
+"""Parameter of these that names a figure. A result made again has none: a file's command must not
+replace a file."""
+
 
 @dataclass(frozen=True)
 class RecordedCommandLine:
@@ -152,6 +156,8 @@ def parse_recorded(
         long = max(each.opts, key=len) if each.param_type_name == "option" else ""
         if each.name == kind.output:
             output_option = long
+        elif each.name == PICTURE:
+            continue
         elif context.get_parameter_source(each.name).name == "COMMANDLINE":
             if value is False:
                 long = max(each.secondary_opts, key=len)

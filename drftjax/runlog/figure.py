@@ -1,23 +1,35 @@
 """Time plots of one run: commands above, measurements below, on one time axis."""
 
 import math
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drftjax.common.errors import InputError
+from drftjax.common.figures import (
+    COMMANDED,
+    RECORDED,
+    SIMULATED,
+    STYLE,
+    LineRole,
+    label_channel,
+    project_style,
+    title_above,
+)
 from drftjax.runlog.record import RunLog
 from drftjax.runlog.schema import UNITS
 
 LARGEST_DRAWN: Final = 1e30
 """Largest number that is drawn: no rig has more in any unit, and axes overflow near 1e308."""
 
-Panel = Callable[[Axes, RunLog], None]
+Curve = tuple[str, LineRole, np.ndarray, np.ndarray]
+"""Label, role, times [s] and values."""
 
 
+@project_style
 def plot_run(run: RunLog) -> Figure:
     """Draw every channel of a run, in a figure without a window.
 
@@ -25,15 +37,13 @@ def plot_run(run: RunLog) -> Figure:
         InputError: names a channel whose numbers are too large for an axis.
     """
     _require_drawable(run)
-    panels = list(_panels(run))
-    figure = Figure(figsize=(8, 1 + 1.7 * len(panels)), layout="constrained")
-    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for panel, each in zip(panels, axes, strict=True):
-        panel(each, run)
-        each.grid(alpha=0.3)
-    axes[-1].set_xlabel("time [s]")
-    # A title is any text: a dollar sign in it is no formula.
-    figure.suptitle(run.title.replace("$", r"\$"), fontsize="medium")
+    panels = [*_commands(run), *_channels(run)]
+    figure = Figure(figsize=(STYLE.width, 1 + 1.7 * len(panels)), layout="constrained")
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for (name, curves), axes in zip(panels, grid, strict=True):
+        _draw(axes, name, curves)
+    grid[-1].set_xlabel("time [s]")
+    title_above(figure, run.title)
     return figure
 
 
@@ -48,77 +58,44 @@ def _require_drawable(run: RunLog) -> None:
                 raise InputError(f"/{title}/{name} reaches {largest:g} {unit}, too large to draw")
 
 
-def _panels(run: RunLog) -> list[Panel]:
-    """Panels for the channels that the run has, from top to bottom."""
-    measured, panels = run.measured, [_command]
-    if measured.z is not None:
-        panels.append(_height)
-    if measured.x is not None:
-        panels.append(_travel)
-    if measured.fx is not None or measured.fz is not None:
-        panels.append(_forces)
-    if measured.torque is not None:
-        panels.append(_torque)
-    if run.online is not None:
-        panels.append(_scaling)
-    return panels
-
-
-def _command(axes: Axes, run: RunLog) -> None:
-    """Commanded wheel speed, and carriage speed where it is driven."""
+def _commands(run: RunLog) -> Iterator[tuple[str, list[Curve]]]:
+    """Commanded wheel speed, and carriage speed where it is driven: axis and curve of each."""
     command = run.command
-    axes.plot(command.time, command.omega * (180 / math.pi), color="C0")
-    axes.set_ylabel("omega [deg/s]")
+    measured, degrees = run.measured.omega, 180 / math.pi
+    speeds: list[Curve] = [("commanded", COMMANDED, command.time, degrees * command.omega)]
+    if measured is not None:
+        speeds.insert(0, ("measured", RECORDED, run.measured.time, degrees * measured))
+    yield "wheel speed [deg/s]", speeds
     if command.vx is not None:
-        other = axes.twinx()
-        other.plot(command.time, command.vx * 1e3, color="C1", linestyle="--")
-        other.set_ylabel("carriage [mm/s]", color="C1")
+        yield (
+            "carriage [mm/s]",
+            [("commanded", COMMANDED, command.time, 1e3 * command.vx)],
+        )
 
 
-def _height(axes: Axes, run: RunLog) -> None:
-    """Height of the wheel, measured and simulated online."""
-    _channel(axes, run, run.measured.z, "measured", 1e3)
-    if run.online is not None:
-        axes.plot(run.online.time, run.online.z_sim * 1e3, color="C1", label="simulated online")
-        axes.legend(fontsize="small")
-    axes.set_ylabel("z [mm]")
+def _channels(run: RunLog) -> Iterator[tuple[str, list[Curve]]]:
+    """Measured channels, each with what the loop simulated of it, and the loop's zeta."""
+    online = run.online
+    for name, values in run.measured.channels().items():
+        curves: list[Curve] = [("measured", RECORDED, run.measured.time, values)]
+        simulated = getattr(online, f"{name}_sim", None)
+        if online is not None and simulated is not None:
+            curves.append(("simulated online", SIMULATED, online.time, simulated))
+        yield name, curves
+    if online is not None:
+        yield "online zeta [-]", [("tuned", SIMULATED, online.time, online.zeta)]
 
 
-def _travel(axes: Axes, run: RunLog) -> None:
-    """Travel, measured and simulated online."""
-    _channel(axes, run, run.measured.x, "measured", 1.0)
-    if run.online is not None:
-        axes.plot(run.online.time, run.online.x_sim, color="C1", label="simulated online")
-        axes.legend(fontsize="small")
-    axes.set_ylabel("x [m]")
-
-
-def _forces(axes: Axes, run: RunLog) -> None:
-    """Measured forces."""
-    for name, values in (("fx", run.measured.fx), ("fz", run.measured.fz)):
-        if values is not None:
-            _channel(axes, run, values, name, 1.0, color=None)
-    axes.legend(fontsize="small")
-    axes.set_ylabel("force [N]")
-
-
-def _torque(axes: Axes, run: RunLog) -> None:
-    """Measured torque."""
-    _channel(axes, run, run.measured.torque, "measured", 1.0)
-    axes.set_ylabel("torque [N m]")
-
-
-def _scaling(axes: Axes, run: RunLog) -> None:
-    """zeta of the control loop."""
-    assert run.online is not None
-    axes.plot(run.online.time, run.online.zeta, color="C1")
-    axes.set_ylabel("online zeta [-]")
-
-
-def _channel(
-    axes: Axes, run: RunLog, values: Any, label: str, scale: float, color: str | None = "C0"
-) -> None:
-    """Draw a channel as a line; a single row, such as a steady mean, as a dot."""
-    time = run.measured.time
-    marker = "o" if time.size == 1 else None
-    axes.plot(time, values * scale, color=color, marker=marker, label=label)
+def _draw(axes: Axes, name: str, curves: list[Curve]) -> None:
+    """Draw one panel: a channel by its name, or another quantity by the label of its axis."""
+    if name.endswith("]"):
+        axes.set_ylabel(name)
+        scale = 1.0
+    else:
+        scale = label_channel(axes, name)
+    for label, role, time, values in curves:
+        # A single row, such as a steady mean, is a dot.
+        marker = "o" if time.size == 1 else None
+        axes.plot(time, scale * values, **role.line, marker=marker, label=label)
+    if len(curves) > 1:
+        axes.legend()

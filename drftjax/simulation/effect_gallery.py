@@ -1,14 +1,28 @@
 """Figures of the change that effects make to the run of Fuke, Ishikawa & Ishigami 2024."""
 
-import math
+import textwrap
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drftjax.common.errors import InputError
+from drftjax.common.figures import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    HATCHES,
+    PARTS,
+    STYLE,
+    label_channel,
+    label_difference,
+    legend_below,
+    project_style,
+    title_above,
+)
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata
 from drftjax.effects.listing import typical_sizes
@@ -28,11 +42,12 @@ STEP, EVERY = 2e-3, 25
 Classes = list[type[AbstractEffect]]
 
 
-COLOURS = ("tab:blue", "tab:orange")
+COMMON_SCALE = (1e-2, 1e2)
+"""Ends of the gallery's axis of sizes [mm]: half a rig's noise of z, a tenth of the travel."""
 
 
-# Unit of each channel in a figure, and its number in an SI unit.
-UNITS = {"x": ("mm", 1e3), "z": ("mm", 1e3), "fx": ("N", 1), "fz": ("N", 1), "torque": ("N m", 1)}
+LETTERS = 44
+"""Of a line of text above a pair of panels."""
 
 
 def simulate_effects(effects: Classes) -> Output:
@@ -70,8 +85,9 @@ def simulate_effects(effects: Classes) -> Output:
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(run))(jnp.asarray(table)))
 
 
+@project_style
 def draw_effect(effect: type[AbstractEffect]) -> Figure:
-    """Draw z with and without an effect, and the changes that it makes in z and x.
+    """Draw the sinkage with and without an effect, and the changes that it makes in z and x.
 
     Of an effect that shows in other channels alone, these are drawn.
 
@@ -80,21 +96,18 @@ def draw_effect(effect: type[AbstractEffect]) -> Figure:
     """
     output = simulate_effects([effect])
     time, channels = output.time[0], effect.about.channels or ("z", "x")
-    figure = Figure(figsize=(7, 7), layout="constrained")
+    figure = Figure(figsize=(STYLE.width, 7.5), layout="constrained")
     both, *changes = figure.subplots(1 + len(channels), 1, sharex=True)
-    (unit, scale), first = UNITS[channels[0]], getattr(output, channels[0])
-    both.plot(time, scale * first[0], color="0.5", label="without")
-    both.plot(time, scale * first[1], color=COLOURS[0], label=f"with {typical_sizes(effect)}")
-    title = f"{effect.about.name}: {effect.about.meaning}"
-    both.set_title(title, wrap=True)
-    both.set_ylabel(f"{channels[0]} [{unit}]")
+    scale, first = label_channel(both, channels[0]), getattr(output, channels[0])
+    both.plot(time, scale * first[0], **BEFORE.line, label="without")
+    both.plot(time, scale * first[1], **AFTER.line, label=f"with {typical_sizes(effect)}")
     both.legend()
-    for axes, name, colour in zip(changes, channels, COLOURS, strict=False):
-        (unit, scale), channel = UNITS[name], getattr(output, name)
-        axes.plot(time, scale * (channel[1] - channel[0]), color=colour)
-        axes.set_ylabel(f"change of {name} [{unit}]")
-        axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    for axes, name in zip(changes, channels, strict=True):
+        scale, channel = label_difference(axes, name, f"change of {name}"), getattr(output, name)
+        axes.plot(time, scale * (channel[1] - channel[0]), **AFTER.line)
+        axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
     changes[-1].set_xlabel("time [s]")
+    title_above(figure, f"{effect.about.name}: {effect.about.meaning}")
     return figure
 
 
@@ -108,25 +121,76 @@ def _shown_in_gallery(effect: type[AbstractEffect]) -> bool:
     return True
 
 
+@project_style
 def draw_gallery(effects: Classes) -> Figure:
-    """Draw the changes that each effect makes in z and x, each in a panel of its own.
+    """Draw the changes that each effect makes in z and x: their course, and their size.
 
+    The course is drawn to a scale of its own, the largest change on one scale for all effects.
     Effects that a driven carriage, a force or a torque would show are left out.
     """
     effects = [each for each in effects if _shown_in_gallery(each)]
     output = simulate_effects(effects)
-    columns = min(6, len(effects))
-    lines = math.ceil(len(effects) / columns)
-    figure = Figure(figsize=(2.5 * columns, 1.8 * lines), layout="constrained")
-    panels = figure.subplots(lines, columns, sharex=True, squeeze=False).ravel()
-    for panel in panels[len(effects) :]:
-        panel.remove()
-    for index, (panel, effect) in enumerate(zip(panels, effects, strict=False), start=1):
-        for axes, name, colour in zip((panel, panel.twinx()), "zx", COLOURS, strict=True):
-            channel = getattr(output, name)
-            axes.plot(output.time[0], 1e3 * (channel[index] - channel[0]), color=colour)
-            axes.tick_params(axis="y", colors=colour, labelsize=6)
-            axes.locator_params(axis="y", nbins=4)
-        panel.set_title(f"{effect.about.name}\n{typical_sizes(effect)}", fontsize=7)
-    figure.suptitle("Change of z (blue, left, mm) and of x (orange, right, mm) over time in s")
+    rows = -(-len(effects) // STYLE.columns)
+    figure = Figure(figsize=(STYLE.width, 2 + 1.3 * rows), layout="constrained")
+    pairs = figure.subplots(
+        rows, 2 * STYLE.columns, squeeze=False, sharex="col", width_ratios=(1.2, 1) * STYLE.columns
+    ).reshape(-1, 2)
+    for spare in pairs[len(effects) :].flat:
+        spare.remove()
+    for index, ((course, size), effect) in enumerate(zip(pairs, effects, strict=False), start=1):
+        changes = {
+            name: 1e3 * (getattr(output, name)[index] - getattr(output, name)[0]) for name in "zx"
+        }
+        _draw_course(course, np.asarray(output.time[0]), changes)
+        _draw_size(size, changes)
+        title = f"{effect.about.name}\n{textwrap.fill(typical_sizes(effect), LETTERS)}"
+        course.set_title(title, loc="left", fontsize=STYLE.small_text)
+    # The lowest panels have the axes, also above a place that is empty.
+    for course, size in pairs[: len(effects)][-STYLE.columns :]:
+        course.set_xlabel("time [s]")
+        size.set_xlabel("largest [mm]")
+        for axes in (course, size):
+            axes.tick_params(labelbottom=True)
+    legend_below(figure, [pairs[0, 0]])
+    title_above(
+        figure,
+        "Change by each effect of sinkage (blue, solid) and travel (orange, dashed).\n"
+        "Left: the course, to its own scale; deeper is down, forward is up.\n"
+        "Right: the largest change, on one scale for all.",
+    )
     return figure
+
+
+KINDS = {"z": ("sinkage", 0, "-"), "x": ("travel", 1, "--")}
+"""Words, place among the colours, and dashes of the gallery's channels."""
+
+
+def _draw_course(axes: Axes, time: np.ndarray, changes: dict[str, np.ndarray]) -> None:
+    """Draw changes over time, each as a share of its largest."""
+    for name, change in changes.items():
+        word, place, dashes = KINDS[name]
+        largest = max(np.abs(change).max(), 1e-300)
+        axes.plot(time, change / largest, dashes, color=PARTS[place], lw=1.4, label=word)
+    axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
+    axes.set_ylim(-1.1, 1.1)
+    axes.set_yticks([])
+
+
+def _draw_size(axes: Axes, changes: dict[str, np.ndarray]) -> None:
+    """Draw the largest changes [mm] as bars on the common scale."""
+    low, high = COMMON_SCALE
+    for row, (name, change) in enumerate(changes.items()):
+        _, place, _ = KINDS[name]
+        largest = float(np.abs(change).max())
+        width = max(largest - low, 0.0)
+        axes.barh(
+            row, width, 0.8, left=low, color=PARTS[place], hatch=HATCHES[place], edgecolor="white"
+        )
+        axes.text(max(largest, low), row, f" {largest:.2g} mm", va="center")
+    axes.set_xscale("log")
+    # Room for the number beside the longest bar.
+    axes.set_xlim(low, 300 * high)
+    axes.set_xticks([low, 1, high], [f"{low:g}", "1", f"{high:g}"])
+    axes.minorticks_off()
+    axes.set_yticks([])
+    axes.invert_yaxis()

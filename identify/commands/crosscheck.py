@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.options import PlotFile, draw_picture, remove_empty_folders, require_picture
 from drftjax.common.output_files import files_of, stem_of
-from identify.crosscheck.report import plot, tables
+from identify.crosscheck.report import tables
 
 if TYPE_CHECKING:
     from drftjax.results.provenance import Provenance
@@ -28,6 +29,7 @@ The result is out/crosscheck.json and out/crosscheck.png.
 
 
 @app.command(epilog=EXAMPLES)
+@remove_empty_folders
 def crosscheck(
     runs: Annotated[
         list[Path], typer.Argument(help="Run logs, or folders of them.", show_default=False)
@@ -40,6 +42,7 @@ def crosscheck(
     tolerance: Annotated[
         float, typer.Option(help="Error of the sinkage that is left alone [m].")
     ] = 1e-4,
+    picture: PlotFile = None,
     knots: Annotated[float, typer.Option(help="Knot spacing of the offline zeta(t) [s].")] = 1.0,
     sweep: Annotated[bool, typer.Option(help="Try other ticks, steps and tolerances too.")] = True,
 ) -> None:
@@ -62,6 +65,7 @@ def crosscheck(
     from identify.crosscheck.crosscheck import crosscheck as check
     from identify.crosscheck.replays import TunerSetting
 
+    require_picture(picture, runs)
     StepTuner(tick, zeta_step, tolerance)  # refuses what cannot be before any file is read
     if output is not None:
         require_places(result_files(output), runs)
@@ -99,6 +103,10 @@ def crosscheck(
     if output is not None:
         written = write(result, output, made)
         console.print(f"written: {', '.join(str(each) for each in written)}")
+    if picture is not None:
+        from identify.crosscheck.figure import plot_crosscheck
+
+        draw_picture(plot_crosscheck(result), picture)
 
 
 def result_files(output: Path) -> list[Path]:
@@ -116,9 +124,10 @@ def write(result: "CrossCheck", stem: Path, provenance: "Provenance") -> list[Pa
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.structured_files import as_json
+    from identify.crosscheck.figure import plot_crosscheck
 
     text, picture = result_files(stem)
     make_folder(stem.parent)
     replace_file(text, as_json({**result.document(), "provenance": provenance.document()}))
-    save_figure(plot(result), picture)
+    save_figure(plot_crosscheck(result), picture)
     return [text, picture]

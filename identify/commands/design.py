@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drftjax.commands.options import (
+    PlotFile,
+    draw_picture,
     is_on_command_line,
     refuse_options,
     remove_empty_folders,
+    require_picture,
 )
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
-from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
+from identify.design.report import DESIGNED, design_document, design_table, design_toml
 
 if TYPE_CHECKING:
     from drftjax.results.provenance import Provenance
@@ -75,6 +78,7 @@ def design(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
     ] = None,
+    picture: PlotFile = None,
     max_speed: Annotated[float, typer.Option(help="Largest speed [deg/s].")] = 300.0,
     max_acceleration: Annotated[
         float, typer.Option(help="Largest angular acceleration [deg/s2].")
@@ -141,6 +145,7 @@ def design(
         refuse_options(context, OF_SEARCH, "--screen searches for no run")
     else:
         refuse_options(context, OF_SCREENING, "without --screen no numbers are screened")
+    require_picture(picture, [each for each in (setup, like) if each is not None])
     configure_jax(devices=os.cpu_count())
     noise = {"x": noise_x * 1e-6, "z": noise_z * 1e-6}
     noise |= {"fx": noise_fx, "fz": noise_fz, "torque": noise_torque}
@@ -159,6 +164,7 @@ def design(
             settings=MorrisSettings(trajectories),
             seed=seed,
             output=output,
+            picture=picture,
         )
         return
     from drftjax.common.output_files import require_places
@@ -208,6 +214,10 @@ def design(
     if output is not None and result.identifiable:
         written = _write(result, output, made)
         console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
+    if picture is not None and result.identifiable:
+        from identify.design.figures import plot_design
+
+        draw_picture(plot_design(result), picture)
 
 
 def result_files(output: Path) -> list[Path]:
@@ -221,6 +231,7 @@ def _write(result: "Design", output: Path, provenance: "Provenance") -> list[Pat
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.structured_files import as_json
     from drftjax.setups.generated_files import replace_own_setup
+    from identify.design.figures import plot_design
 
     names = result_files(output)
     make_folder(output.parent)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from drftjax.commands.options import draw_picture
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, require_places, stem_of
 from drftjax.recorded.observation import comparable_channels
@@ -16,7 +17,7 @@ from drftjax.setups.setup import SetUp, read_setup
 from identify.design.elementary_effects import MorrisSettings, require_extra
 from identify.design.fisher_information import InstrumentNoise
 from identify.design.screening import GlobalSensitivity, screen
-from identify.design.screening_report import plot_screening, screening_document, screening_table
+from identify.design.screening_report import screening_document, screening_table
 
 
 def screen_setup(
@@ -30,6 +31,7 @@ def screen_setup(
     settings: MorrisSettings,
     seed: int,
     output: Path | None,
+    picture: Path | None = None,
 ) -> None:
     """Screen the numbers of one set-up or one recorded run, print and write what was found.
 
@@ -42,6 +44,7 @@ def screen_setup(
         settings: Numbers of the method.
         seed: Of the trajectories.
         output: Stem of the result files, or None.
+        picture: File of a figure, whose name was checked, or None.
     """
     require_extra()
     channels = tuple(dict.fromkeys(channels))
@@ -71,6 +74,10 @@ def screen_setup(
         made = command_provenance("design", [setup, like], seed)
         _write(result, names, made)
         console.print(f"written: {', '.join(map(str, names))}", soft_wrap=True, markup=False)
+    if picture is not None:
+        from identify.design.figures import plot_screening
+
+        draw_picture(plot_screening(result), picture)
 
 
 def _as_recorded(
@@ -116,6 +123,7 @@ def _write(result: GlobalSensitivity, names: list[Path], made: Provenance) -> No
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.structured_files import as_json
+    from identify.design.figures import plot_screening
 
     make_folder(names[0].parent)
     replace_file(names[0], as_json({**screening_document(result), "provenance": made.document()}))

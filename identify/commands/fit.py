@@ -5,7 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.options import (
+    PlotFile,
+    draw_picture,
+    remove_empty_folders,
+    require_picture,
+)
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import stem_of
 
@@ -54,6 +59,7 @@ def fit(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
     ] = None,
+    picture: PlotFile = None,
     own: Annotated[
         list[str] | None, typer.Option(help="A parameter fitted for each run. [default: zeta]")
     ] = None,
@@ -166,11 +172,12 @@ def fit(
     fitted = _fitted_parameters(own, share, parameters, path=path, apart=cluster is not None)
     for name in profile or []:
         require_fitted(name, fitted, zeta == "phases")
+    require_picture(picture, runs)
     stem = None if output is None else _stem(output)
     if stem is not None:
-        text, binary, picture, page = result_files(stem)
+        text, binary, drawn, page = result_files(stem)
         chains = [posterior_path(stem)] if posterior else []
-        require_places([text, binary, picture, page, *chains], runs)
+        require_places([text, binary, drawn, page, *chains], runs)
         for each in (binary, *chains):
             require_no_recording(each)
     noise = Autoregressive.name if autoregressive else White.name
@@ -186,7 +193,7 @@ def fit(
         how = FitOptions(parameter_specs(fitted), noise, start_zeta, step, keep_rest, channels)
         kept, left_out = drop_repeated_files(run_files(runs))
         named = dict(zip(names_of(kept), kept, strict=True))
-        fit_on_cluster(cluster, named, how, stem, left_out, [*runs, parameters])
+        fit_on_cluster(cluster, named, how, stem, left_out, [*runs, parameters], picture)
         return
     seed = DRAWS_SEED if starts > 1 or bootstrap is not None or posterior else None
     made = command_provenance("fit", [*runs, parameters, model], seed)
@@ -249,6 +256,8 @@ def fit(
     result = replace(result.with_failures(gathered.skipped), provenance=made)
     if stem is not None:
         say(f"written: {', '.join(map(str, write_with_report(result, stem)))}")
+    if picture is not None:
+        draw_picture(result.plot(), picture)
 
 
 def _require_start(start_zeta: float | None) -> None:

@@ -19,6 +19,7 @@ from drftjax.cluster.connection import (
 )
 from drftjax.cluster.pieces import LogFile
 from drftjax.cluster.store import WorkStore
+from drftjax.commands.options import draw_picture
 from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 from drftjax.common.text import replace_unprintable
@@ -45,6 +46,7 @@ def fit_on_cluster(
     stem: Path | None,
     left_out: Mapping[str, str],
     inputs: Sequence[Path | None],
+    picture: Path | None = None,
 ) -> None:
     """Fit runs, continue where a killed call ended, and write the usual results.
 
@@ -57,6 +59,7 @@ def fit_on_cluster(
         stem: Of the result files; STEM.store keeps what is done.
         left_out: Files that are not among the runs, and why.
         inputs: Files and folders that the command was given.
+        picture: File of a figure, whose name was checked, or None.
 
     Raises:
         InputError: see `fit_on` and `fit_together_on`; also where no run can be fitted.
@@ -89,6 +92,8 @@ def fit_on_cluster(
     written = ", ".join(str(each) for each in write_with_report(result, stem))
     what = "the solver's steps" if together else "every fit"
     _say(console, f"written: {written}; {store.path} keeps {what} for a call that goes on")
+    if picture is not None:
+        draw_picture(result.plot(), picture)
 
 
 def _fit_together(

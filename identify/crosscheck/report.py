@@ -1,19 +1,15 @@
-"""Tables and figure of a cross-check."""
+"""Tables of a cross-check."""
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
     from identify.crosscheck.comparison import Comparison
-    from identify.crosscheck.crosscheck import CrossCheck, RunCheck
+    from identify.crosscheck.crosscheck import CrossCheck
     from identify.crosscheck.replays import TunerSetting
 
 MM = 1e3
-
-
-MOST_SHOWN = 8
 
 
 # Tables -------------------------------------------------------------------------------------------
@@ -124,66 +120,3 @@ def _varied(setting: "TunerSetting", base: "TunerSetting") -> str:
     if setting.tolerance != base.tolerance:
         return f"tolerance {setting.tolerance * MM:g} mm"
     return "as asked"
-
-
-# Figure -------------------------------------------------------------------------------------------
-
-
-def plot(result: "CrossCheck") -> "Figure":
-    """One row for each run (the first eight): both zetas, and the error that the tuner saw."""
-    from matplotlib.figure import Figure
-
-    runs = result.runs[:MOST_SHOWN]
-    figure = Figure(figsize=(10.5, 2.5 * len(runs) + 0.5), layout="constrained")
-    grid = figure.subplots(len(runs), 2, squeeze=False)
-    for run, (left, right) in zip(runs, grid, strict=True):
-        _draw_zeta(left, run)
-        right.plot(run.time, run.error * MM, color="C1", lw=0.7)
-        for side in (-1, 1):
-            right.axhline(side * result.setting.tolerance * MM, color="0.4", lw=0.7, ls="--")
-        right.set_ylabel("sinkage error [mm]")
-    grid[0][0].legend(fontsize=7, loc="best")
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
-    left_out = len(result.runs) - len(runs)
-    more = f" (and {left_out} more runs)" if left_out else ""
-    figure.suptitle(
-        f"tuner: tick {result.setting.tick * MM:g} ms, zeta step {result.setting.zeta_step:g}, "
-        f"tolerance {result.setting.tolerance * MM:g} mm{more}",
-        fontsize=10,
-    )
-    return figure
-
-
-def _draw_zeta(axes, run: "RunCheck") -> None:
-    import numpy as np
-
-    from identify.zeta_path.path import SEGMENTS, segment_ends
-
-    path = run.offline
-    if run.truth is not None:
-        axes.plot(run.time, run.truth, color="k", lw=1.0, ls=":", label="true")
-    axes.plot(run.time, run.zeta, color="C1", lw=0.8, label="tuner, replayed")
-    if run.online_time is not None and run.online_zeta is not None:
-        axes.plot(run.online_time, run.online_zeta, color="C2", lw=0.8, label="tuner, as logged")
-    low, high = axes.get_ylim()
-    curve = segment_ends(path.time)
-    told = np.interp(curve, path.time, path.identified.astype(float)) == 1.0
-    axes.plot(
-        curve,
-        np.where(told, path.at(curve), np.nan),
-        color="C0",
-        lw=1.4,
-        marker=".",
-        markevery=SEGMENTS,
-        label="offline",
-    )
-    # Where nothing is told the band is wider than any axes.
-    error = np.minimum(1.645 * path.error, 10.0)
-    band = (path.value - error, path.value + error)
-    axes.fill_between(path.time, *band, color="C0", alpha=0.2, lw=0, label="90 % band")
-    inside = np.r_[low, high, path.value[path.identified]]
-    axes.set_ylim(inside.min() - 0.01, inside.max() + 0.01)
-    axes.set_ylabel("zeta [-]")
-    late = "-" if run.tuner.lag is None else f"{run.tuner.lag:.2f} s"
-    axes.set_title(f"{run.name}  difference {run.tuner.difference:.4f}, lag {late}", fontsize=8)

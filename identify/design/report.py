@@ -1,10 +1,9 @@
-"""Tables, figure and files of a designed run."""
+"""Tables and files of a designed run."""
 
 import copy
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
     from identify.design.design import Design
@@ -13,38 +12,6 @@ if TYPE_CHECKING:
 
 # Part of the titles of designed runs, by which they are recognised.
 DESIGNED = ", designed for "
-
-
-def plot_design(result: "Design") -> "Figure":
-    """Plot the given and the best profile, and the standard error over peak speeds."""
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    profile, scan = figure.subplots(1, 2)
-    for each, name, colour in ((result.given, "given", "0.4"), (result.best, "best", "C0")):
-        command = each.setup.command.build()
-        label = f"{name}: ±{each.information.error:.2g}"
-        profile.plot(command.time, np.degrees(command.omega), ".-", color=colour, label=label)
-    profile.set_xlabel("time [s]")
-    profile.set_ylabel("angular velocity [deg/s]")
-    profile.legend(title=f"standard error of {result.parameter}", fontsize=8)
-    peaks = np.degrees(result.peaks)
-    errors = np.array([each.information.error for each in result.scan])
-    shifts = np.array([result.shift(each) for each in result.scan])
-    scan.loglog(peaks, errors, "o-", label="standard error, white noise")
-    label = f"shift by a model error of {result.model_error * 1e3:.3g} mm"
-    scan.loglog(peaks, shifts, "s--", label=label)
-    value = abs(result.given.information.value)
-    if value:
-        label = f"{result.wanted:.0%} of the value"
-        scan.axhline(result.wanted * value, color="0.5", lw=0.8, ls=":", label=label)
-    scan.set_xticks(peaks, [f"{each:.0f}" for each in peaks])
-    scan.minorticks_off()
-    scan.set_xlabel("peak speed of a trapezoid [deg/s]")
-    scan.set_ylabel(f"error of {result.parameter} [{result.unit}]")
-    scan.legend(fontsize=8)
-    return figure
 
 
 def design_table(result: "Design") -> "Table":

@@ -1,11 +1,9 @@
-"""Table, figure and file of a global sensitivity."""
+"""Table and file of a global sensitivity."""
 
 import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from rich.table import Table
 
     from identify.design.number_ranges import NumberRange
@@ -15,9 +13,6 @@ SCREENING_SCHEMA = "drft-screening"
 
 # Numbers in the table of a terminal; the figure and the file have all.
 TABLE_ROWS = 20
-
-# Smallest change in the figure, in noise: a hundred times less than can be seen of one reading.
-SMALLEST_SHOWN = 1e-2
 
 # Change in the table below which it is a rounding or nothing, in noise.
 SMALLEST_TOLD = 1e-3
@@ -34,7 +29,7 @@ def screening_table(result: "GlobalSensitivity") -> "Table":
     table.add_column("number", no_wrap=True)
     table.add_column("range")
     for channel in result.channels:
-        table.add_column(f"{channel} ({_noise(result, channel)})", justify="right")
+        table.add_column(f"{channel} ({noise_text(result, channel)})", justify="right")
     effects = result.effects
     for index in result.order[:TABLE_ROWS]:
         cells = [
@@ -70,78 +65,12 @@ def range_text(each: "NumberRange") -> str:
     return f"{each.low:.4g} to {each.high:.4g}{unit}"
 
 
-def _noise(result: "GlobalSensitivity", channel: str) -> str:
+def noise_text(result: "GlobalSensitivity", channel: str) -> str:
     """Noise of a channel in the unit of reports, such as "0.02 mm"."""
     from drftjax.recorded.observation import SHOWN
 
     unit, factor = SHOWN[channel]
     return f"{result.noise[channel] * factor:.3g} {unit}"
-
-
-def plot_screening(result: "GlobalSensitivity") -> "Figure":
-    """Plot the change that each number makes, in noise, a panel for each channel."""
-    from matplotlib.figure import Figure
-
-    count = len(result.ranges)
-    figure = Figure(
-        figsize=(4.0 + 2.6 * len(result.channels), 1.6 + 0.17 * count), layout="constrained"
-    )
-    panels = figure.subplots(1, len(result.channels), sharey=True, squeeze=False)[0]
-    for place, (axes, channel) in enumerate(zip(panels, result.channels, strict=True)):
-        _draw_channel(axes, result, place)
-        axes.set_title(f"{channel}: noise {_noise(result, channel)}", fontsize=9)
-        axes.set_xlabel("change across the range, in noise [-]", fontsize=8)
-    first = panels[0]
-    names = [
-        f"{each.quantity.label}   {range_text(each)}"
-        for each in (result.ranges[index] for index in result.order)
-    ]
-    first.set_yticks(range(count), names, fontsize=7)
-    first.set_ylim(count - 0.4, -0.6)
-    handles, labels = first.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7)
-    figure.suptitle(f"{result.title}: which numbers can matter", fontsize=10, parse_math=False)
-    return figure
-
-
-def _draw_channel(axes: "Axes", result: "GlobalSensitivity", place: int) -> None:
-    import numpy as np
-
-    order = result.order
-    effects = result.effects
-    size, interval, spread = (
-        np.nan_to_num(each[order, place])
-        for each in (effects.mean_size, effects.interval, effects.spread)
-    )
-    rows = np.arange(len(order))
-    axes.set_xscale("log")
-    matters = size + interval >= 1
-    for chosen, colour, name in (
-        (matters, "C0", "mean change that reaches the noise"),
-        (~matters, "0.75", "mean change below the noise"),
-    ):
-        width = np.maximum(size - SMALLEST_SHOWN, 0)[chosen]
-        axes.barh(rows[chosen], width, left=SMALLEST_SHOWN, color=colour, height=0.7, label=name)
-    seen = size + interval > SMALLEST_SHOWN
-    low = np.minimum(interval, np.maximum(size - SMALLEST_SHOWN, 0))
-    axes.errorbar(
-        size[seen],
-        rows[seen],
-        xerr=[low[seen], interval[seen]],
-        fmt="none",
-        ecolor="0.2",
-        elinewidth=0.8,
-        label="95 % interval",
-    )
-    some = spread > SMALLEST_SHOWN
-    label = "spread by the other numbers"
-    axes.plot(spread[some], rows[some], "o", mfc="none", mec="C1", ms=3, label=label)
-    axes.axvline(1, color="C3", lw=1, label="noise of one reading")
-    most = max(10.0, float((size + interval).max(initial=0)), float(spread.max(initial=0)))
-    axes.set_xlim(SMALLEST_SHOWN, 2 * most)
-    axes.grid(axis="x", color="0.9", lw=0.5)
-    axes.set_axisbelow(True)
-    axes.tick_params(axis="x", labelsize=8)
 
 
 def screening_document(result: "GlobalSensitivity") -> dict:

@@ -223,7 +223,8 @@ class FitResult:
         """Return a figure of recorded and simulated channels of each run."""
         from identify.results.figure import plot_fit
 
-        return plot_fit(self.runs, self.channels, list(self.shared.values()), self.bands)
+        values = list(self.shared.values())
+        return plot_fit(self.runs, self.channels, values, self.bands, self.floors)
 
     def profile(self, name: str, **options: Any) -> "FitResult":
         """Return the result with a value's profile; options as of `profile_likelihoods`."""

@@ -117,9 +117,12 @@ def test_the_command_says_which_runs_were_replayed_so(path, log, tmp_path):
     setup = SetUp(command=CommandSetUp(*PROFILE), effects=[LOOSENING])
     model.write_text(setup_toml(setup, [], {}))
     told = tmp_path / "told.json"
+    picture = tmp_path / "gap.svg"
     arguments = [str(path), "--model", str(model), "--tuner", "--json", str(told)]
+    arguments += ["--plot", str(picture)]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "110"})
     assert result.exit_code == 0, result.output
+    assert "<svg" in picture.read_text()
     assert "By --tuner, hils replayed in the loop that it was made in." in result.output
     (only,) = json.loads(told.read_text())["tuner"]["runs"]
     assert only["in_its_loop"]

@@ -17,8 +17,9 @@ from drftjax.setups.setup import IntegratorSetUp
 from identify.commands.crosscheck import result_files
 from identify.crosscheck.comparison import compare_series, lag, ripple, sustained_part
 from identify.crosscheck.crosscheck import crosscheck
+from identify.crosscheck.figure import plot_crosscheck
 from identify.crosscheck.replays import TunerSetting
-from identify.crosscheck.report import plot, tables
+from identify.crosscheck.report import tables
 from tests.helpers.synthetic_runs import DEEPER
 from tests.studies.crosscheck import known_run, known_setup
 
@@ -179,7 +180,7 @@ def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
     untold = dataclasses.replace(
         checked, runs=[dataclasses.replace(run, offline=offline), checked.runs[1]]
     )
-    left, *_ = plot(untold).axes
+    left, *_ = plot_crosscheck(untold).axes
     low, high = left.get_ylim()
     assert low < run.zeta.min() < run.zeta.max() < high
 
@@ -220,8 +221,11 @@ def test_command_end_to_end(drft, tmp_path):
     path = tmp_path / "short.h5"
     write_run(path, with_online(recorded("short", faint)))
     stem = tmp_path / "new" / "check"
-    answer = drft("crosscheck", path, "-o", stem, "--knots", "1.5", "--no-sweep")
+    picture = tmp_path / "pictures" / "zeta.svg"
+    given = ("--knots", "1.5", "--no-sweep", "--plot", picture)
+    answer = drft("crosscheck", path, "-o", stem, *given)
     assert answer.code == 0, answer
+    assert "<svg" in picture.read_text()
     assert "online tuner beside offline zeta(t)" in answer.out
     assert "logged" in answer.out
     assert stem.with_suffix(".png").read_bytes().startswith(b"\x89PNG")

@@ -13,10 +13,11 @@ from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp
 from drftjax.setups.setup_toml import setup_toml
 from identify.commands.design_screen import parse_ranges
 from identify.design.elementary_effects import MorrisSettings, sample_trajectories, screen_function
+from identify.design.figures import plot_screening
 from identify.design.fisher_information import InstrumentNoise, compared_rows
 from identify.design.number_ranges import RangeSettings, RangeWidth, usual_range
 from identify.design.screening import GlobalSensitivity, screen
-from identify.design.screening_report import plot_screening, screening_document, screening_table
+from identify.design.screening_report import screening_document, screening_table
 from tests.helpers.drft_command import Drft
 
 # Sums and quotients of some doubles.
@@ -238,13 +239,15 @@ def test_command_writes_numbers_and_figure(tmp_path: Path, monkeypatch, capsys, 
     given = tmp_path / "short.toml"
     given.write_text(setup_toml(short_run()))
     options = ("--screen", "--trajectories", 3, "--seed", SEED, "-o", tmp_path / "out" / "screen")
-    answer = drft("design", given, *options)
+    picture = tmp_path / "screen.pdf"
+    answer = drft("design", given, *options, "--plot", picture)
     assert answer.code == 0, answer.err
     assert "can matter here" in answer.out
     document = json.loads((tmp_path / "out" / "screen.json").read_text())
     zeta = next(each for each in document["numbers"] if each["name"] == "zeta")
     assert zeta["changes"]["z"]["mean_size"] == pytest.approx(change(screened, "zeta", "z"))
     assert (tmp_path / "out" / "screen.png").read_bytes()[:4] == b"\x89PNG"
+    assert picture.read_bytes()[:4] == b"%PDF"
 
 
 def test_command_refuses_what_it_cannot_do(tmp_path: Path, monkeypatch, capsys):

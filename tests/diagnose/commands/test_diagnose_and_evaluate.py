@@ -293,7 +293,10 @@ def test_effects_of_a_file_keep_their_numbers(diagnosed):
 
 
 def test_one_run_is_described_and_proves_nothing(logs, drft, tmp_path):
-    answer = drft("diagnose", logs / "run_0.h5", "--effects", "surface_slope", "-o", tmp_path)
+    picture = tmp_path / "gap.png"
+    options = ("--effects", "surface_slope", "-o", tmp_path, "--plot", picture)
+    answer = drft("diagnose", logs / "run_0.h5", *options)
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert answer.code == 0
     assert "One run only" in answer.out
     assert "one run alone describes and does not prove" in answer.out

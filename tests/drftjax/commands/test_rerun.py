@@ -197,6 +197,7 @@ def test_no_other_command_is_run(fitted, bench, drft, started, command, said):
 
 def test_recorded_outputs_are_replaced_and_no_shell_reads_arguments(fitted, bench, drft, started):
     given = ["fit", "-o/etc/x", "--own", "zeta; touch hacked", "run.h5", "--autoregressive"]
+    given += ["--plot", "/etc/y.png"]
     hostile = changed(fitted, bench / "hostile.json", command=given)
     refusal = drft("rerun", hostile, "-o", bench / "new" / "again").refusal
     assert refusal == f"{hostile} cannot be made again: no such sand"

@@ -359,8 +359,11 @@ def test_a_run_is_drawn_and_shown(table, tmp_path):
     assert read_run(path).title == "drive a"
     refused = CliRunner().invoke(app, ["plot", path, "-o", str(tmp_path / "a.bmp")])
     assert "must end in .png" in str(refused.exception)
-    refused = CliRunner().invoke(app, ["plot", path, "-o", str(tmp_path / "no" / "a.png")])
-    assert "there is no folder" in str(refused.exception)
+    new = tmp_path / "new" / "a.pdf"
+    assert CliRunner().invoke(app, ["plot", path, "-o", str(new)]).exit_code == 0
+    assert new.read_bytes().startswith(b"%PDF")
+    refused = CliRunner().invoke(app, ["plot", path, "-o", path])
+    assert isinstance(refused.exception, InputError)
 
 
 @pytest.mark.parametrize("column", ["x", "t"])

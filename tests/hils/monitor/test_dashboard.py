@@ -344,11 +344,12 @@ def test_stop_that_was_asked_for_can_become_an_emergency_but_not_by_the_same_key
 # The picture at the end ---------------------------------------------------------------------------
 
 
-def test_figure_has_sinkage_zeta_slip_and_lateness(tmp_path):
+def test_figure_has_sinkage_error_zeta_slip_and_lateness(tmp_path):
     log = looked_on()[0].run()
     figure = plot_hils(log)
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["sinkage [mm]", "zeta [-]", "slip, commanded [-]", "lateness [ms]"]
+    sinkage, error, *others = [axes.get_ylabel() for axes in figure.axes]
+    assert (sinkage, error) == ("sinkage [mm],\ndownward", "sim - real [mm],\ndownward")
+    assert others == ["zeta [-]", "slip, commanded [-]", "lateness [ms]"]
     real, simulated = figure.axes[0].get_lines()
     np.testing.assert_allclose(real.get_ydata(), -log.measured.z * 1e3)
     np.testing.assert_allclose(simulated.get_ydata(), -log.online.z_sim * 1e3)
@@ -369,4 +370,4 @@ def test_sinkage_error_is_measured_minus_simulated():
 
 def test_free_run_is_drawn_as_any_run():
     figure = plot_hils(looked_on(free=True)[0].run())
-    assert "z [mm]" in [axes.get_ylabel() for axes in figure.axes]
+    assert "sinkage [mm],\ndownward" in [axes.get_ylabel() for axes in figure.axes]

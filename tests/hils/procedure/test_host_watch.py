@@ -186,7 +186,7 @@ def test_terminal_and_picture_count_alike(tmp_path):
     said = " ".join(outcome_lines(made.report, tmp_path / "run.h5"))
     assert f"; {counts.without_reading} ticks without a reading." in said
     figure = plot_hils(made.rows.run())
-    labels = [each.get_text() for each in figure.axes[3].get_legend().get_texts()]
+    labels = [each.get_text() for each in figure.axes[-1].get_legend().get_texts()]
     assert f"without a reading ({counts.without_reading} of {counts.ticks} ticks)" in labels
     assert f"over the deadline ({counts.missed} in {counts.ticks} ticks)" in labels
     save_figure(figure, tmp_path / "run.png")

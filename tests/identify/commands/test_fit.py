@@ -91,7 +91,8 @@ def fitted(drft, folder, good) -> Fitted:
         stem = folder / "new" / "fit.v2"
         bad = [folder / f"{name}.h5" for name in BAD]
         # So short a step leaves no error for the fit to take off, which `drft simulate` leaves in.
-        answer = drft("fit", *good, *bad, folder / "plain.h5", "-o", stem, "--step", 1e-3)
+        options = ("-o", stem, "--step", 1e-3, "--plot", folder / "new" / "fit.pdf")
+        answer = drft("fit", *good, *bad, folder / "plain.h5", *options)
         _KEPT[folder] = Fitted(answer, stem, (good[0].stem, good[1].stem))
     return _KEPT[folder]
 
@@ -106,6 +107,12 @@ def test_bad_files_are_named_and_do_not_stop_the_others(fitted, folder):
         assert why in lines[0]
     assert "left out: plain: it has another kind of wheel" in fitted.answer.out
     assert set(fitted.document["failures"]) == {*BAD, "plain"}
+
+
+def test_the_fit_is_drawn_where_it_was_asked_for(fitted):
+    picture = fitted.stem.with_name("fit.pdf")
+    assert f"figure written to {picture}" in fitted.answer.out
+    assert picture.read_bytes().startswith(b"%PDF")
 
 
 def test_names_with_brackets_are_printed_as_they_are(fitted):
@@ -219,9 +226,10 @@ def test_result_of_two_runs_asks_which(drft, fitted):
 
 def test_figure_is_written_beside(fitted):
     assert fitted.stem.with_name("fit.v2.png").read_bytes().startswith(b"\x89PNG")
-    line = fitted.answer.out.strip().splitlines()[-1]
+    *_, line, drawn = fitted.answer.out.strip().splitlines()
     stem = str(fitted.stem)
     assert line == f"written: {stem}.json, {stem}.h5, {stem}.png, {stem}.html"
+    assert drawn.startswith("figure written to ")
 
 
 # Refusals ---------------------------------------------------------------------------------------
