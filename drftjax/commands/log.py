@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperCommand
 
 from drftjax.commands.options import CommandGroup
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, missing_path
 
 app = typer.Typer(
     name="log",
@@ -196,6 +196,8 @@ def import_(
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
     """Make run logs from a table, by a mapping that says what its columns mean."""
+    if not table.exists():
+        raise InputError(f"{table}: {missing_path(table)}")
     if guess:
         if mapping is not None:
             raise InputError("--guess proposes a mapping; leave out --mapping")
@@ -252,6 +254,8 @@ def _mapping(given: str) -> Path:
     known = data_names("import", ".toml")
     name = given.removesuffix(".toml")
     if name not in known:
+        if "/" in given or given != name:
+            raise InputError(f"{given}: {missing_path(Path(given), 'file')}")
         hint = nearest(name, tuple(known))
         raise InputError(f"there is no mapping {given!r}, neither a file nor by name; {hint}")
     return data_file(f"import/{name}.toml")

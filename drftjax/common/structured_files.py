@@ -3,13 +3,12 @@
 import json
 import re
 import tomllib
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, did_you_mean, read_failure
 
 Structure = TypeVar("Structure", bound=msgspec.Struct)
 
@@ -44,12 +43,8 @@ def read_document(path: Path) -> dict[str, Any]:
     try:
         # Some editors put a byte-order mark first, which neither format knows.
         text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, must be a file") from None
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+        raise InputError(f"{path}: {read_failure(path, problem)}") from None
     except UnicodeDecodeError as problem:
         kind = "JSON" if is_json else "TOML"
         why = f"is not text; must be {kind}"
@@ -105,8 +100,7 @@ def explain(message: str, kind: type[msgspec.Struct]) -> str:
     where = f" in [{place}]" if place else ""
     what = _PLACE.sub("", message)
     if unknown := _UNKNOWN.search(what):
-        near = get_close_matches(unknown["field"], sorted(_names(kind)), n=3, cutoff=0.5)
-        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
+        hint = did_you_mean(unknown["field"], sorted(_names(kind)))
         return f"unknown entry {unknown['field']!r}{where}{hint}"
     if missing := _MISSING.search(what):
         return f"the entry {missing['field']!r} is missing{where}"

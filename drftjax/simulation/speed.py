@@ -19,7 +19,7 @@ import numpy as np
 from rich.table import Table
 
 from drftjax.common.arrays import as_real
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, missing_path
 from drftjax.physics.command import Command, command_at
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
@@ -170,8 +170,10 @@ def build_cpp(source: Path, program: Path, real: str = "double") -> Path:
     Raises:
         InputError: there is no source or no g++, or it does not build.
     """
+    if not source.exists():
+        raise InputError(f"{source}: {missing_path(source, 'file')}")
     if not source.is_file():
-        raise InputError(f"{source}: there is no such file, needs a C++ source")
+        raise InputError(f"{source}: must be a C++ source file")
     if shutil.which("g++") is None:
         raise InputError(f"{source}: there is no g++ to build it, which must be installed")
     command = ["g++", *CPP_FLAGS, f"-DREAL={real}", str(source), "-o", str(program)]

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.common.errors import read_failure
 from drftjax.common.structured_files import HDF5
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog import recording_lock
@@ -130,7 +131,7 @@ def _not_openable(path: Path) -> str | None:
             with path.open("rb"):
                 return _NO_HDF5
     except OSError as error:
-        return f"cannot be read: {(error.strerror or str(error)).lower()}"
+        return read_failure(path, error)
     return None
 
 
@@ -139,9 +140,9 @@ def _not_a_file(path: Path) -> str | None:
     try:
         facts = path.stat()
     except OSError as error:
-        return f"cannot be read: {(error.strerror or str(error)).lower()}"
+        return read_failure(path, error)
     if stat.S_ISDIR(facts.st_mode):
-        return "is a folder, it must be a file"
+        return "is a folder, must be a file"
     if not stat.S_ISREG(facts.st_mode):
         return "is not an ordinary file"
     if facts.st_size == 0:

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, read_failure
 from drftjax.common.structured_files import explain
 from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.validation import nearest
@@ -184,8 +184,7 @@ def read_mapping(path: Path) -> Mapping:
         mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8-sig")), Mapping)
         _require_whole(mapping)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path}: the mapping cannot be read: {reason}") from error
+        raise InputError(f"{path}: {read_failure(path, error)}") from error
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: {_explain(str(error))}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, InputError) as error:
