@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.change.figures import difference_figure
 from diagnose.change.hypothesis import ZETA
@@ -13,6 +12,7 @@ from diagnose.report.model_writer import estimate_in_words
 from diagnose.report.pages import render_page
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax.common.output_files import make_folder, replace_file
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import value_with_error
 from drftjax.recorded.observation import SHOWN
@@ -28,7 +28,7 @@ MIN_NOISE_SHARE = 0.02
 BUDGET_COLUMNS = ("difference", "RMS", "the change", "zeta's scatter", "unexplained", "noise")
 
 
-def in_words(found: ChangeDiagnosis) -> list[Table | str]:
+def in_words(found: ChangeDiagnosis) -> list[WholeWordTable | str]:
     """The whole comparison as sentences and a table, from top to bottom."""
     return [first_sentence(found), budget_table(found), *paragraphs(found)]
 
@@ -114,9 +114,9 @@ def budget_rows(found: ChangeDiagnosis) -> list[tuple[str, ...]]:
     return rows
 
 
-def budget_table(found: ChangeDiagnosis) -> Table:
+def budget_table(found: ChangeDiagnosis) -> WholeWordTable:
     """Table of the difference between now and before, and what makes it up."""
-    table = Table()
+    table = WholeWordTable()
     for name in BUDGET_COLUMNS:
         table.add_column(name, justify="left" if name == BUDGET_COLUMNS[0] else "right")
     for row in budget_rows(found):

@@ -1,11 +1,13 @@
 """`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,16 +72,10 @@ def diagnose(
     configure_jax()
     from diagnose.api import effects_among
     from drftjax.commands.progress import progress_line
-    from drftjax.common.text import replace_unprintable
 
     chosen = effects_among(_names(effects))
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     steps = _diagnosed(runs, output, bed) if against is None else _compared(runs, against, output)
     with progress_line(console, "reading runs", quiet=quiet) as show:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.gap.budget import ChannelBudget
 from diagnose.linear.bed import FreeBed
@@ -12,6 +11,7 @@ from diagnose.report.remedies import remedy
 from diagnose.report.user_terms import in_user_terms
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import UNKNOWN, percent
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.recorded.observation import SHOWN
 
 
@@ -83,9 +83,9 @@ def _percent(share: float) -> str:
     return f"{round(100 * share) + 0:d}%"  # no minus before zero
 
 
-def budget_table(found: Diagnosis) -> Table:
+def budget_table(found: Diagnosis) -> WholeWordTable:
     """Table of the budget."""
-    table = Table()
+    table = WholeWordTable()
     for number, name in enumerate(budget_columns(found)):
         table.add_column(name, justify="right" if number else "left")
     for row in budget_rows(found):

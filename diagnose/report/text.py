@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
@@ -35,6 +34,7 @@ from diagnose.report.pages import render_page
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax.common.output_files import make_folder, replace_file
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
 from drftjax.effects.catalogue import reported_names
@@ -69,7 +69,9 @@ class ReportSettings:
 DEFAULT_REPORT = ReportSettings()
 
 
-def in_words(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[Table | str]:
+def in_words(
+    found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT
+) -> list[WholeWordTable | str]:
     """The whole diagnosis as sentences and tables, from top to bottom."""
     return [
         verdict(found, settings),
@@ -304,9 +306,9 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
 GAP_COLUMNS = ("gap", "before", "after", "noise floor", "in floors", "shrinkage (90 %)")
 
 
-def gap_table(found: Diagnosis) -> Table:
+def gap_table(found: Diagnosis) -> WholeWordTable:
     """Table of the gap before and after, against the noise floor."""
-    table = Table()
+    table = WholeWordTable()
     for name in GAP_COLUMNS:
         table.add_column(name, justify="left" if name == "gap" else "right")
     for row in gap_rows(found):

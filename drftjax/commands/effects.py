@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -54,11 +55,11 @@ def effects(
     if name == correction.NAME:
         if plot is not None:
             raise InputError("a correction is what its set-up file says; there is nothing to draw")
-        typer.echo(table.correction_details())
+        say(table.correction_details())
         return
     chosen = None if name is None else effect_class(name)
     if chosen is not None:
-        typer.echo(table.effect_details(chosen))
+        say(table.effect_details(chosen))
     elif markdown:
         typer.echo(table.effect_markdown())
     elif plot is None:
@@ -66,7 +67,7 @@ def effects(
 
         console = Console(highlight=False)
         console.print(table.effect_table())
-        console.print(f"\n{table.BESIDES}")
+        say(f"\n{table.BESIDES}")
     if plot is not None:
         from drftjax.common.figures import save_figure
         from drftjax.simulation import effect_gallery as portrait
@@ -76,4 +77,4 @@ def effects(
             portrait.draw_gallery(everything) if chosen is None else portrait.draw_effect(chosen)
         )
         save_figure(figure, plot)
-        typer.echo(f"figure written to {plot}")
+        say(f"figure written to {plot}")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.results.command_line import ResultCommand
     from drftjax.results.differences import ResultComparison, ResultDifference
     from drftjax.results.provenance import Machine
@@ -30,7 +31,7 @@ EXAMPLES = """
 Examples:
 
 \b
-  drft rerun out/fit.json                      makes out/fit_rerun.json, .h5, .png
+  drft rerun out/fit.json              makes out/fit_rerun.json, .h5, .png
   drft rerun out/diagnosis/diagnosis.json -o out/again
   drft rerun colleague/fit.json --changed-inputs
 
@@ -63,7 +64,6 @@ def rerun(
 
     from drftjax.commands.main import subcommand
     from drftjax.common.output_files import require_folder
-    from drftjax.common.text import replace_unprintable
     from drftjax.results.command_line import (
         RESULT_COMMANDS,
         find_inputs,
@@ -94,11 +94,7 @@ def rerun(
     earlier = _stamp(target)
 
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     for each in inputs.changes:
         say(each, "yellow")
@@ -197,15 +193,15 @@ def _summary(found: "ResultComparison") -> str:
     )
 
 
-def _table(differences: "Sequence[ResultDifference]") -> "Table":
+def _table(differences: "Sequence[ResultDifference]") -> "WholeWordTable":
     from rich.markup import escape
-    from rich.table import Table
 
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.common.text import replace_unprintable
 
-    table = Table(title="what differs", title_justify="left")
+    table = WholeWordTable(title="what differs", title_justify="left")
     for heading in ("entry", "before", "again"):
-        table.add_column(heading, overflow="fold")
+        table.add_column(heading)
     table.add_column("difference", justify="right")
     for each in differences:
         cells = (each.place, each.before, each.after)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say
 
 EXAMPLES = """
 Examples:
@@ -97,4 +98,4 @@ def paper(
         save_figure(figure, output / name)
     typer.echo(text)
     written = ", ".join(str(output / name) for name in ("paper.json", "paper.md", *figures))
-    typer.echo(f"written: {written}")
+    say(f"written: {written}")

@@ -73,8 +73,8 @@ def run(
     zero: Annotated[
         Literal["held", "power-up"],
         typer.Option(
-            help="held: the wheel is held at touch-down and zeroed there; power-up: the rig's own "
-            "zero is touch-down."
+            help="held: the wheel is held at touch-down and zeroed there; power-up: "
+            "touch-down is the rig's own zero."
         ),
     ] = "held",
     zeta: Annotated[

@@ -10,6 +10,7 @@ from drftjax.commands.options import (
     refuse_options,
     remove_empty_folders,
 )
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
@@ -204,10 +205,11 @@ def design(
         )
     if result.identifiable:
         console.print(design_table(result))
-    console.print(result.summary(), soft_wrap=True)
+    for line in result.summary().splitlines():
+        say_on(console, line)
     if output is not None and result.identifiable:
         written = _write(result, output, made)
-        console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
+        say_on(console, f"written: {', '.join(map(str, written))}")
 
 
 def result_files(output: Path) -> list[Path]:

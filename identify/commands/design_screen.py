@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, require_places, stem_of
 from drftjax.recorded.observation import comparable_channels
@@ -66,11 +67,12 @@ def screen_setup(
             progress=status.update,
         )
     console.print(screening_table(result))
-    console.print(result.summary(), soft_wrap=True, markup=False)
+    for line in result.summary().splitlines():
+        say_on(console, line)
     if names:
         made = command_provenance("design", [setup, like], seed)
         _write(result, names, made)
-        console.print(f"written: {', '.join(map(str, names))}", soft_wrap=True, markup=False)
+        say_on(console, f"written: {', '.join(map(str, names))}")
 
 
 def _as_recorded(

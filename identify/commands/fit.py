@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import stem_of
 
@@ -19,10 +20,10 @@ EXAMPLES = """
 Examples:
 
 \b
-  drft fit data/runs/*.h5 -o out/fit           zeta for each run, lambda shared
+  drft fit data/runs/*.h5 -o out/fit           zeta for each, lambda for all
   drft fit runs/*.h5 --share zeta -o out/fit   one zeta for all runs
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
-  drft fit runs/*.h5 --share drawbar.force     a number of an effect (drft effects)
+  drft fit runs/*.h5 --share drawbar.force     a number of an effect
   drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
   drft fit runs/*.h5 --compare z               by the sinkage alone
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
@@ -31,7 +32,7 @@ Examples:
   drft fit runs/*.h5 --share lambda --cluster local -o out/fit
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
   drft fit runs/*.h5 --posterior -o out/fit    Markov chains, out/fit.nc
-  drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
+  drft fit runs/*.h5 --parameters fit.toml     what a file names:
 
 \b
       [[parameter]]
@@ -133,7 +134,6 @@ def fit(
     configure_jax(devices=os.cpu_count())
     from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
     from drftjax.recorded.prepared_run import names_of, prepare_run
@@ -191,12 +191,7 @@ def fit(
     made = command_provenance("fit", [*runs, parameters, model], seed)
 
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     with progress_line(console, "reading runs") as show:
         ready = partial(
