@@ -40,8 +40,10 @@ Examples:
 @app.command(epilog=MAKE_EXAMPLES)
 def make(
     folder: Annotated[Path, typer.Argument(help="A new folder for the sets.")],
-    sets: Annotated[int, typer.Option(help="Number of sets.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of every random choice.")] = 0,
+    sets: Annotated[int, typer.Option(help="Number of sets, 100000 at most.")] = 100,
+    seed: Annotated[
+        int, typer.Option(help="Seed of every random choice.", min=0, max=2**32 - 1)
+    ] = 0,
     protocol: Annotated[
         str,
         typer.Option(

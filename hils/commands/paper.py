@@ -28,9 +28,13 @@ def paper(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "out"
     ),
-    runs: Annotated[int, typer.Option(help="HILS runs, and as many free runs.", min=1)] = 10,
+    runs: Annotated[
+        int, typer.Option(help="HILS runs, and as many free runs.", min=1, max=1000)
+    ] = 10,
     tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
-    seed: Annotated[int, typer.Option(help="Of the first run's noise and bed.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Of the first run's noise and bed.", min=0, max=2**32 - 1)
+    ] = 0,
     rig: Annotated[
         Path | None,
         typer.Option(
@@ -59,6 +63,7 @@ def paper(
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp
+    from hils.control.loop_config import profile as profile_of
     from hils.experiment.experiment import Experiment, loosening_rig, run_experiment, runs_by_tick
     from hils.experiment.figures import ripple_figure, runs_figure, trajectory_figure
     from hils.experiment.report import markdown_report
@@ -74,6 +79,7 @@ def paper(
         runs=runs,
         seed=seed,
     )
+    profile_of(experiment.loop, 1)
     make_folder(output)
     console = Console()
     with console.status("compiling") as status:

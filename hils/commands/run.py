@@ -83,7 +83,7 @@ def run(
             "--zeta0", help="zeta at the start.", show_default="told by the sinkage at rest"
         ),
     ] = None,
-    repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1)] = 1,
+    repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1, max=1000)] = 1,
     between: Annotated[
         str | None, typer.Option(help="Shell command that prepares the sand between two runs.")
     ] = None,

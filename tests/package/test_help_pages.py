@@ -10,6 +10,7 @@ from drftjax.commands.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("drftjax", "identify", "hils", "diagnose")
+OF_A_RUN = ("--port", "/dev/null", "--profile", "data/paper.toml", "-o", "run.h5")
 COLUMNS = 80
 WIDE = 400  # wider than any line of a help page
 
@@ -65,6 +66,13 @@ def test_what_was_given_is_not_called_missing(drft):
         (("design", "--steps", "0"), "'--steps': '0' must be greater than or equal to 1"),
         (("diagnose", "x", "--bed", "wet"), "'--bed': 'wet' is not one of 'prepared', 'free'"),
         (("design", "--loads", "1", "x"), "'--loads': ('1', 'x') must be a valid number"),
+        (("blind", "make", "x", "--seed", "-1"), "'-1' must be greater than or equal to 0"),
+        (("blind", "make", "x", "--sets", "9" * 14), "sets were asked for, must be 1 to 100000"),
+        (("hils", "paper", "--tick", "nan"), "tick is nan, must lie between 0.0005 and 0.1 s"),
+        (
+            ("hils", "run", *OF_A_RUN, "--repeat", "9" * 11),
+            f"'{'9' * 11}' must be less than or equal to 1000",
+        ),
     ],
 )
 def test_a_refused_value_is_shown(drft, words, said):

@@ -182,7 +182,7 @@ def test_every_unit_is_found_by_its_name():
         ('title = "drive', 'title = "a\\u0000', r"title holds the character '\\x00'"),
         ('title = "drive', 'notes = "\\u0000"\ntitle = "drive', "notes holds the character"),
         ('title = "drive', 'skip_lines = 1000000000000\ntitle = "drive', "has 6 lines, but skip"),
-        ('rows = "samples"', "rows = " + "[" * 100_000, "is nested too deeply"),
+        ('rows = "samples"', "rows = " + "[" * 100_000, "lie too deep"),
         ("[measured]", "[measurd]", r"no key 'measurd'; did you mean 'measured'"),
         ("sign = -1", "sign = 2", r"measured\.z\.sign.* 2"),
         ("sign = -1", 'sign = "minus"', r"measured\.z\.sign"),
