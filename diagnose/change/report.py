@@ -20,8 +20,8 @@ from drftjax.recorded.observation import SHOWN
 # Smaller weights are left out of the list of weights [-].
 MIN_WEIGHT = 0.01
 
-# Without a change, an unexplained share of so many times the noise's is told [-]: five times its
-# RMS. Noise counts for 2 % at least: a fiftieth of a difference is left by any law.
+# Without a change, an unexplained share of so many times the noise's is reported [-]: five times
+# its RMS. Noise counts for 2 % at least: a fiftieth of a difference is left by any law.
 MIN_UNEXPLAINED = 25.0
 MIN_NOISE_SHARE = 0.02
 

@@ -13,7 +13,7 @@ from drftjax.common.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    # From effects, a report of stages and a teller of runs left out: result, words, writer.
+    # From effects, a report of stages and one of skipped runs: result, words, writer.
     Steps = Callable[..., tuple[Any, list[Any], Callable[[Any, Path], list[Path]]]]
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

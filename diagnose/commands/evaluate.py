@@ -34,7 +34,7 @@ A run that was made in the loop is replayed by --tuner in that very loop; --tick
 --tolerance are for the others.
 
 Each run is simulated freely from its start, by the reference model and by that with the effects
-of the model file, each with the zeta that meets the run's mean sinkage. All other numbers are the
+of the model file, each with the zeta that matches the run's mean sinkage. All other numbers are the
 run's own.
 """
 

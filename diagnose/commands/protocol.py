@@ -49,7 +49,7 @@ def protocol(
         float | None, typer.Option(help="Largest speed of the wheel [deg/s].")
     ] = None,
     max_travel: Annotated[
-        float | None, typer.Option(help="Longest way of the carriage [m].")
+        float | None, typer.Option(help="Largest travel of the carriage [m].")
     ] = None,
 ) -> None:
     """Write nine runs to record for a diagnosis: the ones that tell effects apart."""

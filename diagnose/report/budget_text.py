@@ -20,9 +20,9 @@ class BudgetTextSettings:
     """Thresholds of the sentences.
 
     Attributes:
-        min_remainder_weight: A remainder is told that is likelier than not [-].
-        min_hidden_share: The gap with one zeta is told where it is larger than that with each run's
-            own, or its floor, by this share of it [-].
+        min_remainder_weight: A remainder is reported that is likelier than not [-].
+        min_hidden_share: The gap with one zeta is reported where it is larger than that with each
+            run's own, or its floor, by this share of it [-].
         made_up_share: These runs cannot show an effect of which another zeta makes up for so much
             [-]: what is left is less than its formula may be wrong by.
     """
@@ -137,7 +137,7 @@ def one_zeta_sentence(found: Diagnosis, settings: BudgetTextSettings = DEFAULT_B
     if not parts:
         return ""
     return (
-        "With one zeta for the bed, each condition at the zeta that the others foretell, the gap "
+        "With one zeta for the bed, each condition at the zeta that the others predict, the gap "
         f"is {', '.join(parts)}."
     )
 

@@ -245,7 +245,7 @@ def step_sentences(found: Diagnosis) -> list[str]:
     if not found.stepwise:
         return []
     steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.stepwise]
-    return [f"Added one by one, each fitted anew: {'; then '.join(steps)}."]
+    return [f"Added one by one, each fitted again: {'; then '.join(steps)}."]
 
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
@@ -259,7 +259,7 @@ def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
 def _measured_on(found: Diagnosis, what: str) -> str:
     """Runs on which the shrinkage was measured; `what` ends in a verb."""
     if len(group_by_condition(found.dataset.runs)) > 1:
-        return f"on runs left out while {what} found"
+        return f"on held-out runs while {what} found"
     return f"on the same runs that {what} found on, which overstates it"
 
 

@@ -170,7 +170,7 @@ def _numbers(machine: "Machine") -> dict[str, str]:
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Sentences on entries of provenance that are others than they were."""
     return [
-        f"{name} was {before.get(name, 'not told')}, is {after.get(name, 'not told')}"
+        f"{name} was {before.get(name, 'not reported')}, is {after.get(name, 'not reported')}"
         for name in dict.fromkeys([*before, *after])
         if before.get(name) != after.get(name)
     ]

@@ -29,7 +29,7 @@ An FTDI adapter keeps what it received for 16 ms, longer than a tick. Write into
 
   SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
 
-and plug it in anew; latency_timer=1 is then its setting [ms].
+and plug it in again; latency_timer=1 is then its setting [ms].
 """
 
 

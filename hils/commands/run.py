@@ -79,9 +79,7 @@ def run(
     ] = "held",
     zeta: Annotated[
         float | None,
-        typer.Option(
-            "--zeta0", help="zeta at the start.", show_default="told by the sinkage at rest"
-        ),
+        typer.Option("--zeta0", help="zeta at the start.", show_default="by the sinkage at rest"),
     ] = None,
     repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1, max=1000)] = 1,
     between: Annotated[

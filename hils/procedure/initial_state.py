@@ -127,7 +127,7 @@ def starting_point(
             f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
             f"{least * 1e3:g} and {deepest * 1e3:.3g} mm: hold it at touch-down when it is zeroed, "
             "look at the sign of z_scale, give --zero power-up where the scale was zeroed there "
-            "before, or --zeta0 where no sinkage at rest can be told"
+            "before, or --zeta0 where no sinkage at rest can be measured"
         )
     if zeta is not None:
         return Start(settled.sinkage, zeta)
@@ -136,7 +136,7 @@ def starting_point(
     zeta = statics(settled.sinkage)
     if not limits.min_zeta <= zeta <= limits.max_zeta:
         raise InputError(
-            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells zeta(0) {zeta:.3g}, must "
+            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm gives zeta(0) {zeta:.3g}, must "
             f"lie between {limits.min_zeta:g} and {limits.max_zeta:g}: check touch-down, mass and "
             "wheel, and the rig's z_scale and the sign of its z"
         )
@@ -174,7 +174,7 @@ def zeta_doubt(
     if 1 / safety.zeta_factor <= ratio <= safety.zeta_factor:
         return None
     sentence = (
-        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm tells zeta(0) {start.zeta:.3g}, the "
+        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm gives zeta(0) {start.zeta:.3g}, the "
         f"set-up says {believed:.3g}: the rig's z_scale, the sign of z, touch-down or the mass is "
         "wrong, or the sand is another"
     )

@@ -71,7 +71,7 @@ def design(
     parameter: Annotated[str, typer.Option(help="The parameter to identify.")] = "lambda",
     nuisance: Annotated[
         list[str] | None,
-        typer.Option(help="What the same run must also tell. [default: zeta, lambda]"),
+        typer.Option(help="What the same run must also identify. [default: zeta, lambda]"),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
@@ -84,7 +84,7 @@ def design(
         float | None, typer.Option(help="Of the run [s]. [default: the given profile's]")
     ] = None,
     max_travel: Annotated[
-        float | None, typer.Option(help="Longest way of the rim [m]. [default: any]")
+        float | None, typer.Option(help="Largest travel of the rim [m]. [default: any]")
     ] = None,
     loads: Annotated[
         tuple[float, float] | None,

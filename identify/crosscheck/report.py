@@ -179,7 +179,7 @@ def _draw_zeta(axes, run: "RunCheck") -> None:
         markevery=SEGMENTS,
         label="offline",
     )
-    # Where nothing is told the band is wider than any axes.
+    # Where nothing is identified the band is wider than any axes.
     error = np.minimum(1.645 * path.error, 10.0)
     band = (path.value - error, path.value + error)
     axes.fill_between(path.time, *band, color="C0", alpha=0.2, lw=0, label="90 % band")

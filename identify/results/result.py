@@ -122,7 +122,7 @@ class FitResult:
     def table(self) -> WholeWordTable:
         """Return a table of own values, and of RMSE before and after, by run and channel.
 
-        Where noise floors are known, what is left is told in them, too.
+        Where noise floors are known, what is left is given in them, too.
         """
         channels = self.channels
         title = "simulated minus recorded, RMSE before → after the fit"

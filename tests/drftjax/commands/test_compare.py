@@ -156,7 +156,7 @@ def test_own_values_are_compared_by_their_mean(drft, tmp_path):
     assert first["error"] == pytest.approx(1.0)
     assert (second["value"], second["error"], second["runs"]) == (9.0, 1.0, 1)
     assert zeta["agreement"]["chi_square"] == pytest.approx(49 / 2)
-    assert "Record one run twice, with the sand prepared anew, since zeta disagrees most" in out
+    assert "Record one run twice, with the sand prepared again, since zeta disagrees most" in out
     assert "2.0 ± 1.0 (mean of 2, scatter 1)" in out
 
 
@@ -169,7 +169,7 @@ def test_values_at_bounds_and_without_errors_are_shown_and_not_compared(drft, tm
     (found,) = document["quantities"]
     assert found["agreement"] is None
     assert "1, at a bound" in out
-    assert "lambda is not told. The run that would tell it: drft design --like RUN.h5" in out
+    assert "lambda is not identified. The run that would identify it: drft design --like" in out
     assert f"{files[1]} ended as 'stalled'" in out
 
 
