@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from drftjax.commands.completion import complete_effects
 from drftjax.commands.options import remove_empty_folders
 from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
@@ -49,7 +50,10 @@ def diagnose(
     ] = None,
     effects: Annotated[
         str | None,
-        typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
+        typer.Option(
+            help="Names, with commas between: only these are considered. [default: all]",
+            autocompletion=complete_effects,
+        ),
     ] = None,
     bed: Annotated[
         Literal["prepared", "free"],

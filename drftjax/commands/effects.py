@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.completion import complete_effect
 from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
@@ -25,7 +26,10 @@ Examples:
 @app.command(epilog=EXAMPLES)
 def effects(
     name: Annotated[
-        str | None, typer.Argument(help="An effect, to show in full.", show_default=False)
+        str | None,
+        typer.Argument(
+            help="An effect, to show in full.", show_default=False, autocompletion=complete_effect
+        ),
     ] = None,
     plot: Annotated[
         Path | None,

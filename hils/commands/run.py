@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from drftjax.commands.completion import complete_tuner
 from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_options
 from drftjax.common.errors import InputError
 from hils.link.timing import USUAL_BAUD, require_baud
@@ -45,7 +46,8 @@ def run(
         str,
         typer.Option(
             help="Tuner: step (eq. 7's fixed step), pi, kalman (docs/theory/hils-tuners.md), "
-            "or one that an installed package adds."
+            "or one that an installed package adds.",
+            autocompletion=complete_tuner,
         ),
     ] = "step",
     zeta_step: Annotated[

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.completion import complete_channel
 from drftjax.commands.options import remove_empty_folders
 from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
@@ -78,7 +79,10 @@ def fit(
     zeta: Annotated[
         str,
         typer.Option(
-            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t))."
+            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t)).",
+            autocompletion=lambda incomplete: [
+                each for each in ("constant", "phases", "path") if each.startswith(incomplete)
+            ],
         ),
     ] = "constant",
     knots: Annotated[
@@ -110,7 +114,8 @@ def fit(
         list[str] | None,
         typer.Option(
             help="A channel that is compared: x, z, fx, fz or torque. [default: all that the "
-            "simulation predicts]"
+            "simulation predicts]",
+            autocompletion=complete_channel,
         ),
     ] = None,
     cluster: Annotated[
