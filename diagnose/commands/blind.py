@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from drftjax.commands.options import CommandGroup
-from drftjax.commands.printing import say
+from drftjax.commands.printing import say, say_next
 from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 
@@ -85,6 +85,7 @@ def make(
         for number, _ in enumerate(make_sets(request, jobs), start=1):
             show("making sets", number)
     say(f"{sets} sets written to {folder}; their labels are sealed")
+    say_next("blind", "answer", folder, "-o", f"{folder}_answers.json")
 
 
 ANSWER_EXAMPLES = """
@@ -141,6 +142,7 @@ def answer(
     if cluster is not None:
         write_answers(output, answers)
     say(f"{len(answers)} answers written to {output}")
+    say_next("blind", "score", folder, "--answers", output)
 
 
 def _answer_here(

@@ -8,7 +8,7 @@ import typer
 
 from drftjax.commands.completion import complete_effects
 from drftjax.commands.options import remove_empty_folders
-from drftjax.commands.printing import say_on
+from drftjax.commands.printing import say_next, say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ def diagnose(
         written = write(found, output)
         if not quiet:
             say(f"written: {', '.join(str(each) for each in written)}")
+            if against is None:
+                say_next("evaluate", "OTHER_RUNS", "--model", output / "model.toml")
 
 
 def _diagnosed(runs: list[Path], output: Path | None, bed: str) -> "Steps":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drftjax.commands.options import USUAL_OMEGA_MAX
-from drftjax.commands.printing import say
+from drftjax.commands.printing import say, say_next
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,6 +91,9 @@ def protocol(
     say(f"nine set-ups written to {output}")
     if fast:
         say(_allowance(fast))
+    first = output / f"1_{runs[0][0].name}.toml"
+    recorded = ("--mode", "free", "--profile", first, "-o", f"runs/{runs[0][0].name}.h5")
+    say_next("hils", "run", "--port", "PORT", *recorded)
 
 
 def _rig(setup: Path | None, like: Path | None) -> "SetUp":

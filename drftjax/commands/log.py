@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperCommand
 
 from drftjax.commands.options import CommandGroup
-from drftjax.commands.printing import say
+from drftjax.commands.printing import say, say_next
 from drftjax.common.errors import InputError, missing_path
 
 app = typer.Typer(
@@ -116,6 +116,7 @@ def repair(
     rows = f"{run.command.time.size} commands, {run.measured.time.size} readings"
     ticks = "" if run.online is None else f", {run.online.time.size} ticks"
     say(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
+    say_next("log", "show", path)
 
 
 @app.command()
@@ -222,6 +223,8 @@ def import_(
         say(f"wrote {path}: {each.run.title}")
         for doubt in (*each.losses, *plausibility_warnings(each.run)):
             say(f"note: {path}: {doubt}", error=True)
+    if targets:
+        say_next("log", "show", output)
 
 
 def _propose(table: Path, output: Path | None, force: bool) -> None:

@@ -4,6 +4,7 @@ A line that goes to a file or another program is one sentence, whatever the widt
 wider than the terminal is not broken, so that it can be copied.
 """
 
+import shlex
 import shutil
 import sys
 from textwrap import fill
@@ -25,6 +26,15 @@ def say(text: str, *, error: bool = False) -> None:
     stream = sys.stderr if error else sys.stdout
     width = shutil.get_terminal_size().columns if stream.isatty() else None
     print("\n".join(_folded(line, width) for line in text.split("\n")), file=stream, flush=True)
+
+
+def say_next(*words: object) -> None:
+    """Print the command that usually follows, in one line, so that it can be copied.
+
+    Args:
+        words: Those after `drft`. A word in capitals, such as OTHER_RUNS, is for the user to fill.
+    """
+    print(f"next: drft {shlex.join(map(str, words))}", flush=True)
 
 
 def say_on(console: "Console", text: str, style: str | None = None) -> None:

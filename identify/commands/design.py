@@ -10,7 +10,7 @@ from drftjax.commands.options import (
     refuse_options,
     remove_empty_folders,
 )
-from drftjax.commands.printing import say_on
+from drftjax.commands.printing import say_next, say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml, plot_design
@@ -210,6 +210,7 @@ def design(
     if output is not None and result.identifiable:
         written = _write(result, output, made)
         say_on(console, f"written: {', '.join(map(str, written))}")
+        say_next("simulate", written[0], "-o", written[0].with_suffix(".h5"))
 
 
 def result_files(output: Path) -> list[Path]:
