@@ -63,6 +63,7 @@ def rerun(
     from rich.console import Console
 
     from drftjax.commands.main import subcommand
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_folder
     from drftjax.results.command_line import (
         RESULT_COMMANDS,
@@ -101,7 +102,7 @@ def rerun(
     for each in _changed(made.versions, software_versions()):
         say(each, "yellow")
     arguments = command.arguments(relative_to_base(asked, inputs.base), option)
-    with console.status(f"drft {name}"):
+    with progress_line(console, f"drft {name}"):
         _run(arguments, inputs.base, result)
     if _stamp(target) == earlier:
         raise InputError(f"{result} cannot be made again: drft {name} finds no result to write")

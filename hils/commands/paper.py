@@ -56,6 +56,7 @@ def paper(
     answer_at_once()
     from rich.console import Console
 
+    from drftjax.commands.progress import progress_line
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.packages import data_file
@@ -82,9 +83,9 @@ def paper(
     profile_of(experiment.loop, 1)
     make_folder(output)
     console = Console()
-    with console.status("compiling") as status:
-        result = run_experiment(experiment, status.update)
-        others = runs_by_tick(experiment, report_progress=status.update) if ticks else {}
+    with progress_line(console, "compiling") as show:
+        result = run_experiment(experiment, show)
+        others = runs_by_tick(experiment, report_progress=show) if ticks else {}
 
     text = markdown_report(result, others)
     document = result.document() | {

@@ -162,6 +162,7 @@ def design(
             output=output,
         )
         return
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
     from drftjax.results.provenance import command_provenance
     from drftjax.setups.from_run import setup_like
@@ -191,7 +192,7 @@ def design(
         math.inf if max_travel is None else max_travel,
     )
     console = Console()
-    with console.status("compiling") as status:
+    with progress_line(console, "compiling") as show:
         result = design_run(
             chosen,
             parameter,
@@ -201,7 +202,7 @@ def design(
             search=DesignSettings(steps=steps),
             wanted=wanted / 100,
             model_error=model_error * 1e-3,
-            progress=status.update,
+            progress=show,
         )
     if result.identifiable:
         console.print(design_table(result))

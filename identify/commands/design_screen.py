@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from drftjax.commands.printing import say_on
+from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, require_places, stem_of
 from drftjax.recorded.observation import comparable_channels
@@ -57,14 +58,14 @@ def screen_setup(
         assert like is not None
         chosen, instrument = _as_recorded(like, channels, noise, noise_given)
     console = Console()
-    with console.status("compiling") as status:
+    with progress_line(console, "compiling") as show:
         result = screen(
             chosen,
             ranges=bounds,
             instrument=instrument,
             settings=settings,
             seed=seed,
-            progress=status.update,
+            progress=show,
         )
     console.print(screening_table(result))
     for line in result.summary().splitlines():

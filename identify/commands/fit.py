@@ -235,7 +235,7 @@ def fit(
         if posterior:
 
             def tell_chains(stage: str, done: int, of_all: int) -> None:
-                show(f"posterior: {stage} {done} of {of_all}")
+                show(f"posterior: {stage}", done, of_all)
 
             show("posterior: compiling")
             result = result.sample_posterior(progress=tell_chains)
